@@ -232,7 +232,7 @@ mod limits {
                 let (mut a, mut b, mut c, mut d) = ($zero(), $zero(), $zero(), $zero());
                 for chunk in data.chunks_exact(4 * $lanes) {
                     let p = chunk.as_ptr();
-                    // SAFETY: the chunk holds four vectors.
+                    // SAFETY: the chunk holds the four vectors that are read.
                     unsafe {
                         a = $add(a, $load(p));
                         b = $add(b, $load(p.add($lanes)));
@@ -296,12 +296,13 @@ mod limits {
         // Takes the fastest of many short runs, which is the one least disturbed by other processes.
         let best = |f: &dyn Fn() -> f64| Some((0..600).map(|_| f()).fold(0.0, f64::max));
         match level.isa() {
-            // SAFETY: a level exists only if the CPU has its instructions; the same holds below.
+            // SAFETY: a level exists only if the CPU has its instructions, and the name shows that VNNI is
+            // among them.
             Isa::Avx512 if int8 && level.to_string().contains("vnni") => best(&|| unsafe { dot512(100_000) }),
             _ if int8 => None,
-            // SAFETY: as above.
+            // SAFETY: an AVX-512 level exists only if the CPU has AVX-512.
             Isa::Avx512 => best(&|| unsafe { fma512(100_000) }),
-            // SAFETY: as above.
+            // SAFETY: an AVX2 level exists only if the CPU has AVX2 and FMA.
             Isa::Avx2 => best(&|| unsafe { fma256(100_000) }),
             _ => None,
         }
@@ -315,9 +316,9 @@ mod limits {
         let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
         let rounds = (1 << 22) / bytes + 1;
         let read: &dyn Fn() = match level.isa() {
-            // SAFETY: a level exists only if the CPU has its instructions; the same holds below.
+            // SAFETY: an AVX-512 level exists only if the CPU has AVX-512.
             Isa::Avx512 => &|| unsafe { sum512(black_box(data)) },
-            // SAFETY: as above.
+            // SAFETY: an AVX2 level exists only if the CPU has AVX2.
             Isa::Avx2 => &|| unsafe { sum256(black_box(data)) },
             _ => return None,
         };
@@ -337,7 +338,7 @@ mod limits {
             // SAFETY: CLFLUSH is part of SSE2, which x86-64 always has, and the line belongs to a live slice.
             unsafe { _mm_clflush(line.as_ptr()) };
         }
-        // SAFETY: as above.
+        // SAFETY: MFENCE is part of SSE2, which x86-64 always has.
         unsafe { _mm_mfence() };
     }
 }

@@ -23,7 +23,7 @@ pub(crate) struct Cursor {
     y: u32,
     /// Expected seconds of the next piece: the seconds per piece of the last region.
     piece: f64,
-    /// Seconds of the finished part.
+    /// Seconds spent on the finished part of the picture.
     spent: f64,
 }
 
@@ -48,13 +48,13 @@ impl Cursor {
         ]
     }
 
-    /// The finished share, 0 to 1.
+    /// Returns the finished share of the picture, from 0 to 1.
     pub(crate) fn share(&self) -> f64 {
         let done: u64 = self.covered().iter().flatten().map(Region::pixels).sum();
         done as f64 / (f64::from(self.width) * f64::from(self.height))
     }
 
-    /// Expected seconds of the unfinished part.
+    /// Returns the expected seconds of the picture's unfinished part.
     pub(crate) fn remaining(&self) -> f64 {
         let pieces = f64::from(self.width.div_ceil(PIECE)) * f64::from(self.height.div_ceil(BAND));
         let share = self.share();

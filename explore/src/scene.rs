@@ -86,7 +86,8 @@ impl VolumeSource for Spanned {
             spacing: shape.spacing.to_array(),
             range: Some(self.range),
         };
-        VolumeView::with(view.scalars(), shape.dims, options).expect("it was checked with another range")
+        VolumeView::with(view.scalars(), shape.dims, options)
+            .expect("the same volume was checked with another range")
     }
 
     fn notes(&self) -> &[String] {

@@ -246,11 +246,11 @@ impl Default for Retry {
 /// Returns the draw settings of the raycaster: shading, skipping, termination, device.
 ///
 /// # Errors
-/// When the renderer is another program, a word is unknown (the message names the accepted words), or
-/// `termination` is outside 0 to 1.
+/// When the renderer is not the project's raycaster, a word is unknown (the message names the accepted
+/// words), or `termination` is outside 0 to 1.
 pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
-        bail!("the renderer is another program")
+        bail!("the renderer is not the project's raycaster, so it has no such settings")
     };
     fn word<T: ValueEnum>(what: &str, text: &str) -> Result<T> {
         T::from_str(text, false).map_err(|_| {

@@ -173,7 +173,7 @@ impl Shape {
 struct Seen {
     task: u32,
     node: u32,
-    /// ln(seconds / base).
+    /// Natural logarithm of measured seconds / base seconds.
     y: f64,
 }
 

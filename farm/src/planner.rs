@@ -17,15 +17,15 @@ const EXPLORED: (f64, u32) = (0.1, 4);
 /// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// Not part of this run.
+    /// The task is not part of this run.
     Idle,
-    /// It waits to be sent.
+    /// The task waits to be sent.
     Waits,
-    /// It was sent.
+    /// The task was sent to a slot.
     Sent,
-    /// It is done.
+    /// The task is done.
     Done,
-    /// Given up.
+    /// The task was given up.
     Quarantined,
 }
 
@@ -63,7 +63,7 @@ pub struct Sent {
     pub tasks: Vec<u32>,
     /// Slot of the bundle, if it is bound to one.
     pub slot: Option<usize>,
-    /// The volume of all these tasks.
+    /// Index of the volume that all tasks of the bundle draw.
     pub volume: usize,
     /// Expected seconds of the bundle on its slot, with loading.
     pub expected_s: f64,

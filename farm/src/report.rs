@@ -167,7 +167,7 @@ fn accuracy(page: &mut Page, all: &[&(Answer, f64)]) {
     let mut errors: Vec<f64> = all.iter().map(|(a, p)| (p / a.seconds - 1.0).abs()).collect();
     let middle = entire_io::metrics::median(&mut errors).unwrap_or(f64::NAN);
     let text = format!(
-        "Seconds that were expected when a task was sent, and its measured seconds without loading. Median \
+        "Seconds that were expected when a task was sent, and the task's measured seconds without loading. Median \
          error {:.1} %.",
         100.0 * middle
     );

@@ -79,7 +79,7 @@ impl Show {
         }
     }
 
-    /// Prints a note above the bar.
+    /// Prints a note above the progress bar.
     pub(crate) fn note(&self, text: &str) {
         if self.lines {
             entire_io::files::note(text);
@@ -88,7 +88,7 @@ impl Show {
         }
     }
 
-    /// Removes the bar.
+    /// Removes the progress bar.
     pub(crate) fn finish(&self) {
         self.bar.finish_and_clear();
     }

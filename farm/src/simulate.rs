@@ -12,13 +12,13 @@ use std::collections::{BinaryHeap, HashSet};
 pub struct World {
     /// True seconds of the tasks on a node of speed 1.
     pub seconds: Vec<f64>,
-    /// Volume of each task.
+    /// Index of each task's volume.
     pub volume: Vec<usize>,
     /// Seconds to load each volume on a node that never had it.
     pub load_cold: Vec<f64>,
     /// Seconds to load each volume on a node that had it before.
     pub load_warm: Vec<f64>,
-    /// Speed of each slot.
+    /// Relative speed of each slot.
     pub speeds: Vec<f64>,
     /// Latency of each bundle on its slot, seconds.
     pub latency: f64,

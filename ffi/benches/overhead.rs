@@ -41,22 +41,22 @@ fn main() {
     let mut inputs = vec![0.5f32; net.inputs()];
 
     let library = CString::new(library.as_str()).expect("a path");
-    // SAFETY: the path is a C string; the library is never closed.
+    // SAFETY: the path is a C string, and the library is never closed.
     let handle = unsafe { dlopen(library.as_ptr(), RTLD_NOW) };
     assert!(!handle.is_null(), "{library:?} cannot be loaded");
     let symbol = |name: &std::ffi::CStr| {
-        // SAFETY: the handle is open, the name a C string.
+        // SAFETY: the library is open, and the name is a C string.
         let found = unsafe { dlsym(handle, name.as_ptr()) };
         assert!(!found.is_null(), "{library:?} has no {name:?}");
         found
     };
-    // SAFETY: the types are those of entire.h.
+    // SAFETY: `OpenModel` is the type of entire_model_open in entire.h.
     let open: OpenModel = unsafe { std::mem::transmute(symbol(c"entire_model_open")) };
-    // SAFETY: as above.
+    // SAFETY: `PredictModel` is the type of entire_model_predict in entire.h.
     let predict: PredictModel = unsafe { std::mem::transmute(symbol(c"entire_model_predict")) };
     let mut c_model = std::ptr::null_mut();
     let c_path = CString::new(path.as_str()).expect("a path");
-    // SAFETY: a C string, and room for one pointer.
+    // SAFETY: the path is a C string, and `c_model` has room for one pointer.
     assert_eq!(unsafe { open(c_path.as_ptr(), &raw mut c_model) }, 0);
 
     let (mut rust, mut c, mut difference) = (Vec::new(), Vec::new(), Vec::new());
@@ -72,7 +72,8 @@ fn main() {
         for _ in 0..CALLS {
             let mut seconds = 0.0;
             let at = std::hint::black_box(&inputs);
-            // SAFETY: a live model, as many inputs as stated, room for one number.
+            // SAFETY: the model is live, `at` has the stated number of inputs, and `seconds` has room for one
+            // number.
             unsafe { predict(c_model, at.as_ptr(), at.len(), &raw mut seconds) };
             sum -= f64::from(seconds);
         }

@@ -35,11 +35,12 @@ const LARGEST_STRUCT: usize = 1 << 16;
 /// The type is `repr(C)`, its first field is `struct_size: usize`, no padding matters, and every bit pattern
 /// of every field is a value (integers, floats, pointers).
 pub(crate) unsafe trait ByValue: Copy {
-    /// Name of the struct in messages.
+    /// Name of the struct in error messages.
     const NAME: &'static str;
     /// Size in bytes of the struct in its first release. A struct that has grown since then defines it.
     const FIRST_SIZE: usize = size_of::<Self>();
-    /// Default values. `_init` writes them; they also replace the fields that an older caller's struct lacks.
+    /// Returns the default values. The `_init` functions write them. They also fill in the fields that the
+    /// struct of an older caller does not have.
     fn defaults() -> Self;
 }
 
@@ -58,8 +59,8 @@ fn check_size<T: ByValue>(size: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Reads the caller's struct: missing fields of an older caller get their defaults, unknown fields of a newer
-/// one must be zero.
+/// Reads the caller's struct. Fields that an older caller's struct does not have get their default values.
+/// Fields that this library does not know, because the caller's header is newer, must be zero.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads of the bytes that its `struct_size` states.
@@ -67,13 +68,14 @@ pub(crate) unsafe fn read_struct<T: ByValue>(at: *const T) -> Result<T, Failure>
     if at.is_null() {
         return Err(Failure::null(T::NAME));
     }
-    // SAFETY: not NULL, and the first field is `struct_size`; read without assuming alignment.
+    // SAFETY: `at` is not NULL and points to a struct whose first field is `struct_size`. The read assumes no
+    // alignment.
     let size = unsafe { at.cast::<usize>().read_unaligned() };
     check_size::<T>(size)?;
     let known = size.min(size_of::<T>());
     let mut value = T::defaults();
-    // SAFETY: the caller promises `size` readable bytes, `value` has `known` writable ones, and by the
-    // trait's contract any bytes are a value.
+    // SAFETY: the caller guarantees that `size` bytes are readable at `at`. `value` has `known` bytes, and
+    // `ByValue` guarantees that any bits are a value of its fields.
     let unknown = unsafe {
         std::ptr::copy_nonoverlapping(at.cast::<u8>(), (&raw mut value).cast::<u8>(), known);
         std::slice::from_raw_parts(at.cast::<u8>().add(known), size - known)
@@ -100,7 +102,8 @@ pub(crate) unsafe fn check_output<T: ByValue>(at: *const T) -> Result<(), Failur
     if at.is_null() {
         return Err(Failure::null(T::NAME));
     }
-    // SAFETY: as in read_struct.
+    // SAFETY: `at` is not NULL and points to a struct whose first field is `struct_size`. The read assumes no
+    // alignment.
     check_size::<T>(unsafe { at.cast::<usize>().read_unaligned() })
 }
 
@@ -109,9 +112,11 @@ pub(crate) unsafe fn check_output<T: ByValue>(at: *const T) -> Result<(), Failur
 /// # Safety
 /// `at` is NULL or valid for reads and writes of the bytes that its `struct_size` states.
 pub(crate) unsafe fn write_struct<T: ByValue>(at: *mut T, value: &T) -> Result<(), Failure> {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees that `at` is NULL or valid for `struct_size` bytes, as `check_output`
+    // requires.
     unsafe { check_output(at)? };
-    // SAFETY: as the caller promises; both sides have at least `known` bytes, and they are different objects.
+    // SAFETY: the caller guarantees that `at` is valid for `size` bytes. Both structs have at least `known`
+    // bytes, and they are different objects.
     unsafe {
         let size = at.cast::<usize>().read_unaligned();
         let known = size.min(size_of::<T>());
@@ -134,7 +139,8 @@ pub(crate) unsafe fn init_struct<T: ByValue>(at: *mut T, size: usize) -> Result<
     check_size::<T>(size)?;
     let known = size.min(size_of::<T>());
     let value = T::defaults();
-    // SAFETY: the caller promises `size` writable bytes; the value has `known` readable ones.
+    // SAFETY: the caller guarantees that `size` bytes are writable at `at`; `value` has `known` readable
+    // bytes.
     unsafe {
         at.cast::<u8>().write_bytes(0, size);
         std::ptr::copy_nonoverlapping((&raw const value).cast::<u8>(), at.cast::<u8>(), known);
@@ -152,7 +158,8 @@ pub(crate) unsafe fn slice<'a, T>(at: *const T, len: usize, what: &str) -> Resul
         return Ok(&[]);
     }
     check_array(at, len, what)?;
-    // SAFETY: not NULL, aligned, not longer than an object can be, readable as the caller promises.
+    // SAFETY: `check_array` has checked that `at` is not NULL, aligned, and not longer than an object can be.
+    // The caller guarantees that `len` elements are readable.
     Ok(unsafe { std::slice::from_raw_parts(at, len) })
 }
 
@@ -170,8 +177,8 @@ pub(crate) unsafe fn slice_mut<'a, T: Number>(
         return Ok(&mut []);
     }
     check_array(at, len, what)?;
-    // SAFETY: not NULL, aligned, not longer than an object can be, writable as the caller promises; any bytes
-    // are a valid value of a `Number`.
+    // SAFETY: `check_array` has checked that `at` is not NULL, aligned, and not longer than an object can be.
+    // The caller guarantees that `len` elements are writable. Any bytes are a value of a `Number`.
     Ok(unsafe { std::slice::from_raw_parts_mut(at, len) })
 }
 
@@ -209,7 +216,7 @@ pub(crate) unsafe fn text<'a>(at: *const c_char, what: &str) -> Result<&'a str, 
     if at.is_null() {
         return Err(Failure::null(what));
     }
-    // SAFETY: not NULL, and a C string as the caller promises.
+    // SAFETY: `at` is not NULL, and the caller guarantees that it is a C string.
     unsafe { CStr::from_ptr(at) }.to_str().map_err(|e| {
         Failure::new(
             ENTIRE_INVALID_ARGUMENT,
@@ -229,7 +236,8 @@ pub(crate) fn check_pointer<T>(at: *const T, what: &str) -> Result<(), Failure> 
 /// `at` is NULL or valid for one write.
 pub(crate) unsafe fn write<T>(at: *mut T, value: T, what: &str) -> Result<(), Failure> {
     check_pointer(at, what)?;
-    // SAFETY: not NULL and aligned; valid for a write as the caller promises.
+    // SAFETY: `check_pointer` has checked that `at` is not NULL and is aligned. The caller guarantees that it
+    // is valid for one write.
     unsafe { at.write(value) };
     Ok(())
 }
@@ -253,13 +261,14 @@ pub(crate) unsafe fn write_text(
         return Err(Failure::null("length (or else buffer)"));
     }
     if !length.is_null() {
-        // SAFETY: valid for one write as the caller promises.
+        // SAFETY: the caller guarantees that `length` is valid for one write.
         unsafe { write(length, text.len(), "length")? };
     }
     if capacity > 0 {
         let longest = text.len().min(capacity - 1);
         let cut = (0..=longest).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
-        // SAFETY: `cut` is below the capacity that the caller promises, so the closing NUL fits too.
+        // SAFETY: the caller guarantees `capacity` writable bytes; `cut` is below `capacity`, so the closing
+        // NUL fits too.
         unsafe {
             std::ptr::copy_nonoverlapping(text.as_ptr(), buffer.cast::<u8>(), cut);
             buffer.add(cut).write(0);
@@ -280,7 +289,8 @@ mod tests {
         b: f64,
     }
 
-    // SAFETY: repr(C), first field struct_size, integers and floats only.
+    // SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields
+    // (integers and floats).
     unsafe impl ByValue for Probe {
         const NAME: &'static str = "probe";
         const FIRST_SIZE: usize = 16;
@@ -299,7 +309,7 @@ mod tests {
     #[test]
     fn an_older_caller_gets_defaults_and_keeps_what_it_set() {
         let old = [16u64, 9];
-        // SAFETY: 16 bytes are readable, as the first field states.
+        // SAFETY: `old` has the 16 readable bytes that its first field states.
         let value = unsafe { read_struct(old.as_ptr().cast::<Probe>()) }.unwrap();
         assert_eq!(value.a, 9);
         assert!(value.b.is_nan());
@@ -309,7 +319,7 @@ mod tests {
     fn a_newer_caller_is_refused_only_when_it_uses_what_is_new() {
         let mut newer = Newer { old: Probe { struct_size: size_of::<Newer>(), a: 1, b: 2.0 }, tail: 0 };
         let read = |n: &Newer| {
-            // SAFETY: all bytes that struct_size states are readable.
+            // SAFETY: `n` has as many readable bytes as its `struct_size` states.
             unsafe { read_struct(std::ptr::from_ref(n).cast::<Probe>()) }.map_err(|e| e.code)
         };
         assert_eq!(read(&newer).unwrap().b, 2.0);
@@ -321,16 +331,16 @@ mod tests {
     fn sizes_that_cannot_be_are_refused() {
         for size in [0usize, 8, 15, 1 << 16, usize::MAX] {
             let probe = Probe { struct_size: size, a: 0, b: 0.0 };
-            // SAFETY: refused before more than the first field is read.
+            // SAFETY: the call refuses this size after it has read the first field, which `probe` has.
             let failure = unsafe { read_struct(&raw const probe) }.err().unwrap();
             assert_eq!(failure.code, ENTIRE_STRUCT_SIZE);
             assert!(failure.message.contains("sizeof(probe)"));
             let mut probe = probe;
-            // SAFETY: as above.
+            // SAFETY: the call refuses this size after it has read the first field, which `probe` has.
             let refused = unsafe { write_struct(&raw mut probe, &Probe::defaults()) }.err();
             assert_eq!(refused.unwrap().code, ENTIRE_STRUCT_SIZE);
         }
-        // SAFETY: NULL is allowed.
+        // SAFETY: `read_struct` allows NULL.
         let refused = unsafe { read_struct(std::ptr::null::<Probe>()) }.err();
         assert_eq!(refused.unwrap().code, ENTIRE_NULL_ARGUMENT);
     }
@@ -338,16 +348,16 @@ mod tests {
     #[test]
     fn outputs_are_written_as_far_as_the_caller_knows_them() {
         let mut old = [16u64, 0, 77];
-        // SAFETY: the stated 16 bytes are writable.
+        // SAFETY: `old` has more than the 16 writable bytes that its first field states.
         unsafe {
             write_struct(old.as_mut_ptr().cast::<Probe>(), &Probe { struct_size: 0, a: 3, b: 4.0 }).unwrap()
         };
         assert_eq!(old, [16, 3, 77]);
-        // SAFETY: the stated 16 bytes are writable.
+        // SAFETY: `old` has more than the 16 writable bytes that the call states.
         unsafe { init_struct(old.as_mut_ptr().cast::<Probe>(), 16).unwrap() };
         assert_eq!(old, [16, 5, 77]);
         let mut newer = [0xffu64; 4];
-        // SAFETY: all 32 bytes are writable.
+        // SAFETY: `newer` has the 32 writable bytes that the call states.
         unsafe { init_struct(newer.as_mut_ptr().cast::<Probe>(), 32).unwrap() };
         assert_eq!((newer[0], newer[1], newer[3]), (32, 5, 0));
     }
@@ -355,7 +365,7 @@ mod tests {
     #[test]
     fn arrays_are_checked() {
         let data = [1.0f32, 2.0];
-        // SAFETY: valid pointers and lengths, or refused before use.
+        // SAFETY: the arrays have the stated lengths, or the call refuses them before it reads them.
         unsafe {
             assert_eq!(slice(data.as_ptr(), 2, "x").unwrap(), &data);
             assert!(slice::<f32>(std::ptr::null(), 0, "x").unwrap().is_empty());
@@ -370,12 +380,12 @@ mod tests {
     fn text_is_cut_at_a_character_and_the_length_is_that_of_the_whole() {
         let mut buffer = [1 as c_char; 4];
         let mut length = 0;
-        // SAFETY: buffer and length are as stated.
+        // SAFETY: `buffer` has 4 bytes, as stated, and `length` is valid for one write.
         unsafe { write_text("aäö", buffer.as_mut_ptr(), 4, &raw mut length).unwrap() };
-        // SAFETY: write_text ends the text with a NUL.
+        // SAFETY: `write_text` ends the text with a NUL.
         assert_eq!(unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap(), "aä");
         assert_eq!(length, 5);
-        // SAFETY: NULL is allowed.
+        // SAFETY: `write_text` allows NULL for `buffer` and `length`.
         unsafe {
             write_text("abc", std::ptr::null_mut(), 0, &raw mut length).unwrap();
             assert!(write_text("abc", std::ptr::null_mut(), 0, std::ptr::null_mut()).is_err());
@@ -386,7 +396,7 @@ mod tests {
 
     #[test]
     fn strings_must_be_utf8() {
-        // SAFETY: C strings, or NULL.
+        // SAFETY: each pointer is a C string or NULL.
         unsafe {
             assert_eq!(text(c"pfad/ä".as_ptr(), "path").unwrap(), "pfad/ä");
             assert_eq!(text(c"\xff".as_ptr(), "path").unwrap_err().code, ENTIRE_INVALID_ARGUMENT);

@@ -38,7 +38,8 @@ const _: () = {
 /// # Safety
 /// `at` is NULL or valid for reads and writes of a `C`.
 unsafe fn value<'a, C, T: bytemuck::Pod>(at: *mut C, what: &str) -> Result<&'a mut T, Failure> {
-    // SAFETY: as the caller promises; a `C` is as many words as a `T`.
+    // SAFETY: the caller guarantees that `at` is NULL or valid for a `C`, and a `C` has as many words as a
+    // `T`.
     let words = unsafe { slice_mut(at.cast::<u32>(), size_of::<T>() / 4, what)? };
     Ok(bytemuck::from_bytes_mut(bytemuck::cast_slice_mut(words)))
 }
@@ -48,7 +49,8 @@ unsafe fn value<'a, C, T: bytemuck::Pod>(at: *mut C, what: &str) -> Result<&'a m
 /// # Safety
 /// `at` is NULL or valid for reads of a `C`.
 unsafe fn read<C, T: bytemuck::Pod>(at: *const C, what: &str) -> Result<T, Failure> {
-    // SAFETY: as the caller promises; a `C` is as many words as a `T`.
+    // SAFETY: the caller guarantees that `at` is NULL or valid for reads of a `C`, and a `C` has as many
+    // words as a `T`.
     let words = unsafe { slice(at.cast::<u32>(), size_of::<T>() / 4, what)? };
     Ok(bytemuck::pod_read_unaligned(bytemuck::cast_slice(words)))
 }
@@ -68,7 +70,7 @@ fn check_seconds(seconds: f32, what: &str) -> Result<(), Failure> {
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget, volumes: u32) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `budget` is NULL or valid.
     guard(|| unsafe {
         value::<_, FrameBudget>(budget, "budget")?.begin(volumes);
         Ok(())
@@ -88,7 +90,7 @@ pub unsafe extern "C" fn entire_budget_share(
     target: f32,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid.
     guard(|| unsafe {
         let budget: FrameBudget = read(budget, "budget")?;
         let pass: PassShare = read(pass, "pass")?;
@@ -108,7 +110,8 @@ pub unsafe extern "C" fn entire_budget_drew(
     seconds: f32,
     full_seconds: f32,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands, and point to different objects.
+    // SAFETY: by the pointer rules in lib.rs, `budget` and `pass` are NULL or valid, and they point to
+    // different objects.
     guard(|| unsafe {
         let budget = value::<_, FrameBudget>(budget, "budget")?;
         let pass = value::<_, PassShare>(pass, "pass")?;
@@ -130,7 +133,7 @@ pub unsafe extern "C" fn entire_budget_end(
     seconds: f32,
     usual: u32,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `budget` is NULL or valid.
     guard(|| unsafe {
         let budget = value::<_, FrameBudget>(budget, "budget")?;
         check_seconds(seconds, "seconds")?;

@@ -32,7 +32,7 @@ fn made<T>(call: impl FnOnce(*mut *mut T) -> entire_result) -> *mut T {
 /// A struct filled by its `_init`.
 fn init<T>(call: unsafe extern "C" fn(*mut T, usize) -> entire_result) -> T {
     let mut value = MaybeUninit::uninit();
-    // SAFETY: room for the struct, all of which the call writes.
+    // SAFETY: `value` has room for the struct, and the call writes the whole struct.
     unsafe {
         ok(call(value.as_mut_ptr(), size_of::<T>()));
         value.assume_init()
@@ -46,13 +46,13 @@ fn volume(voxels: &[u8], ownership: entire_voxels_ownership) -> *mut entire_volu
     desc.voxels = voxels.as_ptr().cast();
     desc.voxel_count = voxels.len();
     desc.dims = [5, 7, 11];
-    // SAFETY: the voxels are as many as stated, and borrowed ones outlive the volume.
+    // SAFETY: `voxels` has the stated number of voxels. Where they are borrowed, they outlive the volume.
     made(|out| unsafe { entire_volume_new(&raw const desc, out) })
 }
 
 fn transfer_function() -> *mut entire_transfer_function {
     let lobe = entire_gaussian_lobe { center: 0.5, width: 0.05, height: 0.3 };
-    // SAFETY: one lobe.
+    // SAFETY: `lobe` is one lobe, as stated.
     made(|out| unsafe { entire_transfer_function_from_lobes(&raw const lobe, 1, out) })
 }
 
@@ -82,7 +82,8 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
     let options = init(entire_session_options_init);
     let mut frame = init(entire_frame_init);
     (frame.width, frame.height) = (32, 32);
-    // SAFETY: live handles, used by this thread alone, and room for every output.
+    // SAFETY: every handle below is live and used by this thread alone, and every output has room for its
+    // result.
     unsafe {
         let session = made(|out| entire_session_new(model, &raw const options, out));
         ok(entire_session_set_volume(session, volume));
@@ -143,8 +144,8 @@ fn a_session_follows_a_volume_from_step_to_step() {
     let (first, size) = ([0, 0, 2usize], [5, 7, 1usize]);
     let mut frame = init(entire_frame_init);
     (frame.width, frame.height) = (32, 32);
-    // SAFETY: live handles, used by this thread alone, and room for every output; borrowed voxels are handed
-    // over anew after they were written to.
+    // SAFETY: every handle below is live and used by this thread alone, and every output has room for its
+    // result. After the borrowed voxels were changed, they are passed to the library again.
     unsafe {
         let session = made(|out| entire_session_new(null(), null(), out));
         ok(entire_session_set_volume(session, borrowed));
@@ -181,7 +182,8 @@ fn a_session_makes_a_model_of_what_it_observes() {
     let voxels: Vec<u8> = (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect();
     let (volume, transfer) = (volume(&voxels, ENTIRE_VOXELS_COPY), transfer_function());
     let mut frame = init(entire_frame_init);
-    // SAFETY: live handles, used by this thread alone, and room for every output.
+    // SAFETY: every handle below is live and used by this thread alone, and every output has room for its
+    // result.
     unsafe {
         let session = made(|out| entire_session_new(null(), null(), out));
         ok(entire_session_set_volume(session, volume));
@@ -220,7 +222,7 @@ fn a_session_makes_a_model_of_what_it_observes() {
 fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
     let options = init(entire_session_options_init);
     let session_of = |renderer: &std::ffi::CStr, clock: &std::ffi::CStr| {
-        // SAFETY: room for the handle, live handles, C strings.
+        // SAFETY: the output has room for a handle, the session is live, and the texts are C strings.
         unsafe {
             let session = made(|out| entire_session_new(null(), &raw const options, out));
             ok(entire_session_set_timing_source(session, renderer.as_ptr(), clock.as_ptr()));
@@ -228,7 +230,7 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
         }
     };
     let taken = |session: *mut entire_session, state: &[u8]| {
-        // SAFETY: a live handle, freed here, and bytes as many as stated.
+        // SAFETY: the session is live and is freed only here, and `state` has the stated number of bytes.
         unsafe {
             let code = entire_session_load_state(session, state.as_ptr(), state.len());
             entire_session_free(session);
@@ -236,7 +238,8 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
         }
     };
     let mut state = vec![0u8; 4096];
-    // SAFETY: live handles, arrays as long as stated, room for every output.
+    // SAFETY: every handle below is live, every array has the stated length, and every output has room for
+    // its result.
     unsafe {
         let session = session_of(c"a mapper", c"wall");
         let mut count = 0;
@@ -285,7 +288,8 @@ fn a_plan_that_is_refused_uses_no_id() {
     let voxels = [7u8; 5 * 7 * 11];
     // 9e8 s at the reference step, which is accepted, and a multiple at the finest, which is not.
     let bytes = constant_model(9e8f32.ln());
-    // SAFETY: live handles, arrays as long as stated, room for every output.
+    // SAFETY: every handle below is live, every array has the stated length, and every output has room for
+    // its result.
     unsafe {
         let model = made(|out| entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out));
         let options = init(entire_session_options_init);
@@ -322,7 +326,8 @@ fn a_plan_that_is_refused_uses_no_id() {
 #[test]
 fn a_model_is_described_and_predicts() {
     let bytes = toy();
-    // SAFETY: live handles, arrays as long as stated, room for every output.
+    // SAFETY: every handle below is live, every array has the stated length, and every output has room for
+    // its result.
     unsafe {
         let model = made(|out| entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out));
         let mut info: entire_model_info = crate::abi::ByValue::defaults();
@@ -354,10 +359,10 @@ fn a_model_is_described_and_predicts() {
 #[test]
 fn threads_share_a_model_and_have_sessions_of_their_own() {
     struct Shared(*mut entire_model);
-    // SAFETY: a model is immutable; its calls may run on several threads.
+    // SAFETY: a model is immutable, so several threads may call its functions at once.
     unsafe impl Sync for Shared {}
     let bytes = toy();
-    // SAFETY: bytes as many as stated.
+    // SAFETY: `bytes` has the stated number of bytes.
     let model = Shared(made(|out| unsafe { entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out) }));
     let voxels: Vec<u8> = (0..385).map(|i| (i * 37 % 256) as u8).collect();
     let frames = if cfg!(miri) { 2 } else { 40 };
@@ -366,18 +371,18 @@ fn threads_share_a_model_and_have_sessions_of_their_own() {
             let (model, voxels) = (&model, &voxels);
             scope.spawn(move || {
                 let with = if thread == 1 { null() } else { model.0.cast_const() };
-                // SAFETY: the model lives until all threads have ended.
+                // SAFETY: the model is live: it is freed only after all threads have ended.
                 unsafe { render(with, voxels, frames) };
                 let inputs = [0.25f32; 11];
                 for _ in 0..if cfg!(miri) { 3 } else { 200 } {
                     let mut seconds = 0.0;
-                    // SAFETY: as many inputs as stated, room for one number.
+                    // SAFETY: `inputs` has the 11 stated numbers, and `seconds` has room for one number.
                     ok(unsafe { entire_model_predict(model.0, inputs.as_ptr(), 11, &raw mut seconds) });
                 }
             });
         }
     });
-    // SAFETY: nobody uses the model any more.
+    // SAFETY: all threads have ended, so nothing uses the model.
     unsafe { entire_model_free(model.0) };
 }
 
@@ -389,7 +394,7 @@ fn transfer_functions_of_every_kind_are_made_and_read() {
     ];
     let rgba = [0.0f32, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
     let mut table = vec![0.0f32; 4 * ENTIRE_TABLE_ENTRIES];
-    // SAFETY: arrays as long as stated, live handles.
+    // SAFETY: every array has the stated length, and every handle below is live.
     unsafe {
         let of_nodes =
             made(|out| entire_transfer_function_from_nodes(opacity.as_ptr(), 2, null(), 0, 0.0, 1.0, 1, out));

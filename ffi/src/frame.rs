@@ -89,7 +89,8 @@ pub struct entire_frame {
     pub parallel_scale: f32,
 }
 
-// SAFETY: repr(C), struct_size first, integers and floats only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
+// and floats).
 unsafe impl ByValue for entire_frame {
     const NAME: &'static str = "entire_frame";
     fn defaults() -> Self {
@@ -154,7 +155,7 @@ const _: () = assert!(size_of::<entire_setting>() == 20);
 /// Fills a frame with its defaults; `struct_size` is sizeof(entire_frame).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_frame_init(frame: *mut entire_frame, struct_size: usize) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `frame` is NULL or valid for writing `struct_size` bytes.
     guard(|| unsafe { init_struct(frame, struct_size) })
 }
 

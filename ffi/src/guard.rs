@@ -61,7 +61,7 @@ pub(crate) unsafe fn reading<H: Handle>(
 ) -> entire_result {
     let mut status = None;
     let result = contained(|| {
-        // SAFETY: NULL or live, as the caller promises.
+        // SAFETY: the caller guarantees that `handle` is NULL or live.
         let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
         status = Some(handle.status());
         if handle.status().is_unusable() {
@@ -92,7 +92,7 @@ pub(crate) unsafe fn changing<H: Handle>(
     body: impl FnOnce(&mut H::Value) -> Outcome,
 ) -> entire_result {
     let result = contained(|| {
-        // SAFETY: NULL or live and used by this thread alone, as the caller promises.
+        // SAFETY: the caller guarantees that `handle` is NULL, or live and used by this thread alone.
         let handle = unsafe { handle.as_mut() }.ok_or_else(|| Failure::null(H::NAME))?;
         let (status, value) = handle.parts_mut();
         if status.is_unusable() {
@@ -105,7 +105,8 @@ pub(crate) unsafe fn changing<H: Handle>(
     match result {
         Ok(()) => succeeded(),
         Err(failure) => {
-            // SAFETY: as above; the exclusive borrow of the body has ended.
+            // SAFETY: the caller guarantees that `handle` is NULL or live; the exclusive borrow of the body
+            // has ended.
             if let Some(handle) = unsafe { handle.as_ref() } {
                 if failure.code == ENTIRE_PANIC {
                     handle.status().mark_unusable();
@@ -124,7 +125,7 @@ pub(crate) unsafe fn changing<H: Handle>(
 pub(crate) unsafe fn freeing<H: Handle>(handle: *mut H) {
     guard(|| {
         if !handle.is_null() {
-            // SAFETY: live and given up by its owner, as the caller promises.
+            // SAFETY: the caller guarantees that the handle is live and that nothing else uses it.
             unsafe { H::Owner::release(handle) };
         }
         Ok(())
@@ -142,9 +143,9 @@ pub(crate) unsafe fn last_error_of<H: Handle>(
     length: *mut usize,
 ) -> entire_result {
     let result = contained(|| {
-        // SAFETY: NULL or live, as the caller promises.
+        // SAFETY: the caller guarantees that `handle` is NULL or live.
         let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees that `buffer` and `length` are NULL or valid for writing.
         unsafe { write_text(&handle.status().text(), buffer, capacity, length) }
     });
     match result {
@@ -241,23 +242,23 @@ mod tests {
     handle!(entire_probe, u32, Boxed);
 
     fn last_error() -> String {
-        // SAFETY: entire_last_error returns a C string that is valid until the next call.
+        // SAFETY: `entire_last_error` returns a C string that is valid until the next call.
         unsafe { CStr::from_ptr(entire_last_error()) }.to_str().unwrap().to_owned()
     }
 
     fn error_of(handle: *const entire_probe) -> String {
         let mut buffer = [0 as c_char; 200];
-        // SAFETY: the buffer is as long as stated, the handle is live.
+        // SAFETY: the buffer has the stated 200 bytes, and the handle is live.
         let code = unsafe { last_error_of(handle, buffer.as_mut_ptr(), 200, std::ptr::null_mut()) };
         assert_eq!(code, ENTIRE_OK);
-        // SAFETY: write_text ends the text with a NUL.
+        // SAFETY: `write_text` ends the text with a NUL.
         unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap().to_owned()
     }
 
     #[test]
     fn a_panic_becomes_a_code_and_the_handle_unusable() {
         let probe = give::<entire_probe>(7);
-        // SAFETY: a live handle, used by this thread alone.
+        // SAFETY: `probe` is a live handle, used by this thread alone.
         unsafe {
             assert_eq!(
                 changing(probe, |v| {
@@ -282,7 +283,7 @@ mod tests {
     #[test]
     fn a_panic_while_reading_marks_the_handle_too() {
         let probe = give::<entire_probe>(7);
-        // SAFETY: a live handle, used by this thread alone.
+        // SAFETY: `probe` is a live handle, used by this thread alone.
         unsafe {
             assert_eq!(reading(probe, |v| panic!("value {v}")), ENTIRE_PANIC);
             assert_eq!(reading(probe, |_| Ok(())), ENTIRE_PANIC);
@@ -300,7 +301,7 @@ mod tests {
     fn changing_calls_forget_the_last_error_and_reading_ones_do_not() {
         let probe = give::<entire_probe>(7);
         let fail = || Err(Failure::new(ENTIRE_IO, "no such file"));
-        // SAFETY: a live handle, used by this thread alone.
+        // SAFETY: `probe` is a live handle, used by this thread alone.
         unsafe {
             assert_eq!(reading(probe, |_| fail()), ENTIRE_IO);
             assert_eq!(last_error(), "no such file");
@@ -332,7 +333,7 @@ mod tests {
 
     #[test]
     fn null_handles_are_named() {
-        // SAFETY: NULL is allowed.
+        // SAFETY: all three calls allow NULL.
         unsafe {
             assert_eq!(reading(std::ptr::null::<entire_probe>(), |_| Ok(())), ENTIRE_NULL_ARGUMENT);
             assert_eq!(last_error(), "entire_probe is NULL; pass a valid pointer");

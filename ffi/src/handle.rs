@@ -51,19 +51,19 @@ impl Status {
 
 /// A noun that C holds by pointer.
 pub(crate) trait Handle: Sized {
-    /// Value of the handle.
+    /// Type of the value that the handle holds.
     type Value;
-    /// Ownership of its pointers.
+    /// Ownership of the pointers that C holds.
     type Owner: Owner<Self>;
-    /// Its name in messages.
+    /// Name of the handle's type in error messages.
     const NAME: &'static str;
-    /// Combines value and state.
+    /// Makes a handle from its state and its value.
     fn assemble(status: Status, value: Self::Value) -> Self;
-    /// The state.
+    /// The handle's error state.
     fn status(&self) -> &Status;
-    /// The value.
+    /// The handle's value.
     fn value(&self) -> &Self::Value;
-    /// The state, and the value for writing.
+    /// The handle's error state, and its value for writing.
     fn parts_mut(&mut self) -> (&Status, &mut Self::Value);
 }
 
@@ -86,7 +86,7 @@ impl<H> Owner<H> for Boxed {
     }
 
     unsafe fn release(handle: *mut H) {
-        // SAFETY: as the caller promises, this is the pointer that `into_raw` made from a box.
+        // SAFETY: the caller guarantees that `into_raw` made this pointer from a box.
         drop(unsafe { Box::from_raw(handle) });
     }
 }
@@ -100,7 +100,7 @@ impl<H> Owner<H> for Counted {
     }
 
     unsafe fn release(handle: *mut H) {
-        // SAFETY: as the caller promises, this is the pointer that `into_raw` made from an Arc.
+        // SAFETY: the caller guarantees that `into_raw` made this pointer from an `Arc`.
         drop(unsafe { Arc::from_raw(handle.cast_const()) });
     }
 }
@@ -116,7 +116,7 @@ pub(crate) fn give<H: Handle>(value: H::Value) -> *mut H {
 /// `handle` is NULL or a live handle of this library that no thread is changing, for as long as the result
 /// lives.
 pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a H::Value, Failure> {
-    // SAFETY: NULL or live, as the caller promises.
+    // SAFETY: the caller guarantees that `handle` is NULL, or live and not being changed.
     let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
     if handle.status().is_unusable() {
         return Err(Failure::unusable(H::NAME));
@@ -129,8 +129,8 @@ pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a 
 /// # Safety
 /// `handle` is a live handle of this library.
 pub(crate) unsafe fn share<H: Handle<Owner = Counted>>(handle: *const H) -> Arc<H> {
-    // SAFETY: the pointer comes from Arc::into_raw (Counted::into_raw) and its owner still holds it, so the
-    // count is at least one; it is raised before the new Arc takes its share.
+    // SAFETY: `Counted::into_raw` made the pointer by `Arc::into_raw`, and its owner still holds it, so the
+    // count is at least one. The count is raised before the new `Arc` takes its share.
     unsafe {
         Arc::increment_strong_count(handle);
         Arc::from_raw(handle)

@@ -55,7 +55,7 @@ pub struct entire_model_info {
     pub reserved: u32,
 }
 
-// SAFETY: repr(C), struct_size first, integers only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers).
 unsafe impl ByValue for entire_model_info {
     const NAME: &'static str = "entire_model_info";
     fn defaults() -> Self {
@@ -86,7 +86,8 @@ pub struct entire_input_group {
     pub size: usize,
 }
 
-// SAFETY: repr(C), struct_size first, integers and a raw pointer only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
+// and a raw pointer).
 unsafe impl ByValue for entire_input_group {
     const NAME: &'static str = "entire_input_group";
     fn defaults() -> Self {
@@ -120,7 +121,7 @@ pub(crate) struct Loaded {
     /// Contents of the model file.
     bytes: Vec<u8>,
     prednet: Option<(Arc<PredNet>, Pool<PredScratch>)>,
-    /// Working memory of batches.
+    /// Working memory for predictions of several rows.
     rows: Pool<PredScratch>,
     volumenet: Option<(VolumeNet, Pool<EncodeScratch>)>,
     groups: Vec<CString>,
@@ -265,7 +266,7 @@ pub unsafe extern "C" fn entire_model_open(
     path: *const c_char,
     model: *mut *mut entire_model,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `path` and `model` are NULL or valid.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
         reserve::check()?;
@@ -281,13 +282,13 @@ pub unsafe extern "C" fn entire_model_open(
 /// entire.clock says whether it predicts cpu, wall or device seconds.
 ///
 /// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
-/// else as entire_model_open.
+/// and with the same results as entire_model_open for an unsuitable file.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_open_machine(
     shading: entire_shading,
     model: *mut *mut entire_model,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or valid.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
         reserve::check()?;
@@ -352,7 +353,7 @@ pub unsafe extern "C" fn entire_model_from_bytes(
     byte_count: usize,
     model: *mut *mut entire_model,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `bytes` and `model` are NULL or valid.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
         reserve::check()?;
@@ -375,7 +376,7 @@ pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_
         let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
         sink::emit(sink::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees that `out` is NULL or valid for one write.
     unsafe { write(out, give(loaded), "model (output)") }
 }
 
@@ -386,7 +387,8 @@ pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_
 /// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *const c_char) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
+    // and `path` is NULL or valid.
     unsafe {
         reading(model, |loaded| {
             reserve::check()?;
@@ -414,7 +416,8 @@ pub unsafe extern "C" fn entire_model_describe(
     model: *const entire_model,
     info: *mut entire_model_info,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
+    // and `info` is NULL or valid.
     unsafe {
         reading(model, |loaded| {
             check_output(info)?;
@@ -446,7 +449,8 @@ pub unsafe extern "C" fn entire_model_input_group(
     index: usize,
     group: *mut entire_input_group,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
+    // and `group` is NULL or valid.
     unsafe {
         reading(model, |loaded| {
             check_output(group)?;
@@ -476,7 +480,7 @@ pub unsafe extern "C" fn entire_model_scene_feature(
     index: usize,
 ) -> *const c_char {
     let mut found = std::ptr::null();
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing.
     unsafe {
         reading(model, |loaded| {
             found = loaded.scene_features.get(index).map_or(std::ptr::null(), |name| name.as_ptr());
@@ -494,7 +498,8 @@ pub unsafe extern "C" fn entire_model_metadata(
     key: *const c_char,
 ) -> *const c_char {
     let mut found = std::ptr::null();
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
+    // and `key` is NULL or valid.
     unsafe {
         reading(model, |loaded| {
             let key = text(key, "key")?;
@@ -520,7 +525,8 @@ pub unsafe extern "C" fn entire_model_encode(
     capacity: usize,
     feature_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
+    // and the other pointers are NULL or valid.
     unsafe {
         reading(model, |loaded| {
             check_pointer(feature_count, "feature_count (output)")?;
@@ -553,7 +559,8 @@ pub unsafe extern "C" fn entire_model_predict(
     input_count: usize,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
+    // and `inputs` and `seconds` are NULL or valid.
     unsafe {
         reading(model, |loaded| {
             check_pointer(seconds, "seconds (output)")?;
@@ -579,7 +586,8 @@ pub unsafe extern "C" fn entire_model_predict_batch(
     input_count: usize,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
+    // and `inputs` and `seconds` are NULL or valid.
     unsafe {
         reading(model, |loaded| {
             let (net, _) = loaded.prednet()?;
@@ -646,7 +654,8 @@ pub unsafe extern "C" fn entire_model_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle, and `buffer` and `length` are
+    // NULL or valid.
     unsafe { last_error_of(model, buffer, capacity, length) }
 }
 
@@ -654,6 +663,6 @@ pub unsafe extern "C" fn entire_model_last_error(
 /// model may be freed before the sessions that use it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_free(model: *mut entire_model) {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that nothing else uses.
     unsafe { freeing(model) }
 }

@@ -18,8 +18,9 @@ pub(crate) struct Pool<T> {
     slots: [UnsafeCell<Option<T>>; SLOTS],
 }
 
-// SAFETY: a slot is accessed only by the thread that cleared its bit in `free`, until that thread sets the
-// bit again; clearing acquires what setting released. So a piece may move between threads, hence `Send`.
+// SAFETY: only the thread that has cleared a slot's bit in `free` accesses the slot, until this thread sets
+// the bit again. Clearing acquires what setting released. A piece may move between threads, so it must be
+// `Send`.
 unsafe impl<T: Send> Sync for Pool<T> {}
 
 impl<T> Pool<T> {
@@ -52,7 +53,8 @@ impl<T> Pool<T> {
     ) -> Result<R, E> {
         match self.take() {
             Some(held) => {
-                // SAFETY: this thread cleared the slot's bit and holds it until `held` is dropped.
+                // SAFETY: this thread has cleared the slot's bit, so no other thread uses the slot until
+                // `held` is dropped.
                 let piece = unsafe { &mut *self.slots[held.slot].get() };
                 match piece {
                     Some(piece) => Ok(body(piece)),
@@ -111,7 +113,7 @@ mod tests {
         value: u64,
     }
 
-    /// A piece that could be made.
+    /// Returns `Ok(piece)`, as a function that makes a piece does.
     fn made<T>(piece: T) -> Result<T, Infallible> {
         Ok(piece)
     }

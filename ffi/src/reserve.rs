@@ -26,13 +26,13 @@ const BLOCKS: usize = if cfg!(miri) { 1 << 7 } else { 1 << 12 };
 #[repr(C, align(256))]
 struct Memory(UnsafeCell<[u8; BLOCK * BLOCKS]>);
 
-// SAFETY: only the holder of a block's flag accesses the block.
+// SAFETY: only the thread that holds a block's flag accesses the block.
 unsafe impl Sync for Memory {}
 
 /// Blocks of memory, and a flag for each.
 struct Reserve {
     memory: Memory,
-    /// 1 where a block is held.
+    /// One flag per block: 1 if the block is held.
     held: [AtomicU8; BLOCKS],
     /// Number of held blocks.
     count: AtomicUsize,
@@ -73,7 +73,7 @@ impl Reserve {
             match taken {
                 None => {
                     self.count.fetch_add(wanted, Ordering::Relaxed);
-                    // SAFETY: the run lies in the memory.
+                    // SAFETY: the `wanted` blocks from `first` on lie inside the reserve's memory.
                     return unsafe { self.start().add(first * BLOCK) };
                 }
                 Some(at) => {
@@ -104,26 +104,29 @@ struct Allocator;
 #[global_allocator]
 static ALLOCATOR: Allocator = Allocator;
 
-// SAFETY: pieces come from the system or from the reserve, whose memory the system never hands out, and go
-// back to where they came from. Neither allocator unwinds.
+// SAFETY: every piece comes from the system or from the reserve and is given back to where it came from. The
+// system never hands out the reserve's memory. Neither allocator unwinds.
 unsafe impl GlobalAlloc for Allocator {
     #[inline]
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees a valid layout of more than zero bytes, which is all that `System`
+        // requires.
         let piece = unsafe { System.alloc(layout) };
         if piece.is_null() { RESERVE.take(layout) } else { piece }
     }
 
     #[inline]
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees a valid layout of more than zero bytes, which is all that `System`
+        // requires.
         let piece = unsafe { System.alloc_zeroed(layout) };
         if !piece.is_null() {
             return piece;
         }
         let piece = RESERVE.take(layout);
         if !piece.is_null() {
-            // SAFETY: the piece has this size. Blocks are reused, so they must be cleared.
+            // Blocks are reused, so they must be cleared.
+            // SAFETY: the piece has `layout.size()` bytes.
             unsafe { piece.write_bytes(0, layout.size()) };
         }
         piece
@@ -131,7 +134,7 @@ unsafe impl GlobalAlloc for Allocator {
 
     #[inline]
     unsafe fn dealloc(&self, piece: *mut u8, layout: Layout) {
-        // SAFETY: as the caller promises, the piece comes from here with this layout.
+        // SAFETY: the caller guarantees that this allocator returned the piece for this layout.
         unsafe {
             if RESERVE.owns(piece) {
                 RESERVE.give(piece, layout.size())
@@ -144,18 +147,20 @@ unsafe impl GlobalAlloc for Allocator {
     #[inline]
     unsafe fn realloc(&self, piece: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         if !RESERVE.owns(piece) {
-            // SAFETY: as the caller promises; the piece is the system's.
+            // SAFETY: the caller guarantees that this allocator returned the piece for this layout; `RESERVE`
+            // does not own it, so `System` does.
             let moved = unsafe { System.realloc(piece, layout, size) };
             if !moved.is_null() {
                 return moved;
             }
         }
-        // SAFETY: as the caller promises, the size is not zero and does not overflow with this alignment.
+        // SAFETY: the caller guarantees that the size is not zero and does not overflow with this alignment.
         let wanted = unsafe { Layout::from_size_align_unchecked(size, layout.align()) };
-        // SAFETY: as above.
+        // SAFETY: `wanted` is a valid layout of more than zero bytes.
         let moved = if RESERVE.owns(piece) { unsafe { self.alloc(wanted) } } else { RESERVE.take(wanted) };
         if !moved.is_null() {
-            // SAFETY: both pieces have at least the copied number of bytes; the caller gives the old one up.
+            // SAFETY: both pieces have at least the number of copied bytes, and the caller gives up the old
+            // piece.
             unsafe {
                 moved.copy_from_nonoverlapping(piece, layout.size().min(size));
                 self.dealloc(piece, layout);
@@ -201,17 +206,17 @@ mod tests {
         for size in sizes {
             let piece = reserve.take(layout(size, 64));
             assert!(!piece.is_null() && reserve.owns(piece) && piece as usize % BLOCK == 0);
-            // SAFETY: the piece has this size.
+            // SAFETY: `take` returned a piece of `size` bytes.
             unsafe { piece.write_bytes(size as u8, size) };
             pieces.push((piece, size));
         }
         for &(piece, size) in &pieces {
-            // SAFETY: as above, and written.
+            // SAFETY: the piece has `size` bytes, all of which were written above.
             let bytes = unsafe { std::slice::from_raw_parts(piece, size) };
             assert!(bytes.iter().all(|&b| b == size as u8), "another piece has written into this one");
         }
         for (piece, size) in pieces {
-            // SAFETY: taken above, once.
+            // SAFETY: `take` returned the piece for this size, and it is given back once.
             unsafe { reserve.give(piece, size) };
         }
         assert_eq!(reserve.count.load(Ordering::SeqCst), 0);
@@ -228,7 +233,7 @@ mod tests {
         let pieces: Vec<*mut u8> = (0..full).map(|_| reserve.take(layout(LARGEST, 1))).collect();
         assert!(pieces.iter().all(|piece| !piece.is_null()));
         assert!(reserve.take(layout(1, 1)).is_null());
-        // SAFETY: taken above.
+        // SAFETY: `take` returned the piece for this size, and it is given back once.
         unsafe { reserve.give(pieces[3], LARGEST) };
         assert_eq!(reserve.take(layout(LARGEST, 1)), pieces[3]);
         let other = 1u8;
@@ -248,7 +253,7 @@ mod tests {
                         if piece.is_null() {
                             continue;
                         }
-                        // SAFETY: the piece has this size and is this thread's.
+                        // SAFETY: the piece has `size` bytes, and only this thread uses it.
                         unsafe {
                             piece.write_bytes(thread, size);
                             std::thread::yield_now();

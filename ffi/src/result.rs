@@ -213,7 +213,7 @@ mod tests {
             assert_eq!(name.to_str().unwrap(), format!("{code:?}"));
             assert!(names.insert(name));
         }
-        // SAFETY: as above.
+        // SAFETY: entire_result_name returns a static C string.
         assert_eq!(unsafe { CStr::from_ptr(entire_result_name(99)) }, c"unknown result");
     }
 

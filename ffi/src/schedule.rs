@@ -25,7 +25,8 @@ pub unsafe extern "C" fn entire_schedule(
     node_of_task: *mut usize,
     makespan: *mut f64,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid for the length that is passed
+    // with it.
     guard(|| unsafe {
         reserve::check()?;
         check_counts(task_count, node_count)?;

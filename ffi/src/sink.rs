@@ -28,10 +28,11 @@ pub(crate) struct Sink {
     pub(crate) user_data: *mut c_void,
 }
 
-// SAFETY: the pointer is only handed back to the callback, whose contract says that several threads may call
-// it.
+// SAFETY: the library only passes the pointer to the callback, which several threads may call by its
+// contract.
 unsafe impl Send for Sink {}
-// SAFETY: as above.
+// SAFETY: the library only passes the pointer to the callback, which several threads may call by its
+// contract.
 unsafe impl Sync for Sink {}
 
 static SINK: RwLock<Option<Sink>> = RwLock::new(None);
@@ -69,8 +70,8 @@ pub(crate) fn emit(level: entire_log_level, message: &str) {
     if let Some(sink) = held.as_ref() {
         let text = c_text(message);
         IN_CALLBACK.set(true);
-        // SAFETY: the callback and its user data were set together and are not replaced while the lock is
-        // held; the text is a C string that outlives the call.
+        // SAFETY: the callback and its user data were set together, and the lock keeps them from being
+        // replaced. The text is a C string that outlives the call.
         unsafe { (sink.callback)(sink.user_data, level, text.as_ptr()) };
         IN_CALLBACK.set(false);
     }

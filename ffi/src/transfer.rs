@@ -101,7 +101,7 @@ unsafe fn create(
         let table = function.to_table()?;
         let unit = UnitDistance::ReferenceSteps(1.0);
         let made = give(Transfer { function, table, unit });
-        // SAFETY: as the caller promises.
+        // SAFETY: the caller guarantees that `out` is NULL or valid for one write.
         unsafe { write(out, made, "transfer_function (output)") }
     })
 }
@@ -118,7 +118,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     lobe_count: usize,
     transfer_function: *mut *mut entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `lobes` and `transfer_function` are NULL or valid.
     unsafe {
         create(transfer_function, || {
             at_most_points("lobe_count", lobe_count)?;
@@ -138,8 +138,8 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
 /// them, which is VTK's default. The unit distance is one reference step until
 /// entire_transfer_function_set_unit_distance.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
-/// ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names), ENTIRE_SIZE_MISMATCH
+/// (over ENTIRE_MAX_TRANSFER_POINTS opacity or color nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     opacity: *const entire_opacity_node,
@@ -151,7 +151,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     clamping: u32,
     transfer_function: *mut *mut entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid.
     unsafe {
         create(transfer_function, || {
             at_most_points("opacity_count", opacity_count)?;
@@ -186,7 +186,8 @@ pub unsafe extern "C" fn entire_transfer_function_from_table(
     entries: usize,
     transfer_function: *mut *mut entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands; four floats have the alignment of one.
+    // SAFETY: by the pointer rules in lib.rs, both pointers are NULL or valid; four floats have the alignment
+    // of one.
     unsafe {
         create(transfer_function, || {
             at_most_points("entries", entries)?;
@@ -198,14 +199,16 @@ pub unsafe extern "C" fn entire_transfer_function_from_table(
 
 /// Sets the distance along the ray over which the opacities hold, positive, in the given unit.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a distance that is out of range, an unknown unit),
+/// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     transfer_function: *mut entire_transfer_function,
     distance: f32,
     unit: entire_unit,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle that only this
+    // thread uses.
     unsafe {
         changing(transfer_function, |transfer| {
             // This only checks the distance; entire_session_set_transfer_function applies it.
@@ -238,7 +241,8 @@ pub unsafe extern "C" fn entire_transfer_function_table(
     rgba: *mut f32,
     capacity: usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle that no thread is
+    // changing, and `rgba` is NULL or valid.
     unsafe {
         reading(transfer_function, |transfer| {
             let table = transfer.table.rgba().as_flattened();
@@ -262,13 +266,15 @@ pub unsafe extern "C" fn entire_transfer_function_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle, and `buffer` and
+    // `length` are NULL or valid.
     unsafe { last_error_of(transfer_function, buffer, capacity, length) }
 }
 
 /// Frees a transfer function; NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_free(transfer_function: *mut entire_transfer_function) {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle that nothing else
+    // uses.
     unsafe { freeing(transfer_function) }
 }

@@ -87,7 +87,8 @@ pub struct entire_volume_desc {
     pub reserved: u32,
 }
 
-// SAFETY: repr(C), struct_size first, integers, floats and a raw pointer only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers,
+// floats and a raw pointer).
 unsafe impl ByValue for entire_volume_desc {
     const NAME: &'static str = "entire_volume_desc";
     fn defaults() -> Self {
@@ -129,7 +130,8 @@ pub struct entire_brick_desc {
     pub brick_count: usize,
 }
 
-// SAFETY: repr(C), struct_size first, integers, floats and a raw pointer only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers,
+// floats and a raw pointer).
 unsafe impl ByValue for entire_brick_desc {
     const NAME: &'static str = "entire_brick_desc";
     fn defaults() -> Self {
@@ -169,7 +171,8 @@ pub struct entire_volume_info {
     pub feature_count: u32,
 }
 
-// SAFETY: repr(C), struct_size first, integers and floats only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
+// and floats).
 unsafe impl ByValue for entire_volume_info {
     const NAME: &'static str = "entire_volume_info";
     fn defaults() -> Self {
@@ -309,7 +312,7 @@ pub unsafe extern "C" fn entire_volume_desc_init(
     desc: *mut entire_volume_desc,
     struct_size: usize,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `desc` is NULL or valid for writing `struct_size` bytes.
     guard(|| unsafe { init_struct(desc, struct_size) })
 }
 
@@ -319,7 +322,7 @@ pub unsafe extern "C" fn entire_brick_desc_init(
     desc: *mut entire_brick_desc,
     struct_size: usize,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `desc` is NULL or valid for writing `struct_size` bytes.
     guard(|| unsafe { init_struct(desc, struct_size) })
 }
 
@@ -336,8 +339,8 @@ pub unsafe extern "C" fn entire_volume_new(
     desc: *const entire_volume_desc,
     volume: *mut *mut entire_volume,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands, and `desc.voxels` is valid for
-    // `voxel_count` elements, until the volume is freed where they are borrowed.
+    // SAFETY: by the pointer rules in lib.rs, `desc` and `volume` are NULL or valid, and `desc.voxels` is
+    // valid for `voxel_count` elements; borrowed voxels stay valid until the volume is freed.
     guard(|| unsafe {
         check_pointer(volume, "volume (output)")?;
         reserve::check()?;
@@ -395,7 +398,8 @@ unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
             ));
         }
     };
-    // SAFETY: as the caller promises; each copy lives as long as the view of its detached elements.
+    // SAFETY: the caller guarantees that `at` is NULL or valid for `count` elements. Each copy lives as long
+    // as the view of its detached elements.
     let (scalars, copy) = unsafe {
         match (desc.scalar_type, borrow) {
             (ENTIRE_SCALAR_U8, true) => (Scalars::U8(slice(at.cast(), count, "voxels")?), None),
@@ -487,7 +491,8 @@ unsafe fn convert<T: Copy, U>(
         ));
     }
     let at = at.cast::<T>();
-    // SAFETY: as the caller promises; read without assuming alignment.
+    // SAFETY: the caller guarantees that `count` elements are readable at `at`. The read assumes no
+    // alignment.
     copy.extend((0..count).map(|i| map(unsafe { at.add(i).read_unaligned() })));
     Ok(copy)
 }
@@ -497,7 +502,7 @@ unsafe fn convert<T: Copy, U>(
 /// # Safety
 /// The vector lives and is neither grown nor changed for as long as the result is used.
 unsafe fn detached<T>(copy: &[T]) -> &'static [T] {
-    // SAFETY: the caller keeps the memory, which stays in place when its vector is moved.
+    // SAFETY: the caller keeps the vector unchanged, and its elements stay in place when the vector is moved.
     unsafe { std::slice::from_raw_parts(copy.as_ptr(), copy.len()) }
 }
 
@@ -511,16 +516,16 @@ fn unknown_scalar(found: u32) -> Failure {
 /// Makes a volume of brick bounds. It has no voxels to encode: for a model with volume features, call
 /// entire_volume_set_features too.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that does not match sizes and
-/// edge, or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
-/// ENTIRE_STRUCT_SIZE.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a value of the description that is out of range), ENTIRE_SIZE_MISMATCH
+/// (a brick count that does not match sizes and edge, or sizes over the limits of entire_brick_desc),
+/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_from_bricks(
     desc: *const entire_brick_desc,
     volume: *mut *mut entire_volume,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands, and `desc.bounds` is valid for two
-    // floats per brick.
+    // SAFETY: by the pointer rules in lib.rs, `desc` and `volume` are NULL or valid, and `desc.bounds` is
+    // valid for two floats per brick.
     guard(|| unsafe {
         check_pointer(volume, "volume (output)")?;
         reserve::check()?;
@@ -558,7 +563,8 @@ pub unsafe extern "C" fn entire_volume_set_features(
     features: *const f32,
     feature_count: usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that only this thread uses,
+    // and `features` is NULL or valid.
     unsafe {
         changing(volume, |volume| {
             at_most("feature_count", feature_count, ENTIRE_MAX_FEATURES, "ENTIRE_MAX_FEATURES")?;
@@ -584,14 +590,15 @@ pub unsafe extern "C" fn entire_volume_describe(
     volume: *const entire_volume,
     info: *mut entire_volume_info,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that no thread is changing,
+    // and `info` is NULL or valid.
     unsafe { reading(volume, |volume| describe(volume, info)) }
 }
 
 /// # Safety
 /// As [`write_struct`].
 unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees that `info` is NULL or valid for the bytes that its `struct_size` states.
     unsafe { check_output(info)? };
     let feature_count = volume.features.as_ref().map_or(0, |f| f.len() as u32);
     let mut out =
@@ -609,7 +616,7 @@ unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
         out.bounding_radius = summary.shape().bounding_radius;
         out.reference_step = summary.shape().spacing.min_element();
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees that `info` is NULL or valid for the bytes that its `struct_size` states.
     unsafe { write_struct(info, &out) }
 }
 
@@ -621,13 +628,14 @@ pub unsafe extern "C" fn entire_volume_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle, and `buffer` and `length`
+    // are NULL or valid.
     unsafe { last_error_of(volume, buffer, capacity, length) }
 }
 
 /// Frees a volume; NULL does nothing. Sessions that were given the volume keep the data that they need.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_free(volume: *mut entire_volume) {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that nothing else uses.
     unsafe { freeing(volume) }
 }

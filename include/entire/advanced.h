@@ -644,9 +644,9 @@ entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t stru
  * Makes a volume of brick bounds. It has no voxels to encode: for a model with volume features, call
  * entire_volume_set_features too.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that does not match sizes and
- * edge, or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
- * ENTIRE_STRUCT_SIZE.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a value of the description that is out of range), ENTIRE_SIZE_MISMATCH
+ * (a brick count that does not match sizes and edge, or sizes over the limits of entire_brick_desc),
+ * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_from_bricks(const struct entire_brick_desc *desc, entire_volume **volume);
 
@@ -685,12 +685,12 @@ entire_result entire_volume_last_error(const entire_volume *volume,
  * cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
  * bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
- * ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
- * bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
- * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step. After
- * ENTIRE_OUT_OF_MEMORY the next use of the volume may scan it again: where the caller has overwritten
- * borrowed voxels, it then finds the new ones.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a scalar type, spacing or range that differs from the volume's, and
+ * the cases of entire_volume_new), ENTIRE_SIZE_MISMATCH (sizes that differ from the volume's, and the cases
+ * of entire_volume_new), ENTIRE_NOT_READY (a volume made from bricks), ENTIRE_OUT_OF_MEMORY,
+ * ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * After a failure, the volume keeps the previous time step. After ENTIRE_OUT_OF_MEMORY, the next use of the
+ * volume may scan it again. If the caller has overwritten borrowed voxels, this scan finds the new ones.
  */
 entire_result entire_volume_update(entire_volume *volume, const entire_volume_desc *desc);
 
@@ -721,7 +721,8 @@ entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_l
 /**
  * Sets the distance along the ray over which the opacities hold, positive, in the given unit.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a distance that is out of range, an unknown unit),
+ * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_set_unit_distance(entire_transfer_function *transfer_function,
                                                          float distance,
@@ -758,7 +759,7 @@ entire_result entire_transfer_function_last_error(const entire_transfer_function
  * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
  * plan every frame as it was drawn, and observe its time.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (another number of frames, a prior with another probe than the
+ * Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536, a prior with another probe than the
  * session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
  * handle that is unusable), ENTIRE_NULL_ARGUMENT.
  */
@@ -812,8 +813,8 @@ entire_result entire_session_recorded_count(const entire_session *session, size_
  * forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
  * set the volume again. The session holds a reference to the model.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), else
- * as entire_session_new for a model.
+ * Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), and
+ * with the same results as entire_session_new for an unsuitable model.
  */
 entire_result entire_session_set_model(entire_session *session, const entire_model *model);
 
@@ -889,8 +890,8 @@ entire_result entire_session_set_max_image_sample_distance(entire_session *sessi
  * entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the law: the session then
  * uses the law of its model, if the model was calibrated with pictures of this renderer.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
- * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a weight that is neither 0 nor 1e-3 to 1e3, an exponent outside 0.05
+ * to 8, a share outside 0 to 0.9), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_quality(entire_session *session,
                                          float image_weight,

@@ -486,8 +486,9 @@ typedef struct entire_session_options {
     float probe_tolerance;
     /**
      * Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
-     * this load, so frames exceed the target. entire_plan.seconds includes the load. After 32 frames the load
-     * counts as the machine's new speed, which always changes the step. Default 0.
+     * this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
+     * longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
+     * are chosen for it. Default 0.
      */
     uint32_t ignore_load;
     /**
@@ -762,7 +763,7 @@ entire_result entire_model_open(const char *path, struct entire_model **model);
  * entire.clock says whether it predicts cpu, wall or device seconds.
  *
  * Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
- * else as entire_model_open.
+ * and with the same results as entire_model_open for an unsuitable file.
  */
 entire_result entire_model_open_machine(entire_shading shading, struct entire_model **model);
 
@@ -803,8 +804,8 @@ void entire_volume_free(struct entire_volume *volume);
  * them, which is VTK's default. The unit distance is one reference step until
  * entire_transfer_function_set_unit_distance.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
- * ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names), ENTIRE_SIZE_MISMATCH
+ * (over ENTIRE_MAX_TRANSFER_POINTS opacity or color nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_nodes(const struct entire_opacity_node *opacity,
                                                   size_t opacity_count,
@@ -842,10 +843,10 @@ entire_result entire_frame_init(struct entire_frame *frame, size_t struct_size);
  * to the device with the first observed frames. `options` may be NULL for the defaults. The session holds a
  * reference to the model.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe), ENTIRE_UNSUPPORTED (a model without a
- * prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
- * ENTIRE_PANIC (a model handle that is unusable), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
- * ENTIRE_STRUCT_SIZE.
+ * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates or probe settings that are out of range),
+ * ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an input
+ * group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
+ * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_new(const struct entire_model *model,
                                  const struct entire_session_options *options,
@@ -926,7 +927,8 @@ entire_result entire_session_set_transfer_function(struct entire_session *sessio
 /**
  * Sets the steps that may be chosen, in multiples of the reference step.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT unless 1/64 <= finest <= coarsest <= 4096; ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (steps that do not satisfy 1/64 <= finest <= coarsest <= 4096),
+ * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_limits(struct entire_session *session,
                                         float finest_step,

@@ -384,7 +384,7 @@ impl Curve {
         a[k] + (b[k] - a[k]) * (x - a[0]) / (b[0] - a[0])
     }
 
-    /// Seconds without noise.
+    /// Returns the frame's seconds at a step, without noise.
     pub fn seconds(&self, step: f64) -> f64 {
         self.at(step, 1).exp()
     }

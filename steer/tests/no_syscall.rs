@@ -69,7 +69,8 @@ mod child {
     )]
     fn system_call(number: usize, a: usize, b: usize) -> isize {
         let result: isize;
-        // SAFETY: prctl(PR_SET_SECCOMP, SECCOMP_MODE_STRICT), getpid and exit touch no memory.
+        // SAFETY: the system calls made here (prctl(PR_SET_SECCOMP, SECCOMP_MODE_STRICT), getpid and exit)
+        // access no memory.
         unsafe {
             std::arch::asm!("syscall", inlateout("rax") number as isize => result, in("rdi") a, in("rsi") b,
                             in("rdx") 0, out("rcx") _, out("r11") _, options(nostack));

@@ -370,11 +370,11 @@ impl Mutants {
 pub struct Outcome {
     /// True if the file was read as a model.
     pub opened: bool,
-    /// True if its network predicted a time.
+    /// True if the file's network predicted a time.
     pub predicted: bool,
-    /// True if its encoder was built.
+    /// True if the file's encoder was built.
     pub built: bool,
-    /// True if its encoder encoded a volume.
+    /// True if the file's encoder encoded a volume.
     pub encoded: bool,
 }
 

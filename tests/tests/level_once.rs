@@ -13,7 +13,7 @@ fn a_change_of_the_environment_after_the_first_model_changes_nothing() -> Result
     // SAFETY: this process has one test, and no other thread reads the environment.
     unsafe { std::env::set_var(LEVEL_VARIABLE, "no such level") };
     assert!(Level::check_override().is_ok(), "the environment was read again");
-    // SAFETY: as above.
+    // SAFETY: this process has one test, and no other thread reads the environment.
     unsafe { std::env::set_var(LEVEL_VARIABLE, "scalar") };
     assert_eq!(Level::detect(), first);
     Ok(())

@@ -19,7 +19,7 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 
-/// A VolumeNet and the name of its weights in feature tables.
+/// A VolumeNet, and the name by which feature tables identify its weights.
 #[derive(Debug)]
 pub struct Encoder {
     id: String,

@@ -29,7 +29,7 @@ pub(crate) const EMPTY_BIT: u8 = 128;
 /// For each block, the smallest and largest table position (0…255) of the voxels that its samples
 /// interpolate: the block's voxels and one more along each axis.
 pub(crate) struct BlockMap {
-    /// Cells along a block's edge.
+    /// Number of cells along a block's edge.
     pub(crate) edge: usize,
     pub(crate) dims: [usize; 3],
     pub(crate) ranges: Vec<[f32; 2]>,
@@ -77,7 +77,7 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edg
 /// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest
 /// block of the other kind, 1…127. All blocks closer than that distance are of the block's own kind.
 pub(crate) struct SkipMap {
-    /// Cells along a block's edge.
+    /// Number of cells along a block's edge.
     pub(crate) edge: usize,
     pub(crate) dims: [usize; 3],
     pub(crate) bytes: Vec<u8>,

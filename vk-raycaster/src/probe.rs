@@ -77,11 +77,11 @@ impl Probe {
 pub struct Agreement {
     /// Largest difference of a color or opacity, in units of 1/255.
     pub largest: u8,
-    /// Mean difference, in units of 1/255.
+    /// Mean difference of colors and opacities, in units of 1/255.
     pub mean: f64,
     /// The renderer's counts; `None` if it does not count work.
     pub counts: Option<WorkCounts>,
-    /// The CPU version's counts.
+    /// Work counts of the CPU renderer.
     pub twin: WorkCounts,
 }
 
@@ -94,7 +94,7 @@ pub struct TimestampQuality {
     pub spread: f64,
 }
 
-/// A hash in 0…255.
+/// Returns a hash of `i`, from 0 to 255.
 fn hash(i: usize) -> u8 {
     let h = (i as u32).wrapping_mul(0x9e37_79b1);
     let h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);

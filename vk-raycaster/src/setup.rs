@@ -26,11 +26,11 @@ pub(crate) const FAR: f32 = 3.0e38;
 pub(crate) struct FrameSetup {
     /// Origin of the ray through the image's middle in voxel coordinates (see `Camera::ray_basis`).
     pub(crate) eye: [f32; 3],
-    /// 2 / image width.
+    /// Width of a pixel where the image spans −1 to 1: 2 / image width.
     pub(crate) pixel_width: f32,
     /// `forward`, `right` and `up`: ray directions in scene space (see `Camera::ray_basis`).
     pub(crate) forward: [f32; 3],
-    /// 2 / image height.
+    /// Height of a pixel where the image spans −1 to 1: 2 / image height.
     pub(crate) pixel_height: f32,
     pub(crate) right: [f32; 3],
     /// Opacity at which a ray stops; a value over 1 never stops it.
@@ -42,7 +42,7 @@ pub(crate) struct FrameSetup {
     pub(crate) advance: [f32; 3],
     /// Table position per voxel value.
     pub(crate) scale: f32,
-    /// Voxels along each axis.
+    /// Number of voxels along each axis.
     pub(crate) dims: [f32; 3],
     /// Table position of voxel value 0.
     pub(crate) bias: f32,
@@ -54,20 +54,20 @@ pub(crate) struct FrameSetup {
     pub(crate) light: [f32; 3],
     /// First pixel column of the dispatch.
     pub(crate) tile_x: u32,
-    /// Inverse of `light`.
+    /// Reciprocals of the components of `light`.
     pub(crate) light_inverse: [f32; 3],
     /// Pixels per row of the dispatch's output.
     pub(crate) tile_width: u32,
-    /// Pixel rows of the dispatch's output.
+    /// Number of pixel rows of the dispatch's output.
     pub(crate) tile_height: u32,
     /// 0 starts the rays; 1 continues them where the previous dispatch stopped.
     pub(crate) resume: u32,
     /// Number of the sample at which the dispatch stops; with [`FAR`], the dispatch takes all remaining
     /// samples.
     pub(crate) window_end: f32,
-    /// Cells along a block's edge.
+    /// Number of cells along a block's edge.
     pub(crate) block_edge: f32,
-    /// Blocks along each axis.
+    /// Number of blocks along each axis.
     pub(crate) blocks: [u32; 3],
     /// log₂ of `block_edge`.
     pub(crate) block_shift: u32,

@@ -8,14 +8,14 @@ use rayon::prelude::*;
 pub(crate) enum Voxels {
     U8(Vec<u8>),
     U16(Vec<u16>),
-    /// Normalized to [0, 1].
+    /// Voxels normalized to [0, 1].
     F32(Vec<f32>),
 }
 
 /// A volume's shape, and the mapping of its voxels to table positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Geometry {
-    /// Voxels along each axis.
+    /// Number of voxels along each axis.
     pub(crate) dims: [usize; 3],
     /// Voxel spacing divided by the smallest of the three.
     pub(crate) relative_spacing: [f64; 3],

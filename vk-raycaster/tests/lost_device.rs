@@ -51,7 +51,7 @@ fn set(fault: Fault) {
     WAITS.take();
 }
 
-/// The device's own function.
+/// The function of the real device that the mock replaces.
 macro_rules! own {
     ($name:ident) => {
         DEVICE.with_borrow(|d| d.as_ref().expect("a wrapped device").fp_v1_0().$name)
@@ -61,7 +61,7 @@ macro_rules! own {
 /// Waits until the device behind the mock is idle.
 fn settle() {
     let _ = DEVICE.with_borrow(|d| {
-        // SAFETY: the device is alive while its renderer is, and this thread alone uses its queue.
+        // SAFETY: the device is alive while its renderer is, and only this thread uses its queue.
         d.as_ref().map(|d| unsafe { d.device_wait_idle() })
     });
 }
@@ -72,7 +72,7 @@ fn fault(waits: bool) -> Option<vk::Result> {
     CALLS.set((calls + 1, waited + usize::from(waits)));
     match FAULT.get() {
         Fault::Lost(after) if calls >= after => {
-            // Nothing runs on a lost device.
+            // A lost device runs nothing, so the call waits for the real device first.
             settle();
             Some(vk::Result::ERROR_DEVICE_LOST)
         }
@@ -89,7 +89,7 @@ unsafe extern "system" fn wait_for_fences(
     timeout: u64,
 ) -> vk::Result {
     WAITS.with_borrow_mut(|w| w.push(timeout));
-    // SAFETY: the caller's arguments, passed on.
+    // SAFETY: the caller guarantees valid arguments, and the device's own function gets them unchanged.
     fault(true).unwrap_or_else(|| unsafe { own!(wait_for_fences)(device, count, fences, all, timeout) })
 }
 
@@ -104,13 +104,13 @@ unsafe extern "system" fn get_query_pool_results(
     flags: vk::QueryResultFlags,
 ) -> vk::Result {
     let result = fault(false).unwrap_or_else(|| {
-        // SAFETY: the caller's arguments, passed on.
+        // SAFETY: the caller guarantees valid arguments, and the device's own function gets them unchanged.
         unsafe { own!(get_query_pool_results)(device, pool, first, count, size, out, stride, flags) }
     });
     if FAULT.get() == Fault::Slow && result == vk::Result::SUCCESS {
         let ticks = out.cast::<u64>();
         assert!(count == 2 && size == 16, "two timestamps of 64 bits are read");
-        // SAFETY: the caller's memory, as large as checked above.
+        // SAFETY: the caller guarantees that `out` holds the `size` bytes that the assertion has checked.
         unsafe { ticks.add(1).write_unaligned(ticks.read_unaligned().wrapping_add(SLOW_TICKS)) };
     }
     result
@@ -123,7 +123,7 @@ unsafe extern "system" fn device_wait_idle(_: vk::Device) -> vk::Result {
 
 unsafe extern "system" fn destroy_device(device: vk::Device, host: *const vk::AllocationCallbacks<'_>) {
     DESTROYED.set(DESTROYED.get() + 1);
-    // SAFETY: the caller's arguments, passed on.
+    // SAFETY: the caller guarantees valid arguments, and the device's own function gets them unchanged.
     unsafe { own!(destroy_device)(device, host) };
 }
 
@@ -131,7 +131,8 @@ macro_rules! faulty {
     ($($name:ident($($argument:ident: $kind:ty),*);)*) => {
         $(
             unsafe extern "system" fn $name($($argument: $kind),*) -> vk::Result {
-                // SAFETY: the caller's arguments, passed on.
+                // SAFETY: the caller guarantees valid arguments, and the device's own function gets them
+                // unchanged.
                 fault(false).unwrap_or_else(|| unsafe { own!($name)($($argument),*) })
             }
         )*
@@ -202,7 +203,7 @@ fn options() -> Result<VulkanOptions, Failed> {
 }
 
 fn open() -> Result<VulkanRaycaster, Failed> {
-    // SAFETY: the functions pass their arguments on to the device's own functions or return an error.
+    // SAFETY: each function of `wrap` passes its arguments to the device's own function or returns an error.
     Ok(unsafe { VulkanRaycaster::with_device_functions(options()?, &wrap) }?)
 }
 
@@ -248,7 +249,8 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     assert!(calls > 50, "{calls} calls");
     for after in 0..calls {
         set(Fault::Lost(after));
-        // SAFETY: as in `open`.
+        // SAFETY: each function of `wrap` passes its arguments to the device's own function or returns an
+        // error.
         let opened = unsafe { VulkanRaycaster::with_device_functions(options()?, &wrap) };
         let mut gpu = match opened {
             Ok(gpu) => gpu,
@@ -368,7 +370,7 @@ fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
 fn slow_frames_halve_the_tiles_once_each() -> Outcome {
     set(Fault::Slow);
     let slow = VulkanOptions { tile: Some(256), ..options()? };
-    // SAFETY: as in `open`.
+    // SAFETY: each function of `wrap` passes its arguments to the device's own function or returns an error.
     let mut gpu = unsafe { VulkanRaycaster::with_device_functions(slow, &wrap) }?;
     let dims = [9, 8, 7];
     let voxels = field_bytes(dims);

@@ -48,9 +48,9 @@ pub(crate) struct Measured {
     pub(crate) frames: Vec<TimedFrame>,
     /// Number of passes in which each frame's repeats were rendered, by frame number.
     pub(crate) passes: HashMap<u64, usize>,
-    /// Load of other programs.
+    /// Load of the machine by other programs.
     pub(crate) others: BackgroundLoad,
-    /// Number of batches.
+    /// Number of measured batches of frames.
     pub(crate) rounds: usize,
     /// Number of renderings that were discarded as warm-up.
     pub(crate) warm_ups: usize,

@@ -32,7 +32,7 @@ pub struct Report {
     pub clock: &'static str,
     /// Number of frames that the model was fitted to.
     pub frames: usize,
-    /// Number of volumes of these frames.
+    /// Number of volumes that the frames show.
     pub volumes: usize,
     /// Number of batches of frames; 0 where nothing was rendered.
     pub rounds: usize,
@@ -54,7 +54,7 @@ pub struct Report {
     pub rmse_over_sd: f64,
     /// Noise of repeated frames; `None` if no frame was repeated.
     pub noise: Option<NoiseFloor>,
-    /// Load of other programs.
+    /// Load of the machine by other programs.
     pub others: BackgroundLoad,
     /// Quality law of pictures; `None` if too few pictures were compared.
     pub pictures: Option<Pictures>,

@@ -63,7 +63,7 @@ pub(crate) struct Metrics {
     pub(crate) recovery_frames: Vec<usize>,
     /// 95th percentile of the frame time (nearest rank).
     pub(crate) p95_seconds: f64,
-    /// Longest frame time.
+    /// Longest frame time, in seconds.
     pub(crate) worst_seconds: f64,
     /// Mean PSNR against the reference step's pictures, decibels, each at most [`BEST_PSNR`].
     pub(crate) mean_psnr: Option<f64>,

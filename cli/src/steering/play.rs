@@ -28,7 +28,7 @@ pub enum ActsOn {
 }
 
 impl ActsOn {
-    /// Name in tables.
+    /// Name of the quantity in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::RayStep => "ray step",
@@ -138,7 +138,7 @@ pub(crate) struct Record {
     /// Out-of-range score: 0 inside the predictor's training range; outside, it grows with the distance from
     /// that range. NaN where unknown.
     pub(crate) out_of_range: f32,
-    /// Reason for this step.
+    /// Reason for which the controller chose this step.
     pub(crate) reason: Reason,
     /// Seconds by all clocks.
     pub(crate) measured: Timing,

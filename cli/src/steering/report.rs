@@ -163,16 +163,19 @@ fn setting(r: &Record) -> String {
 /// Legend of the table's columns.
 fn table_caption() -> String {
     format!(
-        "T is the target, t a frame time. \"> 1.1 T\" and \"> 1.25 T\": shares of frames that took longer. \
-         |t - T| / T: mean over all frames; \"at switches\": over the first {SWITCH_FRAMES} frames from each \
-         abrupt switch on; \"calm\": over all other frames except the first {SWITCH_FRAMES} of the path. The \
-         best value of each column is bold. Recovery: frames from a switch until two in a row are on target \
-         (within 25 %, or at a limit of the step), mean over the switches; 0 if these two are the first \
-         after the switch. \
-         PSNR: against the picture at the reference step; equal pictures count as {BEST_PSNR:.0} dB. Step: \
-         mean ray step; for rules that change the image resolution, mean number of pixels of the full image \
-         per drawn pixel, at the reference step. Smaller images are enlarged to full size before the \
-         comparison."
+        "T is the target, t is the time of a frame. A switch is a frame at which the camera or the transfer \
+         function changes abruptly, or at which another volume or image size begins. The best value of each \
+         column is bold. \"> 1.1 T\" and \"> 1.25 T\" are the shares of frames that took longer than 1.1 T and \
+         1.25 T. \"|t-T|/T\" is the mean of |t - T| / T over all frames. \"At switches\" is this mean over the \
+         first {SWITCH_FRAMES} frames from each switch on. \"Calm\" is this mean over all other frames, without \
+         the first {SWITCH_FRAMES} of the path. \"p95\" and \"worst\" are the 95th percentile and the maximum of \
+         the frame times. \"Recovery\" is the number of frames from a switch until two frames in a row are on \
+         target, averaged over the switches; it is 0 if the frame of the switch and the next one are on target. \
+         A frame is on target if t is within 25 % of T, or shorter at the finest step, or longer at the coarsest \
+         step. \"PSNR\" compares each picture with the picture at the reference step, after smaller images were \
+         enlarged to full size; equal pictures count as {BEST_PSNR:.0} dB. \"Step\" is the mean ray step. For \
+         rules that change the image resolution and keep the reference step, it is the mean number of pixels of \
+         the full image per drawn pixel."
     )
 }
 
@@ -343,8 +346,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
         page.chart(
             &chart,
-            "Mean over the switches. Reactive controllers notice a switch one frame late; predicting \
-             controllers plan its first frame.",
+            "Mean over the switches (abrupt changes of camera, transfer function, volume or image size). Reactive \
+             controllers notice a switch one frame late. Predicting controllers plan its first frame.",
         );
     }
 
@@ -402,9 +405,9 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         }
         page.chart(
             &chart,
-            "Predicted time of each frame divided by its measured time. Algorithm 1 takes the prediction as it \
-             is; the hybrid corrects it by the times of earlier frames, and aims below the target where the \
-             upper bound of the time would exceed the target.",
+            "Predicted time of each frame divided by its measured time. Algorithm 1 uses the uncorrected \
+             prediction. The hybrid corrects the prediction by the times of earlier frames, and aims below the \
+             target where the upper bound of the time would exceed the target.",
         );
     }
     if !story.response.points.is_empty() {

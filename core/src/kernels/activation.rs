@@ -24,14 +24,14 @@ impl Kernel for Selu<'_> {
         let mut chunks = self.0.chunks_exact_mut(S::LANES);
         for chunk in &mut chunks {
             let p = chunk.as_mut_ptr();
-            // SAFETY: the chunk holds LANES floats.
+            // SAFETY: the chunk holds `LANES` floats, which are read and written.
             unsafe { simd.store(p, simd.selu(simd.load(p))) };
         }
         let rest = chunks.into_remainder();
         let mut padded = [0.0; 16];
         padded[..rest.len()].copy_from_slice(rest);
         let p = padded.as_mut_ptr();
-        // SAFETY: 16 floats are at least LANES.
+        // SAFETY: `padded` has 16 floats, and `LANES` is at most 16.
         unsafe { simd.store(p, simd.selu(simd.load(p))) };
         rest.copy_from_slice(&padded[..rest.len()]);
     }

@@ -31,13 +31,13 @@ impl Level {
         match self.isa() {
             #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 if self.has_vnni() => {
-                // SAFETY: this level exists only if the CPU has AVX-512 F, BW, DQ and VL; `has_vnni` is true
-                // only if it has VNNI.
+                // SAFETY: this level exists only if the CPU has AVX-512 F, BW, DQ and VL, and `has_vnni` is
+                // true only if the CPU has VNNI.
                 unsafe { super::x86_64::avx512::enter_vnni(kernel) }
             }
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 | Isa::Avx512 => {
-                // SAFETY: both levels exist only if the CPU has AVX2, FMA, F16C and POPCNT.
+                // SAFETY: the levels AVX2 and AVX-512 exist only if the CPU has AVX2, FMA, F16C and POPCNT.
                 unsafe { super::x86_64::avx2::enter(kernel) }
             }
             _ => kernel.run(super::scalar::Scalar),

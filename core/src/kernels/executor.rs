@@ -11,7 +11,7 @@ use super::helper::Join;
 #[derive(Clone, Copy, Debug, Default)]
 #[non_exhaustive]
 pub enum Executor<'a> {
-    /// The calling thread does everything.
+    /// The calling thread does all the work.
     #[default]
     Serial,
     /// The work is split over the threads of a pool; the caller waits.

@@ -61,7 +61,8 @@ pub struct Helper {
 // SAFETY: `job` is written only by the caller that moved `state` from IDLE to CLAIMED, and read only by the
 // serving thread after it has seen POSTED; `data` points to closures that are Send.
 unsafe impl Sync for Helper {}
-// SAFETY: as above; between calls `job` holds nothing that is bound to a thread.
+// SAFETY: `data` points to closures that are Send. Between calls, `job` holds nothing that is bound to a
+// thread.
 unsafe impl Send for Helper {}
 
 impl core::fmt::Debug for Job {
@@ -133,7 +134,7 @@ impl Join for Helper {
         ///
         /// `data` must point to an `Option<B>` that nothing else accesses.
         unsafe fn call<B: FnOnce()>(data: *mut ()) {
-            // SAFETY: the caller guarantees `data`.
+            // SAFETY: the caller guarantees that `data` points to an `Option<B>` that nothing else accesses.
             if let Some(b) = unsafe { &mut *data.cast::<Option<B>>() }.take() {
                 b();
             }

@@ -28,7 +28,7 @@ impl Isa {
     /// Every instruction set with kernels, lowest first.
     pub const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
 
-    /// Name in [`LEVEL_VARIABLE`] and in reports.
+    /// Name of the instruction set in [`LEVEL_VARIABLE`] and in reports.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Isa::Scalar => "scalar",
@@ -201,14 +201,14 @@ fn probe() -> u32 {
     /// The CPU has XGETBV, and the operating system enabled it.
     #[target_feature(enable = "xsave")]
     unsafe fn enabled_state() -> u64 {
-        // SAFETY: register 0 exists wherever XGETBV does.
+        // SAFETY: the caller guarantees XGETBV, and register 0 exists on every CPU with XGETBV.
         unsafe { _xgetbv(0) }
     }
 
-    /// `cpuid` of a leaf.
+    /// Returns the registers that CPUID writes for a leaf.
     #[allow(unused_unsafe, reason = "compilers before 1.94 call it unsafe")]
     fn cpuid(leaf: u32) -> CpuidResult {
-        // SAFETY: every CPU of this architecture has the instruction.
+        // SAFETY: every x86-64 CPU has the instruction CPUID.
         unsafe { __cpuid_count(leaf, 0) }
     }
 

@@ -3,7 +3,7 @@
 use super::simd::Simd;
 use crate::memory::chunks;
 
-/// Token of the portable level.
+/// Token of the portable level, which needs no special instructions.
 #[derive(Clone, Copy)]
 pub(crate) struct Scalar;
 
@@ -39,22 +39,22 @@ impl Simd for Scalar {
     }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
-        // SAFETY: the caller guarantees four floats at `p`.
+        // SAFETY: the caller guarantees that `p` is valid for reading four floats.
         Four(unsafe { p.cast::<[f32; 4]>().read() })
     }
     #[inline(always)]
     unsafe fn store(self, p: *mut f32, v: Self::F) {
-        // SAFETY: the caller guarantees room for four floats at `p`.
+        // SAFETY: the caller guarantees that `p` is valid for writing four floats.
         unsafe { p.cast::<[f32; 4]>().write(v.0) }
     }
     #[inline(always)]
     unsafe fn load_f16(self, p: *const u16) -> Self::F {
-        // SAFETY: the caller guarantees four values at `p`.
+        // SAFETY: the caller guarantees that `p` is valid for reading four half-precision numbers.
         map(Four(unsafe { p.cast::<[u16; 4]>().read() }), f16_to_f32)
     }
     #[inline(always)]
     unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F) {
-        // SAFETY: the caller guarantees four words at `p`.
+        // SAFETY: the caller guarantees that `p` is valid for reading four words of 32 bits.
         let words = Four(unsafe { p.cast::<[u32; 4]>().read() });
         (map(words, |w| f32::from_bits(w << 16)), map(words, |w| f32::from_bits(w & 0xffff_0000)))
     }
@@ -117,7 +117,7 @@ impl Simd for Scalar {
     }
     #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
-        // SAFETY: the caller guarantees sixteen bytes at `p`.
+        // SAFETY: the caller guarantees that `p` is valid for reading sixteen bytes.
         let bytes = unsafe { p.cast::<[[u8; 4]; 4]>().read() };
         map(Four(bytes), i32::from_le_bytes)
     }
@@ -138,7 +138,7 @@ impl Simd for Scalar {
         // Adding 2²³ rounds to nearest even, as the vector units do; values are below 2²².
         const SHIFT: f32 = 8_388_608.0;
         let bytes = map(v, |v| (v.clamp(0.0, 255.0) + SHIFT - SHIFT) as u8);
-        // SAFETY: the caller guarantees room for four bytes at `p`.
+        // SAFETY: the caller guarantees that `p` is valid for writing four bytes.
         unsafe { p.cast::<[u8; 4]>().write(bytes.0) }
     }
     #[inline(always)]

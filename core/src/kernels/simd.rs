@@ -16,7 +16,7 @@ pub trait Kernel {
     /// Result of the work.
     type Output;
 
-    /// Does the work.
+    /// Does the work with the instructions of `simd`.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
@@ -115,7 +115,7 @@ pub trait Simd: Copy + 'static {
     #[inline(always)]
     fn read(self, from: &[f32]) -> Self::F {
         assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
-        // SAFETY: the assertion has checked the length.
+        // SAFETY: the assertion has checked that `from` has `LANES` floats to read.
         unsafe { self.load(from.as_ptr()) }
     }
     /// Stores `v` to the first `LANES` floats.
@@ -125,7 +125,7 @@ pub trait Simd: Copy + 'static {
     #[inline(always)]
     fn write(self, v: Self::F, to: &mut [f32]) {
         assert!(to.len() >= Self::LANES, "fewer elements than lanes");
-        // SAFETY: the assertion has checked the length.
+        // SAFETY: the assertion has checked that `to` has `LANES` floats to write.
         unsafe { self.store(to.as_mut_ptr(), v) }
     }
     /// Loads the first `LANES` integers.
@@ -135,7 +135,7 @@ pub trait Simd: Copy + 'static {
     #[inline(always)]
     fn read_i(self, from: &[i32]) -> Self::I {
         assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
-        // SAFETY: the assertion has checked the length.
+        // SAFETY: the assertion has checked that `from` has `LANES` integers to read.
         unsafe { self.load_bytes(from.as_ptr().cast()) }
     }
     /// Stores `v` to the first `LANES` integers.
@@ -168,7 +168,7 @@ pub trait Simd: Copy + 'static {
     fn mul_i(self, a: Self::I, b: i32) -> Self::I;
     /// Rounds towards zero; unspecified for values that no i32 holds.
     fn trunc(self, v: Self::F) -> Self::I;
-    /// Reinterprets the bits as floats.
+    /// Reinterprets the bits of integers as floats.
     fn as_f(self, v: Self::I) -> Self::F;
     /// Gathers the words at `index`, taken as unsigned; an index beyond the end reads the last word. `from`
     /// must not be empty.

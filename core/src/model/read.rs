@@ -27,9 +27,9 @@ const BATCH_NORM_EPSILON: f64 = 1e-5;
 /// A named group of consecutive inputs; a model's inputs are its groups in order.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct InputGroup {
-    /// Name, such as `camera`.
+    /// Name of the group, such as `camera`.
     pub name: String,
-    /// Number of values.
+    /// Number of values in the group.
     pub size: usize,
 }
 

@@ -17,7 +17,7 @@ pub enum Dtype {
 }
 
 impl Dtype {
-    /// Bytes per value.
+    /// Number of bytes per stored value.
     pub(crate) const fn bytes(self) -> usize {
         match self {
             Dtype::F32 => 4,
@@ -42,7 +42,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// Name in the model file's metadata.
+    /// Name of the quantity in the model file's metadata.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Target::Seconds => "seconds",
@@ -54,9 +54,9 @@ impl Target {
 /// One dense layer: y = W·x + b.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenseParts {
-    /// Length of x.
+    /// Number of inputs, which is the length of x.
     pub inputs: usize,
-    /// Length of y.
+    /// Number of outputs, which is the length of y.
     pub outputs: usize,
     /// W, row-major: `outputs` × `inputs` values.
     pub weight: Vec<f32>,
@@ -101,7 +101,7 @@ impl DenseParts {
 /// Normalization of inputs, x ← (x − mean) / std, or of the output, y ← y·std + mean.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
-    /// Mean of each value.
+    /// Mean of each normalized value.
     pub mean: Vec<f32>,
     /// Standard deviation of each value: finite, above zero and not subnormal.
     pub std: Vec<f32>,
@@ -154,7 +154,7 @@ pub struct PredNetParts {
     /// The mean and the standard deviation that undo the normalization of the output; `None` if the output is
     /// in the target's unit.
     pub output: Option<Normalization>,
-    /// Quantity of the output.
+    /// Quantity that the network's output states.
     pub target: Target,
 }
 
@@ -224,7 +224,7 @@ pub struct ConvBlockParts {
     pub padding: usize,
     /// `outputs` × `inputs` × kernel × kernel × kernel, the last axis along x.
     pub weight: Vec<f32>,
-    /// One value per output channel.
+    /// Biases: one value per output channel.
     pub bias: Vec<f32>,
     /// Edge of the cubic input, in voxels.
     pub input_edge: usize,

@@ -33,7 +33,7 @@ pub(crate) fn surface_extensions(display: &impl HasDisplayHandle) -> Result<Vec<
     let handle = display.display_handle().context("the display has no handle")?;
     let names = ash_window::enumerate_required_extensions(handle.as_raw())
         .map_err(|e| anyhow!("Vulkan cannot show pictures on this display: {e}"))?;
-    // SAFETY: the names are static texts of ash-window.
+    // SAFETY: ash-window returns C strings that are static.
     Ok(names.iter().map(|n| unsafe { CStr::from_ptr(*n) }.to_owned()).collect())
 }
 
@@ -93,7 +93,7 @@ impl Presenter {
             )
         }
         .map_err(failed("vkCreateSurface"))?;
-        // SAFETY: surface, physical device and queue family belong together.
+        // SAFETY: surface, physical device and queue family belong to the same instance.
         let presents = unsafe {
             surface_functions.get_physical_device_surface_support(
                 device.physical_device(),
@@ -102,7 +102,7 @@ impl Presenter {
             )
         };
         if !matches!(presents, Ok(true)) {
-            // SAFETY: the surface was made above and is not in use.
+            // SAFETY: the surface was made above, and nothing uses it.
             unsafe { surface_functions.destroy_surface(surface, None) };
             return Err(anyhow!(
                 "{} cannot show pictures on this display; choose another device (ENTIRE_DEVICE)",
@@ -125,8 +125,8 @@ impl Presenter {
             device: device.clone(),
         };
         let d = device.device();
-        // SAFETY: the device is alive, what the create infos point to lives until the calls return, and the
-        // handles go into `this`, which destroys them once.
+        // SAFETY: the device is alive, the memory that the create infos point to lives until the calls
+        // return, and `this` destroys each handle once.
         unsafe {
             let info = vk::CommandPoolCreateInfo::default().queue_family_index(device.queue_family()).flags(
                 vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER | vk::CommandPoolCreateFlags::TRANSIENT,
@@ -177,8 +177,9 @@ impl Presenter {
             egui.remove_user_texture(id);
         }
         if let Some(set) = self.sets.remove(&id) {
-            // SAFETY: the set is of this pool, which frees single sets, and the device does not use it. The
-            // call can fail only if the device is lost.
+            // The call can fail only if the device is lost.
+            // SAFETY: the set was allocated from this pool, whose sets may be freed singly, and the device
+            // does not use it.
             let _ = unsafe { self.device.device().free_descriptor_sets(self.descriptors, &[set]) };
         }
     }
@@ -297,8 +298,8 @@ impl Presenter {
             .wait_dst_stage_mask(&stages)
             .command_buffers(&buffers)
             .signal_semaphores(&signals)];
-        // SAFETY: the command buffer is alive and in recording, the queue is locked during the call, the
-        // semaphores belong to this frame, and the fence is unsignaled.
+        // SAFETY: the command buffer is being recorded, the queue is locked during the call, the semaphores
+        // belong to this frame, and the fence is unsignaled.
         unsafe {
             d.cmd_end_render_pass(self.commands);
             d.end_command_buffer(self.commands).map_err(failed("vkEndCommandBuffer"))?;
@@ -309,7 +310,7 @@ impl Presenter {
         let cpu = thread_seconds();
         let done = swapchain.present(index);
         let handing = thread_seconds() - cpu;
-        // SAFETY: the fence was submitted above; it is reset only once it has signaled.
+        // SAFETY: the fence was submitted above, and it is reset only after it has signaled.
         unsafe {
             d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
             d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
@@ -332,13 +333,13 @@ fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
 impl Drop for Presenter {
     fn drop(&mut self) {
         let d = self.device.device();
-        // SAFETY: the queue is locked during the call. If the call fails, the device is lost and runs
-        // nothing.
+        // If the call fails, the device is lost and runs nothing.
+        // SAFETY: the queue belongs to this device and is locked during the call.
         let _ = self.device.with_queue(|queue| unsafe { d.queue_wait_idle(queue) });
         self.egui = None;
         self.swapchain = None;
-        // SAFETY: every object was made from this device and instance, is not in use, and is destroyed once;
-        // null handles are ignored.
+        // SAFETY: every object was made from this device and instance, is not in use, and is destroyed once.
+        // Null handles are ignored.
         unsafe {
             d.destroy_descriptor_pool(self.descriptors, None);
             d.destroy_descriptor_set_layout(self.set_layout, None);

@@ -41,7 +41,7 @@ impl Swapchain {
     ) -> Result<Option<Self>> {
         let failed = |call: &'static str| move |r| device.error(call, r);
         let physical = device.physical_device();
-        // SAFETY: surface and physical device belong to one instance.
+        // SAFETY: surface and physical device belong to the same instance.
         let (capabilities, formats, modes) = unsafe {
             (
                 surface_functions
@@ -91,7 +91,7 @@ impl Swapchain {
             .present_mode(mode)
             .clipped(true)
             .old_swapchain(old.as_ref().map_or(vk::SwapchainKHR::null(), |s| s.handle));
-        // SAFETY: the surface supports every value of the create info.
+        // SAFETY: the surface was queried for every value of the create info and supports it.
         let handle =
             unsafe { functions.create_swapchain(&info, None) }.map_err(failed("vkCreateSwapchainKHR"))?;
         let mut this = Self {
@@ -136,8 +136,8 @@ impl Swapchain {
             .attachments(&attachments)
             .subpasses(&subpasses)
             .dependencies(&dependencies);
-        // SAFETY: the device is alive, what the create infos point to lives until the calls return, and the
-        // handles go into `this`, which destroys them once.
+        // SAFETY: the device is alive, the memory that the create infos point to lives until the calls
+        // return, and `this` destroys each handle once.
         unsafe {
             this.render_pass = d.create_render_pass(&info, None).map_err(failed("vkCreateRenderPass"))?;
             let images =
@@ -197,7 +197,7 @@ impl Swapchain {
     /// Returns the index of the next image to draw into; `None` if the surface has changed. `acquired` is
     /// signaled once the image may be written; `longest`: time limit, nanoseconds.
     pub(super) fn acquire(&mut self, acquired: vk::Semaphore, longest: u64) -> Result<Option<u32>> {
-        // SAFETY: the semaphore is unsignaled, since the previous frame, which waited for it, is done.
+        // SAFETY: the semaphore is unsignaled: the previous frame has waited for it and is done.
         let found =
             unsafe { self.functions.acquire_next_image(self.handle, longest, acquired, vk::Fence::null()) };
         match found {
@@ -218,7 +218,7 @@ impl Swapchain {
         let (waits, chains, indices) = ([self.drawn(index)], [self.handle], [index]);
         let info =
             vk::PresentInfoKHR::default().wait_semaphores(&waits).swapchains(&chains).image_indices(&indices);
-        // SAFETY: the queue is locked during the call, and a submission signals the semaphore.
+        // SAFETY: the queue is locked during the call, and the frame's submission signals the semaphore.
         let done = self.device.with_queue(|queue| unsafe { self.functions.queue_present(queue, &info) });
         match done {
             Ok(suboptimal) => self.stale |= suboptimal,
@@ -256,8 +256,9 @@ fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
 impl Drop for Swapchain {
     fn drop(&mut self) {
         let d = self.device.device();
-        // SAFETY: the queue is locked during the call. If the call fails, the device is lost and runs
-        // nothing. Each object of the device is destroyed once, and null handles are ignored.
+        // If the wait fails, the device is lost and runs nothing.
+        // SAFETY: the queue is locked during the wait, after which the device uses none of the objects. Each
+        // object is destroyed once; null handles are ignored.
         unsafe {
             let _ = self.device.with_queue(|queue| d.queue_wait_idle(queue));
             for frame in &self.frames {

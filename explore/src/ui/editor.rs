@@ -97,7 +97,7 @@ fn curve(ui: &mut Ui, state: &mut State) {
     if let Some(histogram) = &state.histogram {
         let heights = histogram.heights();
         let width = axes.rect.width() / heights.len() as f32;
-        // One mesh for all bars.
+        // All bars of the histogram are one mesh.
         let mut bars = Mesh::default();
         for (i, h) in heights.iter().enumerate().filter(|(_, h)| **h > 0.0) {
             let x = axes.rect.min.x + i as f32 * width;

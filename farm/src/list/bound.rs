@@ -10,7 +10,7 @@ use entire_steer::schedule::{assign_longest_first, longest_first};
 /// # Errors
 /// When a time is negative or not finite, a speed is not finite and positive, or there is no node.
 pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
-    // Checks the speeds.
+    // This call only checks the speeds.
     assign_longest_first(&[], speeds)?;
     let order = longest_first(times)?;
     let mut fastest = speeds.to_vec();

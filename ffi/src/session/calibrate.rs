@@ -53,7 +53,8 @@ pub struct entire_calibration_report {
     pub scenes: u32,
 }
 
-// SAFETY: repr(C), struct_size first, integers and floats only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
+// and floats).
 unsafe impl ByValue for entire_calibration_report {
     const NAME: &'static str = "entire_calibration_report";
     fn defaults() -> Self {
@@ -91,7 +92,7 @@ no_padding!(entire_calibration_report {
 /// To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
 /// plan every frame as it was drawn, and observe its time.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (another number of frames, a prior with another probe than the
+/// Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536, a prior with another probe than the
 /// session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
 /// handle that is unusable), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -100,7 +101,8 @@ pub unsafe extern "C" fn entire_session_record(
     prior: *const entire_model,
     frame_count: usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `prior` is NULL or valid.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -124,7 +126,8 @@ pub unsafe extern "C" fn entire_session_calibrate(
     model: *mut *mut entire_model,
     report: *mut entire_calibration_report,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
+    // and `model` and `report` are NULL or valid.
     unsafe {
         reading(session, |state| {
             check_pointer(model, "model (output)")?;
@@ -173,7 +176,7 @@ pub unsafe extern "C" fn entire_session_record_picture(
     error: f64,
 ) -> entire_result {
     let picture = Picture { scene, step, distance: image_sample_distance, seconds, error };
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -190,7 +193,8 @@ pub unsafe extern "C" fn entire_session_recorded_count(
     session: *const entire_session,
     frame_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
+    // and `frame_count` is NULL or valid.
     unsafe {
         reading(session, |state| {
             crate::abi::write(frame_count, state.session.recorded().unwrap_or(0), "frame_count (output)")
@@ -202,14 +206,15 @@ pub unsafe extern "C" fn entire_session_recorded_count(
 /// forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
 /// set the volume again. The session holds a reference to the model.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), else
-/// as entire_session_new for a model.
+/// Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), and
+/// with the same results as entire_session_new for an unsuitable model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_model(
     session: *mut entire_session,
     model: *const entire_model,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `model` is NULL or valid.
     unsafe {
         changing(session, |state| {
             reserve::check()?;

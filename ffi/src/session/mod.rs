@@ -51,17 +51,17 @@ impl Loop {
 /// to the device with the first observed frames. `options` may be NULL for the defaults. The session holds a
 /// reference to the model.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe), ENTIRE_UNSUPPORTED (a model without a
-/// prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
-/// ENTIRE_PANIC (a model handle that is unusable), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
-/// ENTIRE_STRUCT_SIZE.
+/// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates or probe settings that are out of range),
+/// ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an input
+/// group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
+/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_new(
     model: *const entire_model,
     options: *const entire_session_options,
     session: *mut *mut entire_session,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid.
     guard(|| unsafe {
         check_pointer(session, "session (output)")?;
         reserve::check()?;
@@ -94,14 +94,15 @@ pub unsafe extern "C" fn entire_session_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle, and `buffer` and `length`
+    // are NULL or valid.
     unsafe { last_error_of(session, buffer, capacity, length) }
 }
 
 /// Frees a session; NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_free(session: *mut entire_session) {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that nothing else uses.
     unsafe { freeing(session) }
 }
 
@@ -109,7 +110,7 @@ pub unsafe extern "C" fn entire_session_free(session: *mut entire_session) {
 #[cfg(feature = "test-panic")]
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_test_panic(session: *mut entire_session) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe { crate::guard::changing(session, |state| panic!("deliberate, with radius {:?}", state.radius())) }
 }
 

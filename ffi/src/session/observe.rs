@@ -41,7 +41,8 @@ pub unsafe extern "C" fn entire_session_observe(
     flags: u32,
     verdict: *mut entire_verdict,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `verdict` is NULL or valid.
     unsafe {
         changing(session, |state| {
             check_flags("flags", flags, ENTIRE_OBSERVE_UNUSUAL | ENTIRE_OBSERVE_CANCELLED)?;
@@ -69,7 +70,7 @@ pub unsafe extern "C" fn entire_session_observe(
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_reset(session: *mut entire_session) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe {
         changing(session, |state| {
             state.session.reset();

@@ -41,14 +41,16 @@ pub struct entire_session_options {
     /// probe. Leave it 0 in a session that records frames.
     pub probe_tolerance: f32,
     /// Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
-    /// this load, so frames exceed the target. entire_plan.seconds includes the load. After 32 frames the load
-    /// counts as the machine's new speed, which always changes the step. Default 0.
+    /// this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
+    /// longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
+    /// are chosen for it. Default 0.
     pub ignore_load: u32,
     /// Must be 0.
     pub reserved: u32,
 }
 
-// SAFETY: repr(C), struct_size first, integers and floats only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
+// and floats).
 unsafe impl ByValue for entire_session_options {
     const NAME: &'static str = "entire_session_options";
     fn defaults() -> Self {
@@ -100,7 +102,7 @@ pub unsafe extern "C" fn entire_session_options_init(
     options: *mut entire_session_options,
     struct_size: usize,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `options` is NULL or valid for writing `struct_size` bytes.
     guard(|| unsafe { init_struct(options, struct_size) })
 }
 

@@ -89,7 +89,8 @@ pub struct entire_plan {
     pub reserved: u32,
 }
 
-// SAFETY: repr(C), struct_size first, integers and floats only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
+// and floats).
 unsafe impl ByValue for entire_plan {
     const NAME: &'static str = "entire_plan";
     fn defaults() -> Self {
@@ -141,7 +142,8 @@ pub struct entire_prediction {
     pub reserved: u32,
 }
 
-// SAFETY: repr(C), struct_size first, integers and floats only.
+// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
+// and floats).
 unsafe impl ByValue for entire_prediction {
     const NAME: &'static str = "entire_prediction";
     fn defaults() -> Self {
@@ -207,7 +209,8 @@ pub unsafe extern "C" fn entire_session_predict(
     frame: *const entire_frame,
     prediction: *mut entire_prediction,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `frame` and `prediction` are NULL or valid.
     unsafe {
         changing(session, |state| {
             check_output(prediction)?;
@@ -245,7 +248,8 @@ pub unsafe extern "C" fn entire_session_plan(
     target_seconds: f32,
     plan: *mut entire_plan,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `frame` and `plan` are NULL or valid.
     unsafe {
         changing(session, |state| {
             check_output(plan)?;
@@ -274,7 +278,8 @@ pub unsafe extern "C" fn entire_session_choose(
     index: *mut usize,
     plan: *mut entire_plan,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and the other pointers are NULL or valid.
     unsafe {
         changing(session, |state| {
             check_output(plan)?;

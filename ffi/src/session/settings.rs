@@ -37,7 +37,8 @@ pub unsafe extern "C" fn entire_session_set_volume(
     session: *mut entire_session,
     volume: *const entire_volume,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `volume` is NULL or valid.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -68,7 +69,8 @@ pub unsafe extern "C" fn entire_session_set_time_step(
     session: *mut entire_session,
     volume: *const entire_volume,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `volume` is NULL or valid.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -91,7 +93,8 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
     session: *mut entire_session,
     transfer_function: *const entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
+    // and `transfer_function` is NULL or valid.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -116,14 +119,15 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
 
 /// Sets the steps that may be chosen, in multiples of the reference step.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT unless 1/64 <= finest <= coarsest <= 4096; ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (steps that do not satisfy 1/64 <= finest <= coarsest <= 4096),
+/// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_limits(
     session: *mut entire_session,
     finest_step: f32,
     coarsest_step: f32,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe {
         changing(session, |state| {
             Ok(state.session.set_limits(StepLimits { finest: finest_step, coarsest: coarsest_step })?)
@@ -147,7 +151,7 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
     max_image_sample_distance: f32,
     step_alone: f32,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe {
         changing(session, |state| {
             Ok(state.session.set_max_image_sample_distance(max_image_sample_distance, step_alone)?)
@@ -163,8 +167,8 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
 /// entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the law: the session then
 /// uses the law of its model, if the model was calibrated with pictures of this renderer.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
-/// the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a weight that is neither 0 nor 1e-3 to 1e3, an exponent outside 0.05
+/// to 8, a share outside 0 to 0.9), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_quality(
     session: *mut entire_session,
@@ -174,7 +178,7 @@ pub unsafe extern "C" fn entire_session_set_quality(
     ray_share: f32,
 ) -> entire_result {
     let known = Quality { image_weight, step_exponent, image_exponent, ray_share };
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe {
         changing(session, |state| Ok(state.session.set_quality((image_weight != 0.0).then_some(known))?))
     }
@@ -193,7 +197,8 @@ pub unsafe extern "C" fn entire_session_quality(
     image_exponent: *mut f32,
     ray_share: *mut f32,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
+    // and the other pointers are NULL or valid.
     unsafe {
         reading(session, |state| {
             let known = state
@@ -226,7 +231,7 @@ pub unsafe extern "C" fn entire_session_set_enabled(
     session: *mut entire_session,
     enabled: u32,
 ) -> entire_result {
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe {
         changing(session, |state| {
             state.session.set_enabled(enabled != 0);
@@ -248,7 +253,7 @@ pub unsafe extern "C" fn entire_session_mark(session: *mut entire_session, chang
         | ENTIRE_CHANGE_SIZE
         | ENTIRE_CHANGE_MODE
         | ENTIRE_CHANGE_CAMERA;
-    // SAFETY: the pointer is as the crate's documentation demands.
+    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
     unsafe {
         changing(session, |state| {
             check_flags("changes", changes, KNOWN)?;

@@ -21,19 +21,20 @@ use std::sync::OnceLock;
 /// cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
 /// bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
-/// ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
-/// bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
-/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume then keeps the previous time step. After
-/// ENTIRE_OUT_OF_MEMORY the next use of the volume may scan it again: where the caller has overwritten
-/// borrowed voxels, it then finds the new ones.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a scalar type, spacing or range that differs from the volume's, and
+/// the cases of entire_volume_new), ENTIRE_SIZE_MISMATCH (sizes that differ from the volume's, and the cases
+/// of entire_volume_new), ENTIRE_NOT_READY (a volume made from bricks), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// After a failure, the volume keeps the previous time step. After ENTIRE_OUT_OF_MEMORY, the next use of the
+/// volume may scan it again. If the caller has overwritten borrowed voxels, this scan finds the new ones.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_update(
     volume: *mut entire_volume,
     desc: *const entire_volume_desc,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands, and `desc.voxels` is valid for
-    // `voxel_count` elements, until the next time step or the end of the volume where they are borrowed.
+    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that only this thread uses,
+    // and `desc` is NULL or valid. `desc.voxels` is valid for `voxel_count` elements; borrowed voxels stay
+    // valid until the next time step or until the volume is freed.
     unsafe { changing(volume, |volume| update(volume, desc, None)) }
 }
 
@@ -49,7 +50,8 @@ pub unsafe extern "C" fn entire_volume_update_box(
     first: *const usize,
     size: *const usize,
 ) -> entire_result {
-    // SAFETY: as above; `first` and `size` are NULL or valid for three numbers.
+    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that only this thread uses,
+    // and `desc` and its voxels are NULL or valid. `first` and `size` are NULL or valid for three numbers.
     unsafe {
         changing(volume, |volume| {
             let (first, size) = (slice(first, 3, "first")?, slice(size, 3, "size")?);
@@ -67,7 +69,7 @@ unsafe fn update(
     changed: Option<[Range<usize>; 3]>,
 ) -> Outcome {
     reserve::check()?;
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees that `desc` is NULL or valid.
     let mut desc = unsafe { read_struct(desc)? };
     let (shape, range) = volume.layout()?;
     if desc.scalar_type != volume.scalar_type {
@@ -82,7 +84,7 @@ unsafe fn update(
     if desc.range.iter().all(|end| end.is_nan()) {
         desc.range = range.into();
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees that `desc.voxels` is NULL or valid for `voxel_count` elements.
     let voxels = unsafe { take_voxels(&desc)? };
     let next = *voxels.view();
     if next.shape().spacing != shape.spacing {

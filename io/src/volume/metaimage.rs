@@ -92,7 +92,8 @@ fn voxels(
         Err(_) if !header.binary => {
             bail!("MetaImage HeaderSize -1 is for binary data alone; state the number of bytes")
         }
-        // The rest of the file, or the whole data file, is compressed.
+        // HeaderSize is -1 and the voxels are compressed. They begin right after the header or at the start
+        // of the data file, so nothing is skipped.
         Err(_) if header.compressed => {}
         Err(_) => {
             let expected = byte_count(dims, element)?;

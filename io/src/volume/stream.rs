@@ -28,9 +28,9 @@ pub(crate) fn without_mark(text: &[u8]) -> &[u8] {
 /// Number of bytes that a stream still holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Remaining {
-    /// Exactly this many.
+    /// The stream holds exactly this number of bytes.
     Exact(u64),
-    /// At most this many: the stream is compressed.
+    /// The stream is compressed and holds at most this number of bytes.
     AtMost(u64),
 }
 

@@ -21,14 +21,14 @@ pub(crate) enum State {
     CutShort,
     /// Cut off when the run ended; its partial result is used, and the next run continues it.
     Unfinished,
-    /// Failed, with a message.
+    /// The step failed, with a message.
     Failed,
-    /// Skipped for lack of time.
+    /// The step was skipped for lack of time.
     LeftOut,
 }
 
 impl State {
-    /// The state in words.
+    /// Name of the state in reports.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Done => "done",
@@ -50,7 +50,7 @@ impl State {
 pub(crate) struct Outcome {
     /// The step's name.
     pub(crate) step: String,
-    /// Its state at the end.
+    /// State of the step at its end.
     pub(crate) state: State,
     /// Wall seconds of the step.
     pub(crate) seconds: f64,

@@ -27,7 +27,8 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
     make_folder(&images)?;
     let mut out = String::from(
         "# The paper's tables\n\n\
-         Every table and figure of the paper that was measured here, the paper's numbers above ours.\n\
+         This page has every table and figure of the paper that was measured here: first the paper's numbers, then\n\
+         ours.\n\
          [The paper](paper.md#what-the-comparison-says) explains the results. Errors are root mean squared errors in\n\
          seconds of processor time. Hardware and volumes differ from the paper's: compare ratios, not seconds.\n\
          `make bars-paper` writes the whole report from the results that are kept in the repository;\n\
@@ -43,7 +44,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
         }
         let _ = write!(out, "\n## {}\n\nThe paper's `{}`. `{}`\n", label.title, label.label, label.command);
         if let Some(numbers) = &label.paper {
-            let _ = write!(out, "\nThe paper:\n\n{}", numbers_table(numbers).to_markdown());
+            let _ = write!(out, "\nIn the paper:\n\n{}", numbers_table(numbers).to_markdown());
         }
         out += &tables_and_charts(&section, &label.title, &label.label.replace(':', "-"), &images)?;
         let mut drawn = Vec::new();
@@ -66,7 +67,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
             drawn.dedup();
             let _ = write!(out, "\n\n{}.\n", drawn.join("; "));
         } else if !section.pictures.is_empty() {
-            out += "\nThe pictures above.\n";
+            out += "\nThe pictures of this section are shown further up.\n";
         }
         // A note is written once, under the first label that has it.
         for note in section.notes.iter().chain((!label.note.is_empty()).then_some(&label.note)) {
@@ -96,7 +97,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
 fn tables_and_charts(section: &Section, title: &str, stem: &str, images: &Path) -> Result<String> {
     let mut out = String::new();
     for (table, caption) in &section.tables {
-        let _ = write!(out, "\nHere: {caption}\n\n{}", table.to_markdown());
+        let _ = write!(out, "\nMeasured here: {caption}\n\n{}", table.to_markdown());
     }
     for (i, (chart, caption)) in section.charts.iter().enumerate() {
         let file = format!("{stem}-{i}.svg");

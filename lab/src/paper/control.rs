@@ -36,11 +36,11 @@ const OURS: &str = "ours";
 struct Drawing {
     title: &'static str,
     axis: &'static str,
-    /// The controller's value.
+    /// Returns the charted value of the controller for a frame.
     value: fn(&Row) -> f64,
     /// Name of the reference: the target, or the oracle.
     beside: &'static str,
-    /// Value of the reference.
+    /// Returns the charted value of the reference for a frame.
     best: fn(&Row) -> f64,
 }
 
@@ -373,7 +373,8 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         }
         let paths = r.frames.get("paths").map_or(0, |f| f[2]);
         let caption = format!(
-            "Every controller on {paths} recorded paths of {}, against four targets; the oracle knows every cost.",
+            "All controllers on {paths} recorded paths of {}, with four targets. The oracle knows the time of every \
+             step.",
             r.set
         );
         s.tables.push((table, caption));
@@ -385,7 +386,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
                 drawn = drawn.series(Series::new(&c.name, Mark::Line(c.points.clone())).color(color));
             }
             if !shown.is_empty() {
-                s.charts.push((drawn, format!("{axis}, on one path, frame by frame.")));
+                s.charts.push((drawn, format!("One path, frame by frame: {axis}.")));
             }
         }
         s.pictures.extend(
@@ -410,7 +411,7 @@ pub(super) fn response_section(of: &[&Results], s: &mut Section) {
             drawn = drawn.series(Series::new(name, Mark::Line(c.points.clone())).color(usize::from(!own)));
         }
         if !shown.is_empty() {
-            s.charts.push((drawn, "A line per scene, and their median.".into()));
+            s.charts.push((drawn, "One line per scene, and G, the median of the scenes.".into()));
             s.summary = format!("{} curves", shown.len() - 1);
         }
     }

@@ -367,7 +367,7 @@ pub(crate) struct Label {
     pub(crate) title: String,
     /// The part of the study with our counterpart.
     pub(crate) panel: Panel,
-    /// The command that makes our counterpart.
+    /// Command that makes this project's counterpart of the table or figure.
     pub(crate) command: String,
     /// The paper's numbers.
     #[serde(default)]

@@ -75,13 +75,13 @@ pub(crate) struct Record {
 pub(crate) struct Provenance {
     /// Mean peak signal-to-noise ratio over volumes, dB, by part and data set.
     pub(crate) psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
-    /// Epochs that ran.
+    /// Number of epochs that the training ran.
     pub(crate) epochs_run: usize,
-    /// The epoch of the stored weights.
+    /// Number of the epoch whose weights are stored.
     pub(crate) best_epoch: usize,
     /// Reason for the end of the training.
     pub(crate) stopped: String,
-    /// Machine and library.
+    /// Machine and library of the training.
     pub(crate) machine: String,
     /// Number of volumes by part.
     pub(crate) volumes: BTreeMap<String, usize>,

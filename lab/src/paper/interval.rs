@@ -86,8 +86,8 @@ pub(super) fn in_brackets(interval: Option<(f64, f64)>) -> String {
 /// Explanation of the brackets beside ratios.
 pub(super) fn sentence() -> String {
     format!(
-        "In brackets beside a ratio: the interval that holds {:.0} % of {DRAWS} draws of the test volumes with \
-         replacement (seed {SEED}), or `not kept` where the results hold no errors of two volumes or more.",
+        "Brackets beside a ratio contain its {:.0} % bootstrap interval: test volumes are drawn {DRAWS} times with \
+         replacement (seed {SEED}). `not kept` means that the results have no errors of two or more single volumes.",
         100.0 * LEVEL
     )
 }

@@ -15,7 +15,7 @@ use std::path::Path;
 pub(crate) struct Reconstruction {
     /// The encoder.
     pub(crate) encoder: Encoder,
-    /// Record of its training.
+    /// Record of the encoder's training.
     pub(crate) record: Record,
 }
 

@@ -10,7 +10,7 @@ use super::volumes::in_words;
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
 
 /// The paper's rule for test volumes, for captions.
-const RULE: &str = "MAESTROeX by random volumes, Nyx and Castro by ensemble member";
+const RULE: &str = "random volumes of MAESTROeX, left-out ensemble members of Nyx and Castro";
 
 /// Adds the tables and the chart of prediction errors by data set and renderer.
 pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
@@ -47,8 +47,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
             s.tables.push((
                 errors_table(r),
                 format!(
-                    "{}: random volumes, a left-out member, and volumes of another kind ({BY_MODALITY}). Encoder \
-                     of the network in the split by random volumes: {}.",
+                    "{}: tested on random volumes, a left-out member, and volumes of another kind ({BY_MODALITY}). \
+                     Encoder of the network in the split by random volumes: {}.",
                     title(paper, r),
                     r.encoder
                 ),
@@ -73,7 +73,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
             chart = chart.series(Series::new(name, Mark::Points(points)).color(i));
         }
     }
-    s.charts.push((chart, "Lower left is better.".into()));
+    s.charts.push((chart, "Points further down and left are better.".into()));
 }
 
 /// Returns a table with a row for every data set and mode that has the split, and appends the ratios of each
@@ -85,13 +85,13 @@ fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Ve
         Column::number("training frames"),
         Column::number("test frames"),
         Column::number("network, RMSE s"),
-        Column::number("± runs"),
+        Column::number("SD over runs (runs)"),
         Column::number("ms"),
         Column::number("mean of 15 %, s"),
         Column::number("LVRP, s"),
         Column::number("LVRP, ms"),
         Column::number("ours, s"),
-        Column::number("± runs"),
+        Column::number("SD over runs (runs)"),
         Column::number("ms"),
         Column::number("network/mean"),
         Column::number("network/LVRP"),
@@ -162,7 +162,7 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((
         Chart::new("Rendering times", axis(), Axis::log("seconds"))
             .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(times)).color(0)),
-        "All frames.".into(),
+        "Times of all frames.".into(),
     ));
     let mut chart = Chart::new("Squared errors", axis(), Axis::log("seconds squared"));
     for (k, name) in [NETWORK, OURS].into_iter().enumerate() {

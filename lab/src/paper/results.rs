@@ -65,7 +65,7 @@ pub(crate) struct Curve {
     pub(crate) name: String,
     /// Quantity along x.
     pub(crate) x: String,
-    /// Points (x, y).
+    /// Points (x, y) of the curve.
     pub(crate) points: Vec<(f64, f64)>,
 }
 
@@ -104,7 +104,7 @@ pub(crate) struct Results {
     pub(crate) encoder: String,
     /// Device that the frames were measured on.
     pub(crate) device: String,
-    /// Machine of that device.
+    /// Machine that holds the device.
     pub(crate) machine: String,
     /// Errors of predictors.
     pub(crate) rows: Vec<Row>,

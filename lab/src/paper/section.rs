@@ -73,10 +73,10 @@ pub(super) fn over(v: Option<f64>, interval: Option<(f64, f64)>, own: bool) -> S
 /// Table of the errors of every predictor in a part of the study.
 pub(super) fn errors_table(r: &Results) -> Table {
     let mut table = Table::new(vec![
-        Column::text("on"),
+        Column::text("tested on"),
         Column::text("predictor"),
         Column::number("RMSE, s"),
-        Column::number("STD over runs"),
+        Column::number("SD over runs"),
         Column::number("runs"),
         Column::number("RMSE/SD"),
         Column::number("over the mean of 15 %"),

@@ -109,7 +109,8 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
         parts.push(format!("{} {} ({})", title(paper, r), seconds(v("mean")), seconds(v("sd"))));
     }
     if !parts.is_empty() {
-        s.tables.push((table, "Voxels as rendered.".into()));
+        s.tables
+            .push((table, "The column `voxels` has the size of the volumes as they were rendered.".into()));
         s.summary = parts.join("; ");
     }
 }
@@ -136,7 +137,9 @@ fn varied_curves(paper: &Paper, of: &[&Results], s: &mut Section) {
         let shown: Vec<&Curve> =
             r.curves.iter().filter(|c| ![ORBIT_CHART, DRAWN_CHART].contains(&c.chart.as_str())).collect();
         for chart in charts(&title(paper, r), &shown, "seconds") {
-            s.charts.push((chart, "One parameter varied, the others held; first run.".into()));
+            let what = "One parameter of the scene varies, the others are constant. Predictions are those of the first \
+                        training run.";
+            s.charts.push((chart, what.into()));
         }
         s.summary = format!("{}: 4 experiments with measured, predicted and LVRP's times", title(paper, r));
     }
@@ -151,7 +154,7 @@ fn orbits(paper: &Paper, of: &[&Results], s: &mut Section) {
         for (v, c) in shown.iter().enumerate() {
             chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(v));
         }
-        s.charts.push((chart, "A transfer function drawn for every pose.".into()));
+        s.charts.push((chart, "Each pose has its own random transfer function.".into()));
         s.summary = format!("{}: {} volumes along an orbit", title(paper, r), shown.len());
     }
 }
@@ -175,7 +178,7 @@ fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
         )
         .series(Series::new("± standard deviation", Mark::Band(band)).color(0))
         .series(Series::new("mean over runs", Mark::Line(points)).color(0));
-        s.charts.push((chart, "Frames drawn anew for every run.".into()));
+        s.charts.push((chart, "Each training run uses other random frames.".into()));
     }
     each(paper, of, s, errors_table);
 }
@@ -189,7 +192,7 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
             Column::number("test"),
             Column::number("encoding, ms"),
             Column::number("RMSE, s"),
-            Column::number("± runs"),
+            Column::number("SD over runs"),
             Column::number("over the mean of 15 %"),
             Column::number("epochs"),
         ]);
@@ -207,7 +210,10 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
                 row.more.get("epochs").map(|e| format!("{e:.0}")).into(),
             ]);
         }
-        s.tables.push((table, format!("{}: PredNet {} on each.", title(paper, r), paper.encoder_depth)));
+        s.tables.push((
+            table,
+            format!("{}: PredNet {} with each encoder.", title(paper, r), paper.encoder_depth),
+        ));
     }
 }
 
@@ -216,7 +222,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
         return;
     }
     let mut table = Table::new(vec![
-        Column::text("of"),
+        Column::text("data set"),
         Column::text("encoder"),
         Column::text("channels"),
         Column::number("training, dB"),
@@ -224,7 +230,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
         Column::number("test"),
         Column::number("epochs"),
         Column::number("seconds"),
-        Column::text("ended"),
+        Column::text("end of training"),
     ]);
     let mut best = Vec::new();
     for r in &material.reconstructions {
@@ -244,7 +250,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             let mut cells = vec![
                 if together { format!("{set}, {}", of_all(&e.set)) } else { set.to_owned() }.into(),
                 format!("{}³F{}", e.size, e.features).into(),
-                if widths.is_empty() { "as they are".into() } else { widths.join("-") }.into(),
+                if widths.is_empty() { "default".into() } else { widths.join("-") }.into(),
             ];
             cells.extend(parts.map(|p| r.record.psnr(p, set).map(|v| format!("{v:.2}")).into()));
             cells.push(r.record.provenance.epochs_run.to_string().into());
@@ -258,8 +264,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             best.push(format!("{} {}³F{} {v:.1} dB", e.set, e.size, e.features));
         }
     }
-    let what = "Peak signal-to-noise ratio of the reconstruction, mean over volumes. Held out are random volumes, for \
-                the shipped encoder whole members.";
+    let what = "Peak signal-to-noise ratio (PSNR) of the reconstructed volumes, mean over volumes. Validation and test \
+                volumes are random volumes, or whole ensemble members for the shipped encoder.";
     s.tables.push((table, what.into()));
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
 }
@@ -298,7 +304,8 @@ fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
         cells.push(format!("{:.1}", 100.0 * d.iter().sum::<f64>() / d.len().max(1) as f64).into());
     }
     table.row(cells);
-    s.tables.push((table, "RD: relative deviation from the best.".into()));
+    let what = "RD is the excess of an RMSE over the smallest RMSE of the row, divided by the smallest.";
+    s.tables.push((table, what.into()));
     s.summary = format!("{} over {} renderers and data sets", names.join(" beside "), shown.len());
 }
 
@@ -327,7 +334,9 @@ fn codes(of: &[&Results], s: &mut Section) {
             let points = c.points.iter().map(|p| (p.0, p.1, String::new())).collect();
             drawn = drawn.series(Series::new(c.name.as_str(), Mark::Points(points)).color(i));
         }
-        s.charts.push((drawn, "A dot per volume. With two features there is nothing to reduce.".into()));
+        let what =
+            "Each dot is a volume. Feature vectors have two numbers, so they are drawn without a projection.";
+        s.charts.push((drawn, what.into()));
         s.summary = format!("{} ensemble members", of.len());
     }
 }
@@ -344,8 +353,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
             for (i, c) in of.enumerate() {
                 chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
             }
-            s.charts
-                .push((chart, format!("From the network that was pre-trained on all data sets.{machine}")));
+            let what = "Fine-tuning starts from the network that was pre-trained on all data sets.";
+            s.charts.push((chart, format!("{what}{machine}")));
         }
         let mut table = Table::new(vec![
             Column::text("target"),
@@ -367,7 +376,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.facts.is_empty() {
-            s.tables.push((table, format!("Without any frame of the target.{machine}")));
+            let what = "Errors of models that were trained without any frame of the target.";
+            s.tables.push((table, format!("{what}{machine}")));
         }
         let mut few = Table::new(vec![
             Column::text("target"),
@@ -387,7 +397,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.curves.is_empty() {
-            s.tables.push((few, format!("With some frames of the target; median of the runs.{machine}")));
+            let what = "Errors after training with some frames of the target, medians of the training runs.";
+            s.tables.push((few, format!("{what}{machine}")));
         }
     }
     s.summary = of.iter().flat_map(|r| &r.facts).map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -404,7 +415,7 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
             for (i, c) in r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name).enumerate() {
                 chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
             }
-            s.charts.push((chart, "Test frames, first run.".into()));
+            s.charts.push((chart, "Test frames, with the predictions of the first training run.".into()));
         }
         all.extend(names);
     }
@@ -451,8 +462,10 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
             }
             worst = worst.max(slowest(NETWORK).unwrap_or(0.0));
         }
-        s.charts.push((chart, "Static assignment, longest first.".into()));
-        s.tables.push((table, String::new()));
+        s.charts.push((chart, "Tasks are assigned before the job starts, longest first.".into()));
+        let what =
+            "The time of the slowest node, divided by its time if tasks are assigned by measured times (GT).";
+        s.tables.push((table, what.into()));
         s.summary = format!("{}: at most {:.1} % over GT", title(paper, r), 100.0 * (worst - 1.0));
     }
 }
@@ -470,13 +483,13 @@ fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
 
 /// A part of the study that has no counterpart in the paper.
 pub(super) struct Trial {
-    /// Its heading.
+    /// Heading of the part.
     pub(super) title: &'static str,
-    /// The command that makes it.
+    /// Command that computes the part.
     pub(super) command: &'static str,
-    /// Beginning of the names of its files.
+    /// First part of the names of the part's files.
     pub(super) stem: &'static str,
-    /// Its tables and charts.
+    /// Tables and charts of the part.
     pub(super) section: Section,
 }
 
@@ -488,7 +501,8 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         let changed =
             r.rows.iter().filter(|x| x.split == TOGETHER && x.name != CONSTANT && x.name != LVRP).count();
         if changed > 1 {
-            let what = "The paper's recipe on measured frames, one change at a time, frames";
+            let what =
+                "The paper's recipe, trained on measured frames. Each row changes one part of the recipe.";
             procedure.tables.push(trials_table(r, what, "change"));
         }
     }
@@ -497,7 +511,8 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
     }
     let mut frames = Section::default();
     for r in of(Panel::Frames) {
-        let what = "The paper's recipe on a teacher's labels, judged on measured frames,";
+        let what =
+            "The paper's recipe, trained on times that a teacher predicted, and tested on measured frames.";
         frames.tables.push(trials_table(r, what, "labels of each volume"));
         let x = |row: &Row| row.more.get("training frames").copied();
         let rows = || r.rows.iter().filter(|row| x(row).is_some());
@@ -513,7 +528,9 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         )
         .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
         .series(Series::new("mean over runs", Mark::Line(line)).color(0));
-        frames.charts.push((chart, "All points use the same volumes. Labels are predicted times.".into()));
+        let what =
+            "All networks were trained on the same volumes. The training times are predictions of a teacher.";
+        frames.charts.push((chart, what.into()));
     }
     let all = [
         ("The recipe, one change at a time", "make paper-procedure", "trial-procedure", procedure),
@@ -534,7 +551,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
         Column::number("epochs"),
         Column::number("epoch of the weights"),
         Column::number("RMSE, s"),
-        Column::number("± runs"),
+        Column::number("SD over runs (runs)"),
         Column::number("RMSE/SD"),
         Column::number("over the mean of 15 %"),
         Column::number("over LVRP"),
@@ -563,7 +580,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     let judged = rows().next().map_or(0, |x| x.frames);
     let volumes = rows().next().map_or(0, |x| x.by_volume.len());
     let caption = format!(
-        "{what} {}: {judged} test frames of {volumes} volumes of {TOGETHER}.",
+        "{what} Shading: {}. There are {judged} test frames of {volumes} volumes of {TOGETHER}.",
         mode_in_words(&r.mode)
     );
     (table, caption)
@@ -593,7 +610,8 @@ fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
             ]);
         }
     }
-    let caption =
-        format!("The recipe {AS_IT_IS}, one network for the three data sets, on {TOGETHER} of each.");
+    let caption = format!(
+        "The unchanged recipe (row `{AS_IT_IS}`): one network for the three data sets, tested on {TOGETHER} of each."
+    );
     any.then_some((table, caption))
 }

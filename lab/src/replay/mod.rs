@@ -38,7 +38,7 @@ pub const SETTLING: usize = 3;
 pub struct Replayable {
     /// The recording.
     pub trace: Trace,
-    /// Its path, frame by frame.
+    /// Path of the trace, frame by frame.
     pub path: FlightPath,
     /// Time and quality of each frame over the ray step.
     pub curves: Vec<Curve>,

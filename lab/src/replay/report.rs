@@ -267,11 +267,11 @@ impl Results<'_> {
                  chosen step, at most 1; the oracle knows the time of every frame at every step, but not its \
                  noise. Rules that change the image resolution draw 1/s of the pixels at the reference step; \
                  their quality is the least s of their range that meets the target, divided by the chosen s. \
-                 Calm: in the last {SETTLING} frames, this one included, only the camera has changed, and \
-                 not abruptly. Jumps: calm frames whose step differs from that of the previous frame by over \
-                 20 %. In bound: abrupt changes whose first frame stayed below its upper bound. SSIM: mean \
-                 structural similarity to the picture at the reference step, relative to the oracle's. The \
-                 best value of each column is bold."
+                 A frame is calm if in the last {SETTLING} frames, including this frame, only the camera has \
+                 changed, and not abruptly. Jumps: share of the calm frames whose step differs from that of \
+                 the previous frame by over 20 %. In bound: share of the abrupt changes whose first frame \
+                 stayed below its upper bound. SSIM: mean structural similarity to the picture at the \
+                 reference step, divided by the oracle's. The best value of each column is bold."
             ),
         );
         let mut chart = Chart::new(
@@ -299,7 +299,7 @@ impl Results<'_> {
         }
         page.chart(
             &chart,
-            "A point per controller and target, over all traces on which the target was \
+            "One point per controller and target, over all traces on which the target was \
              played. Points further up and left are better.",
         );
         for (t, trace) in self.traces.iter().enumerate() {

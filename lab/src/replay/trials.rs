@@ -29,8 +29,8 @@ pub(crate) struct Outcome {
     pub(crate) tallies: Vec<Tally>,
 }
 
-/// Returns the useful trials: every trace with every target that some allowed step meets in at least half of
-/// the frames, and with a series of these targets.
+/// Returns trials of every trace with each of its useful targets, and with a series of these targets. A
+/// target is useful for a trace if some allowed step meets it exactly in at least half of the trace's frames.
 pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {
@@ -49,9 +49,10 @@ pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: Ste
     out
 }
 
-/// Returns the trials of [`trials`], and a trial for every trace without a useful target. The target of such
-/// a trace is halfway, in ln(seconds), between its median frame times at the finest and at the coarsest step.
-/// Also returns the names of the traces for which this target is not useful either.
+/// Returns the trials of [`trials`], and one further trial for every trace without a useful target (a target
+/// that some allowed step meets exactly in at least half of the frames). The target of this trial is halfway,
+/// in ln(seconds), between the trace's median frame times at the finest and at the coarsest step. Also
+/// returns the names of the traces for which this target is not useful either; they have no trial.
 pub(crate) fn trials_of_all(
     traces: &[Replayable],
     targets: &[(f64, &str)],

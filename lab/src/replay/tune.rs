@@ -36,12 +36,12 @@ const PROMISED_MISSES: f64 = 0.03;
 /// Number of frames of a session without a model.
 const COLD_FRAMES: usize = 6;
 
-/// All constants of the search.
+/// All constants that the search varies.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Constants {
     /// Constants of the controller.
     pub(crate) hybrid: HybridConstants,
-    /// Constants of its online correction.
+    /// Constants of the controller's online correction.
     pub(crate) correction: CorrectionConstants,
 }
 

@@ -18,13 +18,13 @@ const FIXED: f64 = 2e-3;
 /// Time that is reported to the controller for a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Heard {
-    /// The true time.
+    /// The controller gets the true time.
     True,
-    /// Another time, seconds.
+    /// The controller gets this other time, in seconds.
     Other(f64),
-    /// No time.
+    /// The controller gets no time.
     Nothing,
-    /// The true time, reported this many frames later.
+    /// The controller gets the true time, but this number of frames later.
     Late(usize),
 }
 
@@ -37,7 +37,7 @@ struct Shot {
     work: f64,
     /// Factor on all seconds, from the machine or from effects that no predictor models.
     speed: f64,
-    /// Factor on the predictor's seconds.
+    /// Factor by which the predictor's seconds are wrong.
     wrong: f64,
     changes: Changes,
     target: f64,

@@ -52,8 +52,8 @@ pub(crate) fn page(
     );
     page.table(
         &matrix(verdicts, methods),
-        "First failure in each scene; ok without failure. T is the target; shares are of the frames in which \
-         the coarsest step meets it.",
+        "First failure of each method in each scene, or ok without a failure. T is the target; shares are of the \
+         frames in which the coarsest step meets it.",
     );
     let names: Vec<String> = SCENES
         .iter()
@@ -93,8 +93,8 @@ pub(crate) fn page(
         misses = misses
             .series(Series::new(method.title(), Mark::Points(points(&|v| 100.0 * v.missed))).color(hue));
     }
-    page.chart(&chart, "Time of the slowest frame of each scene over its target, per method.");
-    page.chart(&misses, "Share of feasible frames over 1.1 targets.");
+    page.chart(&chart, "Time of the slowest frame of each scene, divided by its target, per method.");
+    page.chart(&misses, "Share of the feasible frames that took over 1.1 times the target.");
     if !real.is_empty() {
         page.heading("On a real renderer");
         page.table(

@@ -57,7 +57,7 @@ pub(super) struct Learned<'a> {
 pub(super) struct Folds {
     /// Kind of the groups: ensemble members or volumes.
     pub(super) by: GroupBy,
-    /// The groups of each fold.
+    /// Groups of frames that make up each fold.
     pub(super) groups: Vec<BTreeSet<String>>,
 }
 
@@ -141,7 +141,7 @@ pub(super) struct OnSet<'a> {
     pub(super) study: &'a Study,
     /// The set.
     pub(super) set: &'a Set,
-    /// The frames of the set.
+    /// Frames of the data set.
     pub(super) data: &'a SetData<'a>,
     /// Context of fitting.
     pub(super) context: &'a FitContext<'a>,

@@ -50,7 +50,7 @@ pub(crate) struct Ship {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Set {
-    /// Name of the set.
+    /// Name of the data set.
     pub(crate) name: String,
     /// Training tables. A tenth of their ensemble members decides when training stops; a tenth of their volumes if
     /// there are fewer than ten members.

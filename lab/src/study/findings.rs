@@ -60,7 +60,7 @@ impl Intervals {
 /// Errors of a predictor on its training frames, and in cross-validation on the training tables.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Fit {
-    /// Name of the set.
+    /// Name of the data set.
     pub(crate) set: String,
     /// Name of the predictor.
     pub(crate) predictor: String,
@@ -72,7 +72,7 @@ pub(crate) struct Fit {
     pub(crate) crossed: Option<Metrics>,
     /// Intervals of the errors in cross-validation.
     pub(crate) crossed_intervals: Option<Intervals>,
-    /// Number of folds.
+    /// Number of folds of the cross-validation.
     pub(crate) folds: usize,
     /// Number of fitted numbers: weights, biases, and unit costs.
     pub(crate) numbers: usize,
@@ -83,7 +83,7 @@ pub(crate) struct Fit {
 /// Errors of a predictor on a split.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct SplitResult {
-    /// Name of the set.
+    /// Name of the data set.
     pub(crate) set: String,
     /// Name of the split.
     pub(crate) split: String,
@@ -107,7 +107,7 @@ pub(crate) struct SplitResult {
 /// Error of a predictor on other data after calibration to a hundred frames of that data.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct CalibratedResult {
-    /// Name of the set.
+    /// Name of the data set.
     pub(crate) set: String,
     /// Name of the split.
     pub(crate) split: String,
@@ -153,7 +153,7 @@ impl Findings {
         self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
     }
 
-    /// The latency of a predictor.
+    /// Returns the latency of a predictor that was trained on a data set.
     pub(crate) fn latency(&self, set: &str, predictor: &str) -> Option<Latency> {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
     }

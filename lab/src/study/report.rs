@@ -11,8 +11,9 @@ use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::Path;
 
 /// Definition of the intervals, for captions.
-pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement; they \
-                                    are wide where a few frames carry most of the squared error.";
+pub(super) const INTERVALS: &str = "Each interval holds the errors of 90 % of 200 draws of the volumes, with \
+                                    replacement. Intervals are wide if a few frames have most of the squared \
+                                    error.";
 
 /// Table of the errors, bounds and latencies of every predictor on a split. If `panel` is given, only of the predictors
 /// listed there and of the baselines.
@@ -236,9 +237,9 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
         study.title.as_str(),
         &format!(
             "Every predictor is trained on the training tables of a data set only and tested on other \
-             splits. A frame's time is the median of its repeats by the clock {:?}. Latency: one thread, \
-             caches evicted before every call, scene features included; work per volume is not, and work per \
-             transfer function has its own column.",
+             splits. A frame's time is the median of its repeats by the clock {:?}. Latency is \
+             measured on one thread, with caches evicted before every call. It includes the scene features but \
+             not the work per volume. The work per transfer function has its own column.",
             study.clock
         ),
     );
@@ -250,8 +251,9 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.table(
                 &fits_table(study, found, &set.name, &split.name),
                 &format!(
-                    "Cross-validated: every training frame predicted without its ensemble member; upper \
-                     bounds follow from these errors, every member counting alike. {SENTENCE} {INTERVALS}"
+                    "Cross-validated: every training frame is predicted by a model that was trained without the \
+                     frame's ensemble member. Upper bounds follow from these errors; all members have the same \
+                     weight. {SENTENCE} {INTERVALS}"
                 ),
             );
         }
@@ -273,7 +275,8 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             )?;
             page.chart(
                 &chart,
-                "Lower left is better. The frontier joins predictors that are better than all faster ones.",
+                "Points further down and left are better. The frontier joins predictors that are better than all \
+                 faster ones.",
             );
             page.table(&knee, "");
             page.table(&main_table(found, s, p, Some("main")), INTERVALS);
@@ -287,11 +290,12 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.chart(&boxes, "");
             page.table(
                 &bias_table(found, s, p),
-                "Median of predicted / measured - 1 by tenth of the frames, fastest first, %.",
+                "Median of predicted / measured - 1, in %, for each tenth of the frames, from the fastest to the \
+                 slowest.",
             );
             page.table(
                 &parts_table(found, s, p),
-                "By image size, and with the eye near or inside the volume.",
+                "Errors by image size, and of frames whose eye is near or inside the volume.",
             );
         }
         let calibrated: Vec<_> = found.calibrated.iter().filter(|c| c.set == set.name).collect();
@@ -311,10 +315,7 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                     format!("{:.1}", 100.0 * c.metrics.mdape).into(),
                 ]);
             }
-            page.table(
-                &table,
-                "Each half of the volumes is the test set of a calibration to the other half.",
-            );
+            page.table(&table, "Errors on each half of the volumes after a calibration to the other half.");
         }
     }
     if !found.left_out.is_empty() {

@@ -45,7 +45,8 @@ impl<T: Send> Guarded<T> {
 /// A guard that a closure returns. The closure runs on the thread that uses the guard.
 struct SendGuard<'a, T>(MutexGuard<'a, T>);
 
-// SAFETY: `Python::detach` runs its closure on the thread that called it, so the guard never changes threads.
+// SAFETY: `Python::detach` runs its closure on the thread that called it, so the guard never moves to another
+// thread.
 unsafe impl<T: Send> Send for SendGuard<'_, T> {}
 
 fn poisoned() -> PyErr {

@@ -255,7 +255,8 @@ fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
 /// `at` points at the first element of an array of `T` whose memory exists as long as the result is used, and
 /// `count` elements can be read from there.
 unsafe fn elements<T>(at: *const u8, count: usize) -> &'static [T] {
-    // SAFETY: as the caller promises.
+    // SAFETY: the caller guarantees that `count` elements are readable from `at` on, as long as the result is
+    // used.
     unsafe { std::slice::from_raw_parts(at.cast(), count) }
 }
 
@@ -313,7 +314,7 @@ impl Volume {
         let mut copied = false;
         let plain = |a: &Bound<'_, PyUntypedArray>| {
             let whole = a.strides().iter().all(|&s| s >= 0 && (s as usize).is_multiple_of(size));
-            // SAFETY: the array is alive; its data pointer is read, but not dereferenced.
+            // SAFETY: the array is alive. Its data pointer is only compared, never dereferenced.
             whole && (unsafe { (*a.as_array_ptr()).fields.data } as usize).is_multiple_of(size)
         };
         if converted.is_some() || !plain(&kept) {

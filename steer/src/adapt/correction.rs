@@ -66,19 +66,21 @@ fn standard_deviation(variance: f64) -> f64 {
 /// frame that is too fast is clipped at `clip_below`. Two successive frames that are both too slow, or both
 /// too fast, by more than three standard deviations begin a *load*: a factor on the times of all scenes. The
 /// load ends with the first frame whose time is more likely without it. During a load, later frames of the
-/// present scene do not update θ and b; its first frame does. A load of more than [`ESTABLISHED`] frames is
-/// added to θ, as the machine's own speed. A scene of at most [`ESTABLISHED`] frames may have begun under an
-/// undetected load: if its frames become faster, b is changed instead of the load. All state is bounded.
+/// present scene do not update θ and b; its first frame does. If a load lasts longer than [`ESTABLISHED`]
+/// frames, it is added to θ: from then on, the changed speed counts as the machine's normal speed. A scene of
+/// at most [`ESTABLISHED`] frames may have begun under an undetected load: if its frames become faster, b is
+/// changed instead of the load. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
-    /// θ, then b.
+    /// Estimates of the filter: the elements of θ, then b.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
-    /// Variance of the errors of calm frames, in ln t, without stalls and frames under a load.
+    /// Variance of ln(measured / expected seconds) over calm frames. Stalls and frames under a load are left
+    /// out.
     spread: f64,
     /// As `spread`, but including stalls and frames under a load.
     spread_of_all: f64,
-    /// Variance of b among scenes.
+    /// Variance of b from scene to scene.
     change: f64,
     /// Load: ln of a factor on the times of all scenes; 0 without a load.
     load: f64,
@@ -238,7 +240,7 @@ impl Correction {
         self.jumped
     }
 
-    /// True during a load.
+    /// True if a load is in progress.
     fn loaded(&self) -> bool {
         self.load != 0.0
     }

@@ -104,7 +104,7 @@ pub struct Calibration {
     /// Inputs of the kept frames, row by row.
     rows: Vec<f32>,
     kept: Vec<Kept>,
-    /// Buffer of one row.
+    /// Buffer for the inputs of one frame.
     row: Vec<f32>,
     capacity: usize,
     offered: u64,

@@ -235,7 +235,10 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
         .map(|(s, d)| grid.at(s, d))
         .collect();
     let best = at_shares(&all, &shares, false);
-    // Mean ln of the ratio of a path's error to the smallest error at the same share of the time.
+    // `path` is a sequence of settings, in the order in which a law tries them. For each share of the time at
+    // full quality, its error is that of its first setting within this share, and is divided by the smallest
+    // error of all settings within this share. Returns the mean of the logarithm of this ratio over the
+    // shares.
     let over_best = |path: &[(f64, f64)]| {
         let own = at_shares(path, &shares, true);
         let both = own.iter().zip(&best).filter(|(own, best)| own.is_finite() && best.is_finite());

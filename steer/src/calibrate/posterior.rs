@@ -55,7 +55,7 @@ struct Factor {
     layout: InputLayout,
     /// Mean and standard deviation of each input.
     inputs: Vec<(f64, f64)>,
-    /// Standard deviation of the output.
+    /// Standard deviation of the factor's output.
     deviation: f64,
     /// Weights of the last layer, without the weight of the estimated seconds.
     weights: Vec<f64>,

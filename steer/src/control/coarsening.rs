@@ -37,9 +37,9 @@ pub(super) struct Coarsening {
     /// stays 1.
     largest: (f32, f32),
     quality: Option<Quality>,
-    /// Number of distances over 1.
+    /// Number of image sample distances over 1 pixel.
     levels: usize,
-    /// Distances by level, ascending from 1.
+    /// Image sample distance of each level, in pixels, ascending from 1.
     distances: [f64; LEVELS],
     /// Threshold of each level: smallest c, in finest steps, for which the level is used.
     from: [f64; LEVELS],
@@ -48,7 +48,7 @@ pub(super) struct Coarsening {
 }
 
 impl Coarsening {
-    /// Coarsens the step only.
+    /// Returns a coarsening that changes only the step, never the image sample distance.
     pub(super) fn of_step(steps: StepLimits) -> Self {
         Self {
             steps,
@@ -87,7 +87,7 @@ impl Coarsening {
         }
     }
 
-    /// Computes the distances and their thresholds.
+    /// Computes the image sample distance and the threshold of each level.
     fn lay(&mut self) {
         let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / LN_RATIO + 1.0e-6) as usize;
         let (distance, step_alone) = self.largest;
@@ -152,7 +152,7 @@ impl Coarsening {
         Setting { step, width: shrunk(full.width), height: shrunk(full.height), ..full }
     }
 
-    /// Level of the previous frame.
+    /// Coarsening level of the previous frame.
     pub(super) fn level(&self) -> usize {
         self.last
     }

@@ -38,9 +38,10 @@ pub struct HybridOptions {
     pub prior: Prior,
     /// True where changes of the step are damped in calm phases.
     pub damping: bool,
-    /// True where a detected load does not change the step: while other programs slow frames down, the picture
-    /// keeps its quality and frames exceed the target. The expected time of a plan includes the load. A load of
-    /// more than 32 frames is the machine's new speed, which always changes the step. False by default.
+    /// True where a detected load does not change the step: while other programs slow frames down, the
+    /// picture keeps its quality and frames exceed the target. The expected time of a plan includes the load.
+    /// If the load lasts longer than 32 frames, the slower speed counts as the machine's normal speed from
+    /// then on, and steps are chosen for it. False by default.
     pub ignore_load: bool,
     /// Out-of-range score beyond which recent frames replace the prediction.
     pub trust_limit: f32,
@@ -196,7 +197,7 @@ impl Hybrid {
         }
     }
 
-    /// The correction of the cost's terms.
+    /// Online correction of the predicted seconds.
     #[cfg(test)]
     pub(crate) fn correction(&self) -> &Correction {
         &self.correction

@@ -65,7 +65,7 @@ impl StepLimits {
 }
 
 impl Default for StepLimits {
-    /// One to sixteen reference steps.
+    /// Limits of one and sixteen reference steps.
     fn default() -> Self {
         Self { finest: 1.0, coarsest: 16.0 }
     }
@@ -116,7 +116,7 @@ pub struct PlanRequest<'a> {
     pub target: f32,
     /// Range of steps.
     pub limits: StepLimits,
-    /// Changes since the frame before.
+    /// Changes of the scene since the previous frame.
     pub changes: Changes,
     /// Predicted cost of the frame at a ray step, uncorrected; NaN where it is unknown.
     pub cost: &'a mut dyn FnMut(f32) -> CostTerms,

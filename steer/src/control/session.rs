@@ -55,7 +55,7 @@ struct Pending {
     /// Expected seconds of the plan; NaN where unknown.
     expected: f32,
     scene: SceneMark,
-    /// Level of coarsening before the plan.
+    /// Coarsening level before the plan was made.
     level: usize,
     observed: bool,
 }
@@ -176,14 +176,15 @@ impl Session {
             let ([x, y, z], [a, b, c]) = (volume.shape().dims, before.shape().dims);
             bail!(
                 SizeMismatch,
-                "a time step of {x} x {y} x {z} voxels follows on a volume of {a} x {b} x {c} voxels; its \
-                 sizes and spacing must be the same; for another volume, call set_volume"
+                "a time step must have the sizes and the spacing of the session's volume: the time step has {x} x \
+                 {y} x {z} voxels, the volume {a} x {b} x {c}; for another volume, call set_volume"
             );
         }
         if volume.scalar_type() != before.scalar_type() {
             bail!(
                 InvalidArgument,
-                "a time step of {} follows on a volume of {}; for another volume, call set_volume",
+                "a time step must have the scalar type of the session's volume: the time step has {}, the volume \
+                 {}; for another volume, call set_volume",
                 volume.scalar_type().name(),
                 before.scalar_type().name()
             );
@@ -209,7 +210,7 @@ impl Session {
         let Some(volume) = &self.volume else {
             bail!(NotReady, "no volume is set; set the volume before its transfer function");
         };
-        // All allocations come first.
+        // All memory is allocated before the session is changed, so that a failed call changes nothing.
         let mut fresh = None;
         match (&mut self.lobes, lobes) {
             (Some(kept), Some(new)) => reserve(kept, new.len())?,

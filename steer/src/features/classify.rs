@@ -239,7 +239,7 @@ impl Kernel for Gather<'_> {
             let begin = first[at] as usize;
             let aligned = most == 8 && begin % 64 == 0;
             if aligned && first.get(at + 8).is_some_and(|&end| end as usize == begin + 64) {
-                // Eight cells of eight blocks.
+                // A whole word holds eight cells with eight blocks each.
                 let word = bits[begin / 64];
                 eighths += u64::from(word.count_ones());
                 let occupied = occupied_bytes(word);

@@ -103,7 +103,7 @@ fn read(bits: &[u64], at: usize) -> u64 {
 /// beyond the end of a row must be set before the first erosion. An erosion clears such a bit only if the
 /// row's last cell is clear in the result too, so these bits change no cell.
 fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: usize) {
-    // Along x, with carries between words.
+    // First pass: erosion along x, with carries between neighboring words.
     for (from, to) in from.chunks_exact(words).zip(to.chunks_exact_mut(words)) {
         for w in 0..words {
             let before = if w > 0 { from[w - 1] >> 63 } else { 1 };

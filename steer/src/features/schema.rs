@@ -84,14 +84,16 @@ quantities! {
         "samples along shadow rays, plus the samples for which rays wait while another ray of their group of \
          eight adjacent rays shades";
     FarSkips, "far_skips", "jumps", 1.0, yes, yes,
-        "jumps that wait for memory: skips times the far share, the share of reads outside the caches";
+        "jumps whose reads miss the caches: skips times the far share, which is the share of reads that miss \
+         the caches";
     FarSamples, "far_samples", "samples", 1.0, yes, yes,
-        "samples that wait for memory: lane samples times the far share";
-    FarRuns, "far_runs", "runs", 1.0, no, yes, "runs that wait for memory: runs times the far share";
+        "samples whose reads miss the caches: lane samples times the far share";
+    FarRuns, "far_runs", "runs", 1.0, no, yes,
+        "runs whose reads miss the caches: runs times the far share";
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
-        "segments that wait for memory: segments times the far share";
+        "reads of the skip map that miss the caches: segments times the far share";
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
-        "local samples that wait for memory: local samples times the far share of shading";
+        "local samples whose reads miss the caches: local samples times the far share of shading";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
         "samples along shadow rays, plus the samples for which rays far apart would wait while another ray \
          of their group of eight shades; all times the far share of shading";
@@ -104,12 +106,13 @@ quantities! {
         "samples, if a renderer with lookup tables must shift or scale the volume's values; 0 for integers \
          whose minimum is 0 and whose maximum is at most 32767";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
-        "work times the unit costs of the model file, or of a software renderer if the file has none";
+        "sum over all kinds of work of the amount of work multiplied by its unit cost: the unit costs of the \
+         model file, or of a software renderer if the file has none";
     SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples divided by the image's pixels";
     ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, yes, yes,
         "samples along shadow rays, divided by the image's pixels";
     SegmentsPerRay, "segments_per_ray", "segments/ray", 0.1, yes, yes,
-        "segments divided by the number of rays that meet the volume's box";
+        "reads of the skip map (`segments`) divided by the number of rays that meet the volume's box";
     RaySpacing, "ray_spacing", "reference steps", 0.01, no, yes,
         "distance of neighboring rays at the mean depth of the samples";
     FootprintShare, "footprint_share", "1", 1.0e-6, no, no, "share of the image that the volume's box covers";

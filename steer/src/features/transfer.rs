@@ -44,12 +44,13 @@ pub(super) mod packed {
     pub(crate) const EXPONENT: u32 = (127 - 27) << 23;
     /// Unit in which the square root of the visible share is stored.
     pub(crate) const UNIT: f32 = 1.0 / 1023.0;
-    /// Bits of the depth class.
+    /// Mask of the bits that hold the depth class (0 to 3): the class of the cell's distance to the nearest
+    /// empty cell.
     pub(crate) const DEPTH: u32 = 0x0000_0c00;
     /// Factor that shifts the class's bits to the exponent of an f32. The shifted bits, subtracted from the
     /// bits of 1.0, give 2^−class.
     pub(crate) const HALVING: u32 = 1 << 13;
-    /// Bits of the edit's number.
+    /// Mask of the bits that hold the number of the edit of the transfer function.
     pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION | DEPTH);
     /// Exclusive upper bound of edit numbers. The number after `EDITS` − 1 is 1.
     pub(super) const EDITS: u32 = 1 << 5;
@@ -68,7 +69,8 @@ pub(super) mod packed {
         extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS) | class << 10
     }
 
-    /// Returns the extinction, the visible share and 2^−class of a packed word.
+    /// Unpacks a word. Returns the cell's extinction per reference step, the share of its values with nonzero
+    /// opacity, and 2^−c, where c is its depth class.
     #[inline(always)]
     pub(super) fn unpack(word: u32) -> (f32, f32, f32) {
         let root = (word & SHOWS) as f32 * UNIT;
@@ -95,7 +97,7 @@ pub struct TransferSummary {
     cells: Vec<u32>,
     /// Bits of the present edit's number in a cell's word. Never 0, because newly allocated words are 0.
     edit: u32,
-    /// The present edit's number.
+    /// Number of the present edit of the transfer function.
     edits: u32,
     /// Opacity of each table entry and the logarithm of its transmittance; zeros where the entry is not
     /// visible.
@@ -113,7 +115,7 @@ pub struct TransferSummary {
     /// One bit per block, set where the block is not empty; used only if cells hold several blocks, and valid
     /// only for cells that are not empty.
     bits: Vec<u64>,
-    /// Working memory: two lines of cells.
+    /// Working memory for two lines of cells.
     line: Vec<u8>,
     occupied_share: f32,
     mean_extinction: f32,

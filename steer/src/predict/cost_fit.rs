@@ -40,7 +40,7 @@ pub(crate) struct FitRow {
     pub(crate) psi: Vec<f64>,
     /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
     pub(crate) work: [f64; COSTS],
-    /// Logarithm of the measured seconds.
+    /// Natural logarithm of the measured seconds.
     pub(crate) log: f64,
 }
 

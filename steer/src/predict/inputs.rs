@@ -51,7 +51,7 @@ impl CostTerms {
         Self { parts, out_of_range, source }
     }
 
-    /// Sum of the terms.
+    /// Returns the predicted seconds: the sum of all cost terms.
     pub(crate) fn seconds(&self) -> f32 {
         self.parts.iter().sum()
     }
@@ -60,11 +60,11 @@ impl CostTerms {
 /// Inputs of a predictor for one frame. Groups that the caller does not have are `None`.
 #[derive(Clone, Copy, Debug)]
 pub struct Inputs<'a> {
-    /// The measured frame.
+    /// Scene features of the frame.
     pub features: &'a FrameFeatures,
     /// The setting to predict for.
     pub setting: Setting,
-    /// Changes since the frame before.
+    /// Changes of the scene since the previous frame.
     pub changes: Changes,
     /// The camera as an arcball pose.
     pub camera: Arcball,

@@ -26,7 +26,7 @@ extern "C" fn run() -> ! {
 
 fn system_call(number: usize, a: usize, b: usize, c: usize) -> isize {
     let result: isize;
-    // SAFETY: the two calls made here (write, exit) read at most the memory that their caller names.
+    // SAFETY: the two system calls made here (write and exit) read only the memory that their caller passes.
     unsafe {
         asm!(
             "syscall",
@@ -79,13 +79,13 @@ struct Arena {
     used: AtomicUsize,
 }
 
-// SAFETY: the program has a single thread, and pieces never overlap.
+// SAFETY: the program has a single thread, so nothing is shared, and no two pieces overlap.
 unsafe impl Sync for Arena {}
 
 #[global_allocator]
 static ARENA: Arena = Arena { memory: UnsafeCell::new([0; ARENA_BYTES]), used: AtomicUsize::new(0) };
 
-// SAFETY: pieces are disjoint, lie inside the arena, and are aligned, since the arena is aligned to 64 bytes.
+// SAFETY: pieces are disjoint, lie inside the arena, and are aligned: the arena is aligned to 64 bytes.
 unsafe impl GlobalAlloc for Arena {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let used = self.used.load(Ordering::Relaxed);
@@ -93,7 +93,7 @@ unsafe impl GlobalAlloc for Arena {
         match start.checked_add(layout.size()) {
             Some(end) if end <= ARENA_BYTES && layout.align() <= 64 => {
                 self.used.store(end, Ordering::Relaxed);
-                // SAFETY: the piece ends inside the arena.
+                // SAFETY: the piece of `layout.size()` bytes from `start` on ends inside the arena.
                 unsafe { self.memory.get().cast::<u8>().add(start) }
             }
             _ => core::ptr::null_mut(),
@@ -115,7 +115,7 @@ unsafe impl GlobalAlloc for Arena {
 /// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memcpy(to: *mut u8, from: *const u8, count: usize) -> *mut u8 {
-    // SAFETY: the caller guarantees both pieces.
+    // SAFETY: the caller guarantees `count` readable bytes at `from` and `count` writable bytes at `to`.
     unsafe {
         asm!("rep movsb", inout("rcx") count => _, inout("rdi") to => _, inout("rsi") from => _,
              options(nostack, preserves_flags));
@@ -128,12 +128,12 @@ unsafe extern "C" fn memcpy(to: *mut u8, from: *const u8, count: usize) -> *mut 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memmove(to: *mut u8, from: *const u8, count: usize) -> *mut u8 {
     if (to as usize).wrapping_sub(from as usize) >= count {
-        // SAFETY: the caller guarantees both pieces; ascending order is safe if the target does not begin
-        // inside the source.
+        // SAFETY: the caller guarantees `count` bytes at `from` and at `to`. `to` does not begin inside the
+        // source, so no byte is overwritten before it is read.
         return unsafe { memcpy(to, from, count) };
     }
-    // SAFETY: the caller guarantees both pieces; descending order reads every byte before it is overwritten.
-    // The direction flag is cleared again.
+    // SAFETY: the caller guarantees `count` bytes at `from` and at `to`. In descending order, each byte is
+    // read before it is overwritten. The direction flag is cleared again.
     unsafe {
         asm!("std", "rep movsb", "cld", inout("rcx") count => _,
              inout("rdi") to.wrapping_add(count).wrapping_sub(1) => _,
@@ -146,7 +146,7 @@ unsafe extern "C" fn memmove(to: *mut u8, from: *const u8, count: usize) -> *mut
 /// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memset(to: *mut u8, value: i32, count: usize) -> *mut u8 {
-    // SAFETY: the caller guarantees the piece.
+    // SAFETY: the caller guarantees `count` writable bytes at `to`.
     unsafe {
         asm!("rep stosb", inout("rcx") count => _, inout("rdi") to => _, in("al") value as u8,
              options(nostack, preserves_flags));
@@ -159,8 +159,8 @@ unsafe extern "C" fn memset(to: *mut u8, value: i32, count: usize) -> *mut u8 {
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
     for i in 0..count {
-        // SAFETY: the caller guarantees both pieces. Volatile reads keep the compiler from turning the loop
-        // into a call of this function.
+        // Volatile reads keep the compiler from turning the loop into a call of this function.
+        // SAFETY: the caller guarantees `count` readable bytes at `a` and at `b`.
         let (x, y) = unsafe { (a.add(i).read_volatile(), b.add(i).read_volatile()) };
         if x != y {
             return i32::from(x) - i32::from(y);
@@ -173,7 +173,7 @@ unsafe extern "C" fn memcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
 /// The contract of the C function with this name.
 #[unsafe(no_mangle)]
 unsafe extern "C" fn bcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
-    // SAFETY: the caller guarantees both pieces.
+    // SAFETY: the caller guarantees `count` readable bytes at `a` and at `b`.
     unsafe { memcmp(a, b, count) }
 }
 

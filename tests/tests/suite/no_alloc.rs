@@ -21,22 +21,25 @@ fn count() {
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
 }
 
-// SAFETY: every call is passed to the system allocator unchanged.
+// SAFETY: every call is passed to the system allocator unchanged, so its guarantees hold.
 #[allow(unsafe_code, reason = "the trait of global allocators is unsafe")]
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
-        // SAFETY: the caller's contract is the system allocator's.
+        // SAFETY: the caller guarantees what `System` requires, since both have the contract of
+        // `GlobalAlloc`.
         unsafe { System.alloc(layout) }
     }
     unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
         count();
-        // SAFETY: the caller's contract is the system allocator's.
+        // SAFETY: the caller guarantees what `System` requires, since both have the contract of
+        // `GlobalAlloc`.
         unsafe { System.dealloc(p, layout) }
     }
     unsafe fn realloc(&self, p: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count();
-        // SAFETY: the caller's contract is the system allocator's.
+        // SAFETY: the caller guarantees what `System` requires, since both have the contract of
+        // `GlobalAlloc`.
         unsafe { System.realloc(p, layout, size) }
     }
 }

@@ -133,11 +133,11 @@ impl Settings {
 /// Standardization x ← (x − mean) / std of the inputs and of the target, as in the model file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Standardization {
-    /// Mean of each input.
+    /// Mean of each input over the training frames.
     pub input_mean: Vec<f32>,
     /// Standard deviation of each input; 1 if an input never changes.
     pub input_std: Vec<f32>,
-    /// Mean of the target.
+    /// Mean of the target over the training frames.
     pub output_mean: f32,
     /// Standard deviation of the target; 1 if it never changes.
     pub output_std: f32,
@@ -273,7 +273,7 @@ pub struct Progress {
     pub epoch: usize,
     /// Maximum number of epochs.
     pub epochs: usize,
-    /// Steps done, over all epochs.
+    /// Number of training steps done in all epochs.
     pub steps: u64,
     /// Maximum number of steps, over all epochs.
     pub total_steps: u64,
@@ -308,7 +308,7 @@ pub struct Trained<T> {
     pub standardization: Standardization,
     /// Output quantity of the network.
     pub target: Target,
-    /// Every epoch that ended.
+    /// Records of the epochs that ended.
     pub history: Vec<EpochRecord>,
     /// Epoch in which the network reached these weights; 0 for the initial weights.
     pub best_epoch: usize,

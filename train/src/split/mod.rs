@@ -153,7 +153,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// The name in reports.
+    /// Name of the part in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Training => "training",

@@ -45,15 +45,15 @@ const COPIES: usize = FRAMES_IN_FLIGHT;
 /// Maximum number of textures that a volume may be cut into.
 pub(crate) const MAX_BRICKS: usize = 64;
 
-/// A tile to cast.
+/// A tile whose rays are to be cast.
 pub(crate) struct Cast<'a> {
-    /// Name of the pass in errors.
+    /// Name of the pass in error messages.
     pub(crate) pass: &'a str,
     pub(crate) key: ShaderKey,
     pub(crate) tile: Tile,
     /// True if rays continue where an earlier dispatch left them.
     pub(crate) windowed: bool,
-    /// The brick of the volume.
+    /// Index of the brick of the volume that is sampled.
     pub(crate) brick: usize,
 }
 
@@ -65,7 +65,7 @@ pub(crate) struct CastTile<'a> {
     /// Time between the timestamps around the dispatch, in seconds.
     pub(crate) seconds: Option<f64>,
     pub(crate) image: &'a [u8],
-    /// Empty unless the work was counted.
+    /// Bytes of the work counts; empty if the work was not counted.
     pub(crate) work: &'a [u8],
 }
 
@@ -144,43 +144,45 @@ impl Slot {
             size(vk::DescriptorType::STORAGE_IMAGE, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes
-        // into an `Owned` that destroys it once.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
+        // destroys the handle once.
         let handle =
             unsafe { gpu.device.create_descriptor_pool(&info, None) }.on(gpu, "vkCreateDescriptorPool")?;
         let descriptors = Owned::new(gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_descriptor_pool(h, None) }
         });
         let info = vk::CommandPoolCreateInfo::default()
             .queue_family_index(gpu.family)
             .flags(vk::CommandPoolCreateFlags::TRANSIENT);
-        // SAFETY: as above.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
+        // destroys the handle once.
         let handle = unsafe { gpu.device.create_command_pool(&info, None) }.on(gpu, "vkCreateCommandPool")?;
         let pool = Owned::new(gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_command_pool(h, None) }
         });
         let info = vk::CommandBufferAllocateInfo::default()
             .command_pool(handle)
             .level(vk::CommandBufferLevel::PRIMARY)
             .command_buffer_count(1);
-        // SAFETY: the pool is alive.
+        // SAFETY: the command pool was made above and is alive.
         let commands =
             unsafe { gpu.device.allocate_command_buffers(&info) }.on(gpu, "vkAllocateCommandBuffers")?[0];
-        // SAFETY: as above.
+        // SAFETY: the device is alive, and an `Owned` destroys the handle once.
         let handle = unsafe { gpu.device.create_fence(&vk::FenceCreateInfo::default(), None) }
             .on(gpu, "vkCreateFence")?;
         let fence = Owned::new(gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_fence(h, None) }
         });
         let queries = if gpu.timestamps.is_some() {
             let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
-            // SAFETY: as above.
+            // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
+            // destroys the handle once.
             let handle = unsafe { gpu.device.create_query_pool(&info, None) }.on(gpu, "vkCreateQueryPool")?;
             Some(Owned::new(gpu, handle, |d, h| {
-                // SAFETY: see `Owned`.
+                // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
                 unsafe { d.destroy_query_pool(h, None) }
             }))
         } else {
@@ -241,21 +243,22 @@ impl Engine {
             binding(10, vk::DescriptorType::STORAGE_BUFFER),
         ];
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes
-        // into an `Owned` that destroys it once.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
+        // destroys the handle once.
         let layout = unsafe { gpu.device.create_descriptor_set_layout(&info, None) }
             .on(&gpu, "vkCreateDescriptorSetLayout")?;
         let set_layout = Owned::new(&gpu, layout, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_descriptor_set_layout(h, None) }
         });
         let layouts = [layout];
         let info = vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts);
-        // SAFETY: as above.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
+        // destroys the handle once.
         let handle =
             unsafe { gpu.device.create_pipeline_layout(&info, None) }.on(&gpu, "vkCreatePipelineLayout")?;
         let pipeline_layout = Owned::new(&gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_pipeline_layout(h, None) }
         });
         let info = vk::SamplerCreateInfo::default()
@@ -264,10 +267,11 @@ impl Engine {
             .address_mode_u(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE);
-        // SAFETY: as above.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
+        // destroys the handle once.
         let handle = unsafe { gpu.device.create_sampler(&info, None) }.on(&gpu, "vkCreateSampler")?;
         let sampler = Owned::new(&gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_sampler(h, None) }
         });
         let slots = (0..=COPIES).map(|_| Slot::new(&gpu)).collect::<Result<_>>()?;
@@ -458,11 +462,11 @@ impl Engine {
         let words: Vec<u32> =
             bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         let info = vk::ShaderModuleCreateInfo::default().code(&words);
-        // SAFETY: `words` is a whole SPIR-V module made by the build script.
+        // SAFETY: `words` is a whole SPIR-V module, which the build script has compiled.
         let handle = unsafe { self.gpu.device.create_shader_module(&info, None) }
             .on(&self.gpu, "vkCreateShaderModule")?;
         let module = Owned::new(&self.gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_shader_module(h, None) }
         });
         let stage = vk::PipelineShaderStageCreateInfo::default()
@@ -470,13 +474,13 @@ impl Engine {
             .module(module.get())
             .name(c"main");
         let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.pipeline_layout.get());
-        // SAFETY: module and layout are alive, the entry point `main` exists and its bindings are those of
-        // the layout.
+        // SAFETY: module and layout are alive, and the module's entry point `main` uses the bindings of the
+        // layout.
         let made =
             unsafe { self.gpu.device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
         let handle = made.map_err(|(_, r)| r).on(&self.gpu, "vkCreateComputePipelines")?[0];
         let pipeline = Owned::new(&self.gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
+            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
             unsafe { d.destroy_pipeline(h, None) }
         });
         self.pipelines.insert(key, pipeline);
@@ -494,18 +498,18 @@ impl Engine {
         let device = &self.gpu.device;
         let pool = slot.descriptors.get();
         if slot.sets.is_empty() {
-            // SAFETY: nothing that uses the pool's sets is running: sets are made for slots whose submission
+            // SAFETY: the device does not use the pool's sets: sets are made only for a slot whose submission
             // was waited for.
             unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
                 .on(&self.gpu, "vkResetDescriptorPool")?;
         }
         let layouts = [self.set_layout.get()];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
-        // SAFETY: the pool can hold one set per brick.
+        // SAFETY: the pool has room for one set per brick, and each brick gets one.
         let set =
             unsafe { device.allocate_descriptor_sets(&info) }.on(&self.gpu, "vkAllocateDescriptorSets")?[0];
         let write = |write: vk::WriteDescriptorSet<'_>| {
-            // SAFETY: the set is new, so nothing uses it, and the resource is alive.
+            // SAFETY: the set is new, so the device does not use it, and the resource is alive.
             unsafe { device.update_descriptor_sets(&[write.dst_set(set)], &[]) };
         };
         let write_buffer = |binding, kind, buffer: &Buffer| {

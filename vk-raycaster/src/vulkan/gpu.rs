@@ -152,7 +152,7 @@ impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
 impl Gpu {
     /// Opens a device. `wrap` may replace its functions.
     pub(crate) fn open(options: &GpuOptions<'_>, wrap: WrapDevice<'_>) -> Result<Self> {
-        // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
+        // SAFETY: the loaded library is the system's Vulkan loader, whose initializers are safe to run.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
             Error::new(format!(
                 "the Vulkan loader could not be opened ({e}); install it with a driver (Debian and Ubuntu: \
@@ -166,8 +166,8 @@ impl Gpu {
         let debug = if options.validation {
             let loader = ash::ext::debug_utils::Instance::new(&entry, raw);
             let info = messenger_info(&messages);
-            // SAFETY: the instance was made with VK_EXT_debug_utils; `messages` is shared and outlives the
-            // messenger.
+            // SAFETY: the instance was made with VK_EXT_debug_utils, and `messages`, to which `info` points,
+            // outlives the messenger.
             let messenger = unsafe { loader.create_debug_utils_messenger(&info, None) }
                 .named("vkCreateDebugUtilsMessengerEXT")?;
             Some((loader, messenger))
@@ -200,13 +200,13 @@ impl Gpu {
         let allocator = match allocator {
             Ok(allocator) => allocator,
             Err(e) => {
-                // SAFETY: the device was made above and nothing was made from it.
+                // SAFETY: the device was made above, nothing was made from it, and it is not used afterwards.
                 unsafe { device.destroy_device(None) };
                 destroy_messenger(debug.as_ref());
                 return Err(Error::new(format!("the device's memory allocator could not start: {e}")));
             }
         };
-        // SAFETY: the family index is the one that the device was made with, and it has one queue.
+        // SAFETY: the device was made with one queue of this family.
         let queue = unsafe { device.get_device_queue(chosen.family, 0) };
         let is_cpu = chosen.kind == vk::PhysicalDeviceType::CPU;
         Ok(Self {
@@ -288,7 +288,7 @@ impl Gpu {
     /// Returns two flags: true if optimally tiled images of a format can be sampled, and true if they can be
     /// sampled with a linear filter.
     pub(crate) fn sampling(&self, format: vk::Format) -> (bool, bool) {
-        // SAFETY: the physical device belongs to this instance.
+        // SAFETY: the physical device was enumerated from this instance.
         let properties =
             unsafe { self.instance.get_physical_device_format_properties(self.physical, format) };
         let found = properties.optimal_tiling_features;
@@ -302,13 +302,13 @@ impl Gpu {
 impl Drop for Gpu {
     fn drop(&mut self) {
         if self.is_abandoned() {
-            // The messenger may still be called.
+            // Validation may still call the messenger, so its messages are never freed.
             std::mem::forget(Arc::clone(&self.messages));
             return;
         }
-        // SAFETY: everything made from the device holds an `Arc` of this and is gone, and whoever submitted
-        // has waited, or the device is lost and runs nothing. The allocator is dropped once, here, before its
-        // device; the instance goes after it, the library last.
+        // SAFETY: everything made from the device holds an `Arc` of this value and is destroyed. All
+        // submissions were waited for, or the device is lost and runs nothing. The calls destroy each object
+        // once: allocator, device, messenger and instance, and then the library.
         unsafe {
             ManuallyDrop::drop(&mut self.allocator);
             self.device.destroy_device(None);
@@ -335,7 +335,8 @@ impl InstanceGuard {
 impl Drop for InstanceGuard {
     fn drop(&mut self) {
         if let Some(instance) = &self.0 {
-            // SAFETY: devices and messengers made from it were destroyed by whoever returned early.
+            // SAFETY: every function that returned early has destroyed the devices and messengers of this
+            // instance.
             unsafe { instance.destroy_instance(None) };
         }
     }
@@ -343,7 +344,8 @@ impl Drop for InstanceGuard {
 
 fn destroy_messenger(debug: Option<&(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>) {
     if let Some((loader, messenger)) = debug {
-        // SAFETY: made from the same loader, destroyed once, while the instance still exists.
+        // SAFETY: the messenger was made by this loader and is destroyed once, while its instance still
+        // exists.
         unsafe { loader.destroy_debug_utils_messenger(*messenger, None) };
     }
 }
@@ -368,8 +370,8 @@ unsafe extern "system" fn on_message(
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
     user: *mut c_void,
 ) -> vk::Bool32 {
-    // SAFETY: `user` is the shared `Messages` given at creation, which outlives the messenger; it is shared,
-    // not mutated but through its lock. `data` and its text are valid for the length of the call.
+    // SAFETY: `user` points to the `Messages` given at creation, which outlives the messenger; threads share
+    // it and change it only under its lock. `data` and its text are valid during the call.
     unsafe {
         if let (Some(messages), Some(data)) = (user.cast::<Messages>().as_ref(), data.as_ref()) {
             let text = data.message_as_c_str().map(CStr::to_string_lossy).unwrap_or_default();
@@ -385,7 +387,7 @@ fn create_instance(
     messages: &Arc<Messages>,
 ) -> Result<ash::Instance> {
     let validation = options.validation;
-    // SAFETY: plain query on a loaded entry.
+    // SAFETY: the loader's library is loaded, and the query needs nothing else.
     let version = unsafe { entry.try_enumerate_instance_version() }
         .named("vkEnumerateInstanceVersion")?
         .unwrap_or(vk::API_VERSION_1_0);
@@ -517,9 +519,10 @@ fn describe_device(
     if has_driver_properties {
         properties = properties.push_next(&mut driver);
     }
-    // SAFETY: as above; the chained structures are known to the device's version.
+    // SAFETY: `physical` was enumerated from `instance`. The chained structures are part of the device's
+    // Vulkan version.
     unsafe { instance.get_physical_device_properties2(physical, &mut properties) };
-    // SAFETY: as above.
+    // SAFETY: `physical` was enumerated from `instance`.
     let memory = unsafe { instance.get_physical_device_memory_properties(physical) };
     let heaps = memory.memory_heaps_as_slice();
     let heaps: Vec<_> =
@@ -561,7 +564,8 @@ fn create_device(instance: &ash::Instance, chosen: &ChosenDevice, presents: bool
     let extensions = if presents { vec![ash::khr::swapchain::NAME.as_ptr()] } else { vec![] };
     let info =
         vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_extension_names(&extensions);
-    // SAFETY: the family exists and has at least one queue; all pointers live until the call returns.
+    // SAFETY: the queue family exists and has at least one queue; all pointers in `info` live until the call
+    // returns.
     unsafe { instance.create_device(chosen.physical, &info, None) }.named("vkCreateDevice")
 }
 

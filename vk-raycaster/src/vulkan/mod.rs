@@ -160,7 +160,7 @@ struct Plan {
     setup: FrameSetup,
     class: usize,
     key: ShaderKey,
-    /// Samples per dispatch.
+    /// Number of samples per ray and dispatch.
     window: f32,
     /// Number of the first sample of the last window.
     last_window: f32,
@@ -174,7 +174,7 @@ struct DeviceVolume {
     fetch: VoxelFetch,
     /// Parts of the volume, one per texture; a single brick if the whole volume fits a texture.
     bricks: Vec<Brick>,
-    /// Bricks along each axis.
+    /// Number of bricks along each axis.
     grid: [usize; 3],
 }
 

@@ -109,7 +109,7 @@ impl Drop for Picture {
         let gpu = self.device.gpu();
         let queue = gpu.queue();
         // A viewer may still be reading the picture. A failure means a lost device, which reads nothing.
-        // SAFETY: the queue is the device's, and the guard keeps other threads from it.
+        // SAFETY: the queue belongs to this device, and the lock keeps other threads from it.
         let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
     }
 }

@@ -90,7 +90,7 @@ impl Buffer {
     ) -> Result<Self> {
         let info =
             vk::BufferCreateInfo::default().size(size).usage(usage).sharing_mode(vk::SharingMode::EXCLUSIVE);
-        // SAFETY: the device is alive; the size is not 0.
+        // SAFETY: the device is alive, and callers pass a size that is not 0.
         let buffer = unsafe { gpu.device.create_buffer(&info, None) }.on(gpu, "vkCreateBuffer")?;
         let mut this = Self { gpu: Arc::clone(gpu), buffer, allocation: None, size };
         // SAFETY: the buffer was made from this device.
@@ -138,8 +138,8 @@ impl Drop for Buffer {
             std::mem::forget(self.allocation.take());
             return;
         }
-        // SAFETY: made from this device, destroyed once; the holder makes sure that the device is done with
-        // it.
+        // SAFETY: the buffer was made from this device and is destroyed once. The holder ensures that the
+        // device no longer uses it.
         unsafe { self.gpu.device.destroy_buffer(self.buffer, None) };
         free(&self.gpu, self.allocation.take());
     }
@@ -195,7 +195,7 @@ impl Image {
             .usage(read | vk::ImageUsageFlags::TRANSFER_DST)
             .sharing_mode(vk::SharingMode::EXCLUSIVE)
             .initial_layout(vk::ImageLayout::UNDEFINED);
-        // SAFETY: the caller has checked extent and format against the device.
+        // SAFETY: the caller has checked that the device supports this extent and format.
         let image = unsafe { gpu.device.create_image(&info, None) }.on(gpu, "vkCreateImage")?;
         let mut this =
             Self { gpu: Arc::clone(gpu), image, view: vk::ImageView::null(), allocation: None, shape };
@@ -216,7 +216,7 @@ impl Image {
             .view_type(view_type)
             .format(format)
             .subresource_range(COLOR_RANGE);
-        // SAFETY: the image is bound and its format and kind are those of the view.
+        // SAFETY: the image is bound to memory, and the view has the image's format and kind.
         this.view = unsafe { gpu.device.create_image_view(&info, None) }.on(gpu, "vkCreateImageView")?;
         Ok(this)
     }
@@ -241,8 +241,8 @@ impl Drop for Image {
             std::mem::forget(self.allocation.take());
             return;
         }
-        // SAFETY: made from this device, destroyed once (destroying a null view does nothing); the holder
-        // makes sure that the device is done with it.
+        // SAFETY: view and image were made from this device and are destroyed once (a null view is ignored).
+        // The holder ensures that the device no longer uses them.
         unsafe {
             self.gpu.device.destroy_image_view(self.view, None);
             self.gpu.device.destroy_image(self.image, None);

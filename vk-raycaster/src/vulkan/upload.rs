@@ -33,7 +33,7 @@ pub(crate) struct Plan {
     pub(crate) unit: f32,
     /// Part of the volume in each texture, x fastest.
     pub(crate) bricks: Vec<Brick>,
-    /// Bricks along each axis.
+    /// Number of bricks along each axis.
     pub(crate) grid: [usize; 3],
 }
 

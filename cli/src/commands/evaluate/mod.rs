@@ -234,7 +234,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     println!("{}", overall.to_text());
     let more = detail_table(&predictors, &noise_by_kind);
     println!("{}", more.to_text());
-    println!("median of predicted / measured - 1, in %, of each tenth of the frames, fastest first");
+    println!(
+        "median of predicted / measured - 1, in %, of each tenth of the frames, from the fastest to the slowest"
+    );
     println!("{}", bias.to_text());
     println!("{}", by_group.to_text());
     println!("{}", noise_text(noise));

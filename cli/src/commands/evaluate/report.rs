@@ -233,7 +233,7 @@ fn histogram(predictors: &[Predictor], measured: &[f64]) -> Chart {
 
 fn bias_chart(predictors: &[Predictor]) -> Chart {
     let mut chart = Chart::new(
-        "Bias by tenth of the frames, fastest first",
+        "Bias per tenth of the frames, from the fastest to the slowest",
         Axis::linear("tenth of the frames by measured time"),
         Axis::linear("bias, %"),
     )
@@ -290,7 +290,10 @@ pub(super) fn write_report(
         "RMSE over SD is 1 for a predictor that always gives the mean. MdAPE: median absolute percentage \
          error. Latency: median of warm calls in one thread, scene features included.",
     );
-    page.table(more, "Intervals: bootstrap over ensemble members, and over volumes outside ensembles.");
+    page.table(
+        more,
+        "Intervals are computed by bootstrap over ensemble members, or over volumes that belong to no ensemble.",
+    );
     page.heading("Errors");
     let spread = histogram(predictors, measured);
     write("errors.svg", &spread.to_svg_file())?;
@@ -301,7 +304,10 @@ pub(super) fn write_report(
         &by_time,
         "The constant baseline is left out: its bias is hundreds of percent on fast frames.",
     );
-    page.table(bias, "Median of predicted / measured - 1 by tenth of the frames, fastest first, %.");
+    page.table(
+        bias,
+        "Median of predicted / measured - 1, in %, for each tenth of the frames, from the fastest to the slowest.",
+    );
     page.heading("Predicted against measured");
     for (i, p) in predictors.iter().enumerate() {
         let chart = scatter(p, measured, i);

@@ -72,7 +72,7 @@ struct Plant {
     law: fn(usize) -> (f64, f64),
     /// Number of frames between switches of the transfer function.
     switch_every: usize,
-    /// Factor on every prediction.
+    /// Factor by which every prediction is wrong.
     bias: f64,
     /// Factor on the measured time of each frame: the state of the machine.
     speed: fn(usize) -> f64,
@@ -106,7 +106,7 @@ struct Outcome {
     quality: f64,
     /// Share of calm frames whose step differs by over 20 % from the step of the frame before.
     jumps: f64,
-    /// Longest run of misses.
+    /// Length of the longest run of successive missed targets, in frames.
     longest: usize,
 }
 

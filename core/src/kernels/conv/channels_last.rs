@@ -26,7 +26,8 @@ pub(super) struct ChannelsLast {
     pub(super) column: usize,
     pub(super) row: usize,
     pub(super) plane: usize,
-    /// Offsets of the kernel's taps in the input, in floats, for an input that is whole in memory.
+    /// Offsets of the kernel's taps in the input, in floats. They are used only where the whole input is in
+    /// memory.
     pub(super) taps: Vec<usize>,
     /// Blocks of channels: first channel, number of vectors, offset of the weights in floats.
     pub(super) blocks: Vec<(usize, usize, usize)>,
@@ -194,8 +195,8 @@ impl Kernel for Tiles<'_> {
             for i in 0..step {
                 let from = z * plane + stride * (y * layer.row + x * layer.column);
                 tile.input[i] = input[from..].as_ptr();
-                // SAFETY: the place lies inside the layer's output, and so does the block of channels after
-                // it.
+                // SAFETY: `place` returns an offset inside the layer's output, and the block's channels from
+                // there on lie inside it too.
                 tile.output[i] = unsafe { target.0.add(layer.place(z, y, x) + channel) };
                 // The last tile is filled up with its last position: the same values are written to the same
                 // place again.
@@ -210,8 +211,8 @@ impl Kernel for Tiles<'_> {
                 }
             }
             tile.next = input.as_ptr().wrapping_add(z * plane + stride * (y * layer.row + x * layer.column));
-            // SAFETY: every position's offset plus any tap and channel lies inside the bordered input;
-            // weights and biases are packed for whole blocks; no other thread writes these positions and
+            // SAFETY: every position's offset plus any tap and channel lies inside the bordered input.
+            // Weights and biases are packed for whole blocks. No other thread writes these positions and
             // channels.
             unsafe { tiles::run_tile(s, &tile, step, vectors) };
             p += step;

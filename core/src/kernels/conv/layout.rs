@@ -113,7 +113,8 @@ pub(super) struct Taps<'a> {
 #[derive(Clone, Copy)]
 pub(super) struct Output(pub(super) *mut f32);
 
-// SAFETY: the tasks of one layer write disjoint floats, and the owner of the buffer waits for all of them.
+// SAFETY: the tasks of one layer write disjoint floats through this pointer, and the owner of the buffer
+// waits for all tasks before it uses the floats.
 unsafe impl Send for Output {}
-// SAFETY: as above.
+// SAFETY: the tasks of one layer write disjoint floats through this pointer, so threads may share it.
 unsafe impl Sync for Output {}

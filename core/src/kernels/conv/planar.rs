@@ -17,7 +17,7 @@ pub(super) struct Planar {
     pub(super) phase: usize,
     pub(super) row: usize,
     pub(super) plane: usize,
-    /// Output channels, padded to whole groups.
+    /// Number of output channels, padded to whole groups.
     pub(super) padded: usize,
     pub(super) weights: Buffer,
     pub(super) bias: Buffer,

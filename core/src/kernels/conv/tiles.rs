@@ -26,7 +26,7 @@ pub(super) struct Tile {
     pub(super) channels: usize,
     /// Floats from one input channel to the next.
     pub(super) channel_stride: usize,
-    /// `tap_count` × `channels` × block of channels.
+    /// Weights in the order (tap, input channel, output channel of the block).
     pub(super) weights: *const f32,
     pub(super) bias: *const f32,
 }
@@ -37,14 +37,14 @@ pub(super) struct Row {
     pub(super) input: *const f32,
     pub(super) taps: *const usize,
     pub(super) tap_count: usize,
-    /// `tap_count` × group of channels.
+    /// Weights in the order (tap, channel of the group): `tap_count` × `channels` floats.
     pub(super) weights: *const f32,
     pub(super) bias: *const f32,
     /// Pointer to x = 0 of the group's first channel.
     pub(super) output: *mut f32,
     /// Floats from one output channel to the next.
     pub(super) channel_stride: usize,
-    /// Channels of the group.
+    /// Number of channels of the group.
     pub(super) channels: usize,
     pub(super) width: usize,
 }
@@ -55,13 +55,13 @@ const WEIGHTS_AHEAD: usize = 1024;
 /// Tile sizes of one level.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
-    /// Floats per vector.
+    /// Number of floats per vector.
     pub(super) lanes: usize,
-    /// Channels per group in the first layer.
+    /// Number of channels per group in the first layer.
     pub(super) group: usize,
-    /// Outputs along x per step in the first layer.
+    /// Number of outputs along x per step in the first layer.
     pub(super) width: usize,
-    /// Positions per tile in the channels-last layers.
+    /// Number of positions per tile in the channels-last layers.
     pub(super) positions: usize,
     /// True if the level has tiles of 16 positions and one vector.
     pub(super) wide: bool,
@@ -89,7 +89,8 @@ macro_rules! two_vectors {
         /// with `CONTIGUOUS_CHANNELS`, channels are contiguous and are processed four at a time.
         #[inline(always)]
         unsafe fn $name<S: Simd, const TWO_APART: bool, const CONTIGUOUS_CHANNELS: bool>(s: S, tile: &Tile) {
-            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees that every pointer is valid for the reads and
+            // writes made here.
             unsafe {
                 let origin = tile.input[0];
                 $(let $x = tile.input[$p];)*
@@ -136,7 +137,8 @@ macro_rules! one_vector {
         /// A tile of one vector of channels.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
-            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees that every pointer is valid for the reads and
+            // writes made here.
             unsafe {
                 $(let $x = tile.input[$p];)*
                 let b0 = s.load(tile.bias);
@@ -167,7 +169,8 @@ macro_rules! wide {
         /// 8.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
-            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees that every pointer is valid for the reads and
+            // writes made here.
             unsafe {
                 $(let $x = tile.input[$p];)*
                 let distance = tile.input[8].offset_from(tile.input[0]) as usize;
@@ -208,7 +211,8 @@ macro_rules! wide {
 unsafe fn sixteen_by_tap_triples<S: Simd>(s: S, tile: &Tile) {
     macro_rules! body {
         ($first:ident, $($p:literal $a:ident $before:ident),*; $last:ident) => {{
-            // SAFETY: the caller of `run_tile` guarantees every pointer that is read or written here.
+            // SAFETY: the caller of `run_tile` guarantees that every pointer is valid for the reads and
+            // writes made here.
             unsafe {
                 let b0 = s.load(tile.bias);
                 let mut $first = b0;
@@ -265,7 +269,9 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };
-    // SAFETY: passed on to the caller.
+    // SAFETY: the caller guarantees (see `# Safety`) that inputs, weights and biases of the tile are
+    // readable, and that each output is writable for `vectors` vectors. The functions called here require no
+    // more.
     unsafe {
         let contiguous_channels = tile.channel_stride == 1 && tile.channels % 4 == 0;
         match (vectors, S::LANES == 16) {
@@ -299,7 +305,8 @@ macro_rules! row_step {
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, row: &Row, x: usize) {
             const GROUP: usize = [$($c),*].len();
-            // SAFETY: the caller of `run_row` guarantees every pointer that is read or written here.
+            // SAFETY: the caller of `run_row` guarantees that every pointer is valid for the reads and writes
+            // made here.
             unsafe {
                 $(
                     let mut $a = s.splat(*row.bias.add($c));
@@ -354,7 +361,8 @@ row_step!(four_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3);
 pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     let mut x = 0;
     while x < row.width {
-        // SAFETY: passed on to the caller.
+        // SAFETY: the caller guarantees (see `# Safety`) that input, weights and biases are readable for
+        // every step, and that the output is writable.
         unsafe {
             if S::LANES == 16 {
                 eight_channels(s, row, x);
@@ -366,7 +374,8 @@ pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     }
     for c in 0..row.channels {
         for x in (0..row.width).step_by(S::LANES) {
-            // SAFETY: the caller guarantees whole vectors of every channel's row.
+            // SAFETY: the caller guarantees that the output holds `width` floats per channel, rounded up to
+            // whole vectors.
             unsafe {
                 let p = row.output.add(c * row.channel_stride + x);
                 s.store(p, s.selu(s.load(p)));

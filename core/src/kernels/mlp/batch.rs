@@ -27,9 +27,9 @@ impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
         let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
         let wide: *mut f32 = scratch.panel.as_mut_ptr().cast();
-        // SAFETY: `fits` has checked that the buffers hold the largest panel and `scratch.rows` rows of
-        // `stride` floats each (in `quantized`: rows of `stride` bytes, padded to 32); the batch has at most
-        // `scratch.rows` rows.
+        // SAFETY: the batch has at most `scratch.rows` rows. `fits` has checked that `panel` holds the
+        // largest panel, that `a` and `b` hold `scratch.rows` rows of `stride` floats, and that `quantized`
+        // holds as many rows of `stride` bytes, padded to 32.
         unsafe {
             for (r, row) in inputs.chunks_exact(net.inputs).enumerate() {
                 net.load_inputs(simd, row, x.add(r * stride));
@@ -78,7 +78,8 @@ impl Mlp {
     ) {
         let bytes = rows.stride.next_multiple_of(32);
         let (mut line, mut first) = (layer.start, 0);
-        // SAFETY: panels are contiguous in `data`; the caller guarantees the buffers.
+        // SAFETY: the layer's panels are contiguous in `data`. The caller guarantees that the buffers of
+        // `rows` hold the padded inputs and outputs of all rows, and that `wide` holds the largest panel.
         unsafe {
             let dot4 = INT8 && layer.storage == Storage::Int8;
             if dot4 {
@@ -154,7 +155,8 @@ impl Mlp {
 unsafe fn selu_rows<S: Simd>(simd: S, y: *mut f32, count: usize, n: usize, stride: usize) {
     for r in 0..count {
         for o in (0..n).step_by(S::LANES) {
-            // SAFETY: the caller guarantees the rows.
+            // SAFETY: the caller guarantees that `y` holds `count` rows of `n` floats, and that `n` is a
+            // multiple of `LANES`.
             unsafe {
                 let p = y.add(r * stride + o);
                 simd.store(p, simd.selu(simd.load(p)));
@@ -184,7 +186,8 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
     let mut from = 0;
     while from < n {
         let left = (n - from) / S::LANES;
-        // SAFETY: offsets stay within the buffers that the caller guarantees.
+        // SAFETY: the caller guarantees the sizes of all buffers for `n` outputs, and each tile ends at or
+        // before output `n`.
         unsafe {
             let (panel, weights, y) = (panel.add(from), weights.add(from), y.add(from));
             if S::TILE_VECTORS == 4 && left >= 4 {
@@ -217,7 +220,8 @@ unsafe fn tile_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
     y: *mut f32,
     stride: usize,
 ) {
-    // SAFETY: offsets stay within the buffers that the caller guarantees.
+    // SAFETY: the caller guarantees the sizes of all buffers; the offsets stay below `inputs`, `n` and
+    // `ROWS`.
     unsafe {
         let zero = simd.splat(0.0);
         let bias = |v: usize| if v < VECTORS { simd.load(panel.add(v * S::LANES)) } else { zero };

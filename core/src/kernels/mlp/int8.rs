@@ -17,7 +17,8 @@ pub(super) struct Range {
 /// `x` must hold `n` floats, and `q` must hold `n` bytes.
 #[inline(always)]
 pub(super) unsafe fn quantize<S: Simd>(simd: S, x: *const f32, n: usize, q: *mut u8) -> Range {
-    // SAFETY: offsets stay below n, which the caller guarantees.
+    // SAFETY: the caller guarantees that `x` holds `n` floats and `q` holds `n` bytes; `n` is a multiple of
+    // `LANES`.
     unsafe {
         let zero = simd.splat(0.0);
         let (mut high, mut low, mut check) = (zero, zero, zero);
@@ -60,8 +61,9 @@ pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
     let pairs = 4 / vectors;
     let mut from = 0;
     while from < N {
-        // SAFETY: all offsets stay below `inputs`·N bytes in the weights, `inputs` in q and N elsewhere;
-        // `inputs` is a multiple of 32 = 8·max(pairs).
+        // SAFETY: the caller guarantees the sizes of the buffers. All offsets stay below `inputs`·N bytes in
+        // the weights, below `inputs` in `q`, and below N elsewhere; `inputs` is a multiple of 32 =
+        // 8·max(pairs).
         unsafe {
             let weights = panel.add(3 * N).cast::<i8>();
             let zero = simd.zero_i();
@@ -126,7 +128,8 @@ unsafe fn dequantize<S: Simd>(
     sum: S::I,
     range: Range,
 ) -> S::F {
-    // SAFETY: the caller guarantees the panel.
+    // SAFETY: the caller guarantees a packed panel of `n` outputs and `o` + LANES ≤ `n`, so all loads stay
+    // inside the panel.
     unsafe {
         let (bias, scales, sums) =
             (simd.load(panel.add(o)), simd.load(panel.add(n + o)), simd.load(panel.add(2 * n + o)));
@@ -156,7 +159,8 @@ pub(super) unsafe fn tile_int8<S: Simd, const ROWS: usize>(
     let mut from = 0;
     while from < n {
         let left = (n - from) / S::LANES;
-        // SAFETY: as for `tile`.
+        // SAFETY: the caller guarantees the sizes of all buffers for `n` outputs, and each tile ends at or
+        // before output `n`.
         unsafe {
             if S::TILE_VECTORS == 4 && left >= 4 {
                 tile_int8_of::<S, ROWS, 4>(simd, panel, n, from, inputs, q, bytes, ranges, y, stride);
@@ -190,7 +194,8 @@ unsafe fn tile_int8_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
     y: *mut f32,
     stride: usize,
 ) {
-    // SAFETY: offsets stay within the buffers that the caller guarantees; `inputs` is a multiple of 4.
+    // SAFETY: the caller guarantees the sizes of all buffers; the offsets stay below `inputs`, `n` and
+    // `ROWS`, since `inputs` is a multiple of 4.
     unsafe {
         let weights = panel.add(3 * n).cast::<i8>();
         let zero = simd.zero_i();

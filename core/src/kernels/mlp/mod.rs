@@ -140,7 +140,7 @@ impl Mlp {
         self.inputs
     }
 
-    /// Bytes that one prediction reads.
+    /// Number of bytes that one prediction reads.
     pub(crate) fn bytes(&self) -> usize {
         (self.data.len() + self.norm.len()) * LINE_BYTES
     }

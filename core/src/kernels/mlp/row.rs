@@ -25,8 +25,9 @@ unsafe fn panel_row<S: Simd, W: Format, const N: usize>(
     let pairs = 4 / vectors;
     let mut from = 0;
     while from < N {
-        // SAFETY: all offsets stay below `inputs`·N in the weights, `inputs` in x and N in bias and y;
-        // `inputs` is a multiple of 8 = 2·max(pairs).
+        // SAFETY: the caller guarantees the sizes of the buffers. All offsets stay below `inputs`·N in the
+        // weights, below `inputs` in `x`, and below N in the biases and `y`; `inputs` is a multiple of 8 =
+        // 2·max(pairs).
         unsafe {
             let weights = panel.add(N);
             let zero = simd.splat(0.0);
@@ -86,8 +87,9 @@ impl<const INT8: bool> Kernel for Forward<'_, INT8> {
         let mut x: *mut f32 = scratch.a.as_mut_ptr().cast();
         let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
-        // SAFETY: `fits` has checked that both buffers hold the widest activation, padded to 16 (and
-        // `quantized` to 32), and packing has laid out the panels in the order of the loops below.
+        // SAFETY: `fits` has checked that `a` and `b` hold the inputs and outputs of the widest layer, padded
+        // to 16 floats, and `quantized` its inputs, padded to 32 bytes. Packing has laid out the panels in
+        // the order of the loops below.
         unsafe {
             net.load_inputs(simd, inputs, x);
             for layer in &net.layers {
@@ -110,7 +112,8 @@ impl Kernel for LoadInputs<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        // SAFETY: `fits` has checked the length of `x`, `forward_split` that of `inputs`.
+        // SAFETY: `fits` has checked the length of `x`, and `forward_split` has checked the length of
+        // `inputs`.
         unsafe { self.net.load_inputs(simd, self.inputs, self.x.as_mut_ptr()) };
     }
 }
@@ -132,7 +135,8 @@ impl Kernel for LayerPart<'_> {
     fn run<S: Simd>(self, simd: S) {
         let Self { net, layer, from, to, x, y } = self;
         assert!(x.len() >= layer.inputs.min(net.width) && y.len() >= to - from && to <= layer.width);
-        // SAFETY: `x` and `y` are long enough; `q` is unused without int8 layers.
+        // SAFETY: the assertion has checked the lengths of `x` and `y`. `q` may be null, since only int8
+        // layers use it.
         unsafe {
             net.layer_row::<S, false>(
                 simd,
@@ -157,7 +161,7 @@ impl Kernel for LastRow<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> f32 {
-        // SAFETY: `fits` has checked the length of `x`.
+        // SAFETY: `fits` has checked that `x` holds the inputs of the last layer, padded to 16 floats.
         unsafe { self.net.last_row(simd, self.x.as_ptr()) }
     }
 }
@@ -170,7 +174,8 @@ impl Mlp {
     #[inline(always)]
     pub(super) unsafe fn load_inputs<S: Simd>(&self, simd: S, inputs: &[f32], x: *mut f32) {
         let padded = self.inputs.next_multiple_of(16);
-        // SAFETY: the caller guarantees `x`; `norm` is empty or holds `padded` means and as many reciprocals.
+        // SAFETY: the caller guarantees that `x` holds `padded` floats; `norm` is empty or holds `padded`
+        // means and as many reciprocals.
         unsafe {
             core::ptr::copy_nonoverlapping(inputs.as_ptr(), x, self.inputs);
             for i in self.inputs..padded {
@@ -206,7 +211,8 @@ impl Mlp {
     ) {
         macro_rules! walk {
             ($panel:ident, $($arg:tt)*) => {{
-                // SAFETY: panels are contiguous in `data`; the caller guarantees the buffers.
+                // SAFETY: panels are contiguous in `data`; the caller guarantees the sizes of `x`, `y` and
+                // `q` for this layer.
                 unsafe {
                     let mut panel = self.data.as_ptr().add(layer.start + from / 64 * layer.panel_lines(64)).cast::<f32>();
                     let mut o = from;
@@ -239,8 +245,9 @@ impl Mlp {
             Storage::Bf16 if !INT8 => walk!(panel_row, AsBf16),
             _ if !INT8 => {}
             _ => {
-                // SAFETY: the caller guarantees the buffers; bytes of `q` beyond `filled` are multiplied by
-                // zero weights.
+                // The bytes of `q` from `filled` on are multiplied by weights that are zero.
+                // SAFETY: the caller guarantees that `x` and `q` hold the layer's padded inputs, which are at
+                // least `filled`.
                 let range = unsafe { quantize(simd, x, layer.filled, q) };
                 walk!(panel_row_int8, range);
             }
@@ -255,7 +262,7 @@ impl Mlp {
     pub(super) unsafe fn last_row<S: Simd>(&self, simd: S, x: *const f32) -> f32 {
         let (inputs, start) = self.last;
         let padded = inputs.next_multiple_of(16);
-        // SAFETY: both rows are padded to 16, a multiple of LANES.
+        // SAFETY: the weights and `x` are padded to 16 floats, a multiple of `LANES`.
         unsafe {
             let row = self.data.as_ptr().add(start).cast::<f32>();
             let mut sum = simd.splat(0.0);

@@ -9,7 +9,7 @@ pub(super) trait Format {
     ///
     /// # Safety
     ///
-    /// The panel must hold these weights.
+    /// The panel must hold the weights of inputs `k` and `k + 1` from output `o` on.
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F);
 }
 
@@ -20,7 +20,8 @@ pub(super) struct AsBf16;
 impl Format for AsF32 {
     #[inline(always)]
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F) {
-        // SAFETY: the caller guarantees the panel.
+        // SAFETY: the caller guarantees that the panel holds the weights of inputs `k` and `k + 1` from
+        // output `o` on.
         unsafe { (simd.load(panel.add(k * n + o)), simd.load(panel.add((k + 1) * n + o))) }
     }
 }
@@ -29,7 +30,8 @@ impl Format for AsF16 {
     #[inline(always)]
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F) {
         let panel = panel.cast::<u16>();
-        // SAFETY: the caller guarantees the panel.
+        // SAFETY: the caller guarantees that the panel holds the weights of inputs `k` and `k + 1` from
+        // output `o` on.
         unsafe { (simd.load_f16(panel.add(k * n + o)), simd.load_f16(panel.add((k + 1) * n + o))) }
     }
 }
@@ -37,7 +39,8 @@ impl Format for AsF16 {
 impl Format for AsBf16 {
     #[inline(always)]
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F) {
-        // SAFETY: the caller guarantees the panel.
+        // SAFETY: the caller guarantees that the panel holds the weights of inputs `k` and `k + 1` from
+        // output `o` on.
         unsafe { simd.load_bf16_pairs(panel.cast::<u32>().add(k / 2 * n + o)) }
     }
 }
@@ -56,7 +59,8 @@ pub(super) unsafe fn widen<S: Simd, W: Format>(
 ) -> *const f32 {
     for k in (0..inputs).step_by(2) {
         for o in (0..n).step_by(S::LANES) {
-            // SAFETY: the caller guarantees both buffers; `n` is a multiple of LANES and `inputs` is even.
+            // SAFETY: the caller guarantees that `weights` and `wide` hold `inputs` × `n` numbers each; `n`
+            // is a multiple of `LANES`, and `inputs` is even.
             unsafe {
                 let (even, odd) = W::pair(simd, weights, n, k, o);
                 simd.store(wide.add(k * n + o), even);

@@ -111,7 +111,7 @@ impl QuadRows<'_> {
         })
     }
 
-    /// Sums for eight vectors of outputs.
+    /// Computes eight vectors of outputs, as sums of their input bytes.
     #[inline(always)]
     fn eight<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
         let ones = simd.splat_bytes(0x0101_0101);
@@ -126,7 +126,8 @@ impl QuadRows<'_> {
                 prefetch(self.src, at + self.ry * self.g.strides[1], 32 * S::LANES);
                 macro_rules! add {
                     ($($sum:ident $i:literal),*) => {$(
-                        // SAFETY: the row's slice has eight vectors of bytes.
+                        // SAFETY: `row` has 32·`LANES` bytes, which are eight vectors, and this is one of
+                        // them.
                         let bytes = unsafe { simd.load_bytes(row.as_ptr().add($i * 4 * S::LANES).cast()) };
                         $sum = simd.dot4($sum, bytes, ones);
                     )*};
@@ -135,23 +136,23 @@ impl QuadRows<'_> {
             }
         }
         for (sum, out) in [s0, s1, s2, s3, s4, s5, s6, s7].into_iter().zip(out.chunks_exact_mut(S::LANES)) {
-            // SAFETY: the chunk has a vector's length.
+            // SAFETY: the chunk has the `LANES` floats that are written.
             unsafe { simd.store(out.as_mut_ptr(), simd.to_f(sum)) };
         }
     }
 
-    /// Sums for one vector of outputs.
+    /// Computes one vector of outputs, as sums of their input bytes.
     #[inline(always)]
     fn one<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
         let ones = simd.splat_bytes(0x0101_0101);
         let mut sum = simd.zero_i();
         for row in self.each() {
             let bytes = &row[4 * x..4 * (x + S::LANES)];
-            // SAFETY: the slice has a vector of bytes.
+            // SAFETY: `bytes` has the 4·`LANES` bytes that are read.
             sum = simd.dot4(sum, unsafe { simd.load_bytes(bytes.as_ptr().cast()) }, ones);
         }
         let out = &mut out[..S::LANES];
-        // SAFETY: the slice has a vector's length.
+        // SAFETY: `out` has the `LANES` floats that are written.
         unsafe { simd.store(out.as_mut_ptr(), simd.to_f(sum)) };
     }
 }
@@ -220,7 +221,7 @@ fn prefetch(src: &[u8], at: usize, len: usize) {
     let Some(row) = src.get(at..at.saturating_add(len)) else { return };
     for line in row.chunks(64) {
         #[cfg(target_arch = "x86_64")]
-        // SAFETY: SSE is part of x86-64; a prefetch reads nothing.
+        // SAFETY: SSE is part of x86-64, and a prefetch returns no data and never faults.
         unsafe {
             core::arch::x86_64::_mm_prefetch::<{ core::arch::x86_64::_MM_HINT_T0 }>(line.as_ptr().cast());
         }

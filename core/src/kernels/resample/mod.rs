@@ -76,7 +76,7 @@ impl Span {
     }
 }
 
-/// Types of voxels.
+/// Scalar type of voxels.
 pub(crate) trait Scalar: Pod + Send + Sync {
     /// The stored value as f32.
     fn to_f32(self) -> f32;
@@ -129,14 +129,14 @@ pub(crate) trait Map<T: Scalar>: Copy + Send + Sync {
     /// Maps a stored value to the value that enters the average.
     fn value(&self, stored: f32) -> f32;
 
-    /// As [`Map::value`], from the voxel.
+    /// Maps a voxel, as [`Map::value`] maps its stored value.
     #[inline(always)]
     fn map(&self, voxel: T) -> f32 {
         self.value(voxel.to_f32())
     }
 }
 
-/// The stored value itself.
+/// Map that returns the stored value unchanged.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Raw;
 
@@ -192,11 +192,11 @@ impl After {
 /// Sizes and strides of one call.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Geometry<'a> {
-    /// Input voxels along x, y, z.
+    /// Number of input voxels along x, y and z.
     pub(crate) dims: [usize; 3],
     /// Elements between neighbors along x, y, z.
     pub(crate) strides: [usize; 3],
-    /// Output voxels per axis.
+    /// Number of output voxels per axis.
     pub(crate) n: usize,
     /// One span per output column.
     pub(crate) columns: &'a [Span],

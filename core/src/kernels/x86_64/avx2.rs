@@ -4,7 +4,7 @@ use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;
 use core::arch::x86_64::*;
 
-/// Token of AVX2, FMA, F16C and POPCNT; made only inside [`enter`].
+/// Token that proves that the CPU has AVX2, FMA, F16C and POPCNT; made only inside [`enter`].
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
@@ -20,7 +20,7 @@ pub(crate) unsafe fn enter<K: Kernel>(kernel: K) -> K::Output {
 impl Simd for Avx2 {
     type F = __m256;
     type I = __m256i;
-    /// The sign bits are the mask.
+    /// Mask of lanes: the sign bits of eight floats.
     type M = __m256;
     const LANES: usize = 8;
     const TILE_VECTORS: usize = 2;
@@ -28,37 +28,39 @@ impl Simd for Avx2 {
 
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
-        // SAFETY: a prefetch reads nothing and never faults.
+        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
     }
     #[inline(always)]
     fn prefetch_near(self, p: *const f32) {
-        // SAFETY: as above.
+        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
     }
     #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
-        // SAFETY: a token exists only if the CPU has the instructions. Below, "token" means this reason.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_set1_ps(x) }
     }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
-        // SAFETY: token; the caller guarantees 8 floats at `p`.
+        // SAFETY: the token proves AVX2; the caller guarantees that `p` is valid for reading 8 floats.
         unsafe { _mm256_loadu_ps(p) }
     }
     #[inline(always)]
     unsafe fn store(self, p: *mut f32, v: Self::F) {
-        // SAFETY: token; the caller guarantees room for 8 floats at `p`.
+        // SAFETY: the token proves AVX2; the caller guarantees that `p` is valid for writing 8 floats.
         unsafe { _mm256_storeu_ps(p, v) }
     }
     #[inline(always)]
     unsafe fn load_f16(self, p: *const u16) -> Self::F {
-        // SAFETY: token; the caller guarantees 8 values at `p`.
+        // SAFETY: the token proves F16C; the caller guarantees that `p` is valid for reading 8 half-precision
+        // numbers.
         unsafe { _mm256_cvtph_ps(_mm_loadu_si128(p.cast())) }
     }
     #[inline(always)]
     unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F) {
-        // SAFETY: token; the caller guarantees 8 words at `p`.
+        // SAFETY: the token proves AVX2; the caller guarantees that `p` is valid for reading 8 words of 32
+        // bits.
         unsafe {
             let words = _mm256_loadu_si256(p.cast());
             let upper = _mm256_and_si256(words, _mm256_set1_epi32(0xffff_0000_u32 as i32));
@@ -67,42 +69,42 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn add(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_add_ps(a, b) }
     }
     #[inline(always)]
     fn sub(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_sub_ps(a, b) }
     }
     #[inline(always)]
     fn mul(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_mul_ps(a, b) }
     }
     #[inline(always)]
     fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has FMA.
         unsafe { _mm256_fmadd_ps(a, b, c) }
     }
     #[inline(always)]
     fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has FMA.
         unsafe { _mm256_fnmadd_ps(a, b, c) }
     }
     #[inline(always)]
     fn max(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_max_ps(a, b) }
     }
     #[inline(always)]
     fn min(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_min_ps(a, b) }
     }
     #[inline(always)]
     fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe {
             let mask = _mm256_cmp_ps::<_CMP_GT_OQ>(x, _mm256_setzero_ps());
             _mm256_blendv_ps(other, positive, mask)
@@ -110,7 +112,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe {
             let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(shifted));
             _mm256_castsi256_ps(_mm256_add_epi32(exponent, _mm256_set1_epi32(scale.to_bits() as i32)))
@@ -118,7 +120,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn sum(self, v: Self::F) -> f32 {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe {
             let v = _mm_add_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
             let v = _mm_add_ps(v, _mm_movehl_ps(v, v));
@@ -127,7 +129,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn largest(self, v: Self::F) -> f32 {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe {
             let v = _mm_max_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
             let v = _mm_max_ps(v, _mm_movehl_ps(v, v));
@@ -136,27 +138,27 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn zero_i(self) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_setzero_si256() }
     }
     #[inline(always)]
     fn to_f(self, v: Self::I) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_cvtepi32_ps(v) }
     }
     #[inline(always)]
     fn splat_bytes(self, bytes: u32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_set1_epi32(bytes as i32) }
     }
     #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
-        // SAFETY: token; the caller guarantees 32 bytes at `p`.
+        // SAFETY: the token proves AVX2; the caller guarantees that `p` is valid for reading 32 bytes.
         unsafe { _mm256_loadu_si256(p.cast()) }
     }
     #[inline(always)]
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe {
             // Even and odd bytes are multiplied separately: the sum of two products of 255·127 would overflow
             // the 16 bits of maddubs, but fits 32 bits.
@@ -171,12 +173,12 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_add_epi32(a, b) }
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
-        // SAFETY: token; the caller guarantees room for 8 bytes at `p`.
+        // SAFETY: the token proves AVX2; the caller guarantees that `p` is valid for writing 8 bytes.
         unsafe {
             let v = _mm256_cvtps_epi32(v);
             let v = _mm_packs_epi32(_mm256_castsi256_si128(v), _mm256_extracti128_si256::<1>(v));
@@ -185,57 +187,57 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
-        // SAFETY: token; `to` has 16 elements.
+        // SAFETY: the token proves AVX2; `to` has 16 elements, and 8 are written.
         unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), v) }
     }
     #[inline(always)]
     fn div(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_div_ps(a, b) }
     }
     #[inline(always)]
     fn sqrt(self, a: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_sqrt_ps(a) }
     }
     #[inline(always)]
     fn lt(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(a, b) }
     }
     #[inline(always)]
     fn le(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_cmp_ps::<_CMP_LE_OQ>(a, b) }
     }
     #[inline(always)]
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_and_ps(a, b) }
     }
     #[inline(always)]
     fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_andnot_ps(b, a) }
     }
     #[inline(always)]
     fn any(self, m: Self::M) -> bool {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_movemask_ps(m) != 0 }
     }
     #[inline(always)]
     fn lane_bits(self, m: Self::M) -> u32 {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_movemask_ps(m) as u32 }
     }
     #[inline(always)]
     fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_blendv_ps(no, yes, m) }
     }
     #[inline(always)]
     fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe {
             let (yes, no) = (_mm256_castsi256_ps(yes), _mm256_castsi256_ps(no));
             _mm256_castps_si256(_mm256_blendv_ps(no, yes, m))
@@ -243,7 +245,7 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn splat_i(self, x: i32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_set1_epi32(x) }
     }
     #[inline(always)]
@@ -252,23 +254,23 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn mul_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_mullo_epi32(a, _mm256_set1_epi32(b)) }
     }
     #[inline(always)]
     fn trunc(self, v: Self::F) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_cvttps_epi32(v) }
     }
     #[inline(always)]
     fn as_f(self, v: Self::I) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_castsi256_ps(v) }
     }
     #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
         assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "`from` is empty or too long");
-        // SAFETY: token; indices are clamped to the last word.
+        // SAFETY: the token proves AVX2; `from` is not empty, and each index is clamped to its last word.
         unsafe {
             let index = _mm256_min_epu32(index, _mm256_set1_epi32(from.len() as i32 - 1));
             _mm256_i32gather_epi32::<4>(from.as_ptr().cast(), index)
@@ -276,19 +278,19 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn and_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_and_si256(a, _mm256_set1_epi32(b)) }
     }
     #[inline(always)]
     fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe { _mm256_xor_si256(a, b) }
     }
     #[inline(always)]
     fn nonzero(self, a: Self::I) -> Self::M {
-        // SAFETY: token. The comparison marks the lanes that are zero, and the exclusive or inverts the
-        // mask.
+        // SAFETY: the token proves that the CPU has AVX2.
         unsafe {
+            // The comparison marks the lanes that are zero; the exclusive or inverts the mask.
             let zero = _mm256_cmpeq_epi32(a, _mm256_setzero_si256());
             _mm256_castsi256_ps(_mm256_xor_si256(zero, _mm256_set1_epi32(-1)))
         }
@@ -296,7 +298,8 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {
         let half = |at: usize| {
-            // SAFETY: token; both have 64 bytes, and `at` is 0 or 32.
+            // SAFETY: the token proves AVX2; `low` and `high` have 64 bytes, and the 32 bytes from `at` (0 or
+            // 32) on are read.
             unsafe {
                 let (first, last) = (_mm256_set1_epi8(first as i8), _mm256_set1_epi8(last as i8));
                 let low = _mm256_loadu_si256(low.as_ptr().add(at).cast());
@@ -312,7 +315,7 @@ impl Simd for Avx2 {
     fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8] {
         let mut counts = [0; 8];
         let (blocks, rest) = chunks::<256, _>(bytes);
-        // SAFETY: token; each block has eight vectors.
+        // SAFETY: the token proves AVX2; each block has 256 bytes, which are eight vectors.
         unsafe {
             let zero = _mm256_setzero_si256();
             let (mut ones, mut twos, mut fours) = (zero, zero, zero);
@@ -359,11 +362,11 @@ impl Simd for Avx2 {
 /// The CPU has AVX2, and `p` is valid for reading 32 bytes.
 #[inline(always)]
 unsafe fn bits_of(p: *const u8, first: u8) -> __m256i {
-    // SAFETY: the caller guarantees both. For values 16 and more above `first`, the shuffle index has its
-    // highest bit set, which gives zero.
+    // SAFETY: the caller guarantees AVX2, and that `p` is valid for reading 32 bytes.
     unsafe {
         let bits = _mm_setr_epi8(1, 2, 4, 8, 16, 32, 64, -128, 0, 0, 0, 0, 0, 0, 0, 0);
         let index = _mm256_sub_epi8(_mm256_loadu_si256(p.cast()), _mm256_set1_epi8(first as i8));
+        // A value of `first` + 16 or more gives a shuffle index with the highest bit set, which gives zero.
         let index = _mm256_adds_epu8(index, _mm256_set1_epi8(0x70));
         _mm256_shuffle_epi8(_mm256_broadcastsi128_si256(bits), index)
     }
@@ -375,7 +378,7 @@ unsafe fn bits_of(p: *const u8, first: u8) -> __m256i {
 /// The CPU has AVX2.
 #[inline(always)]
 unsafe fn add_bits(a: __m256i, b: __m256i, c: __m256i) -> (__m256i, __m256i) {
-    // SAFETY: the caller guarantees AVX2.
+    // SAFETY: the caller guarantees that the CPU has AVX2.
     unsafe {
         let ab = _mm256_xor_si256(a, b);
         let carry = _mm256_or_si256(_mm256_and_si256(a, b), _mm256_and_si256(ab, c));
@@ -390,7 +393,7 @@ unsafe fn add_bits(a: __m256i, b: __m256i, c: __m256i) -> (__m256i, __m256i) {
 #[inline(always)]
 unsafe fn take(counts: &mut [u32; 8], mut sums: __m256i, weight: u32) {
     for count in counts.iter_mut().rev() {
-        // SAFETY: the caller guarantees AVX2.
+        // SAFETY: the caller guarantees that the CPU has AVX2.
         unsafe {
             *count += weight * _mm256_movemask_epi8(sums).count_ones();
             sums = _mm256_add_epi8(sums, sums);

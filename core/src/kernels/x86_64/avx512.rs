@@ -4,7 +4,8 @@ use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;
 use core::arch::x86_64::*;
 
-/// Token of AVX-512; made only inside [`enter`] and [`enter_vnni`].
+/// Token that proves that the CPU has AVX-512 F, BW, DQ and VL, and VNNI too if `VNNI` is true; made only
+/// inside [`enter`] and [`enter_vnni`].
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512<const VNNI: bool>(());
 
@@ -36,37 +37,39 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
 
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
-        // SAFETY: a prefetch reads nothing and never faults.
+        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
     }
     #[inline(always)]
     fn prefetch_near(self, p: *const f32) {
-        // SAFETY: as above.
+        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
     }
     #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
-        // SAFETY: a token exists only if the CPU has the instructions. Below, "token" means this reason.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_set1_ps(x) }
     }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
-        // SAFETY: token; the caller guarantees 16 floats at `p`.
+        // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for reading 16 floats.
         unsafe { _mm512_loadu_ps(p) }
     }
     #[inline(always)]
     unsafe fn store(self, p: *mut f32, v: Self::F) {
-        // SAFETY: token; the caller guarantees room for 16 floats at `p`.
+        // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for writing 16 floats.
         unsafe { _mm512_storeu_ps(p, v) }
     }
     #[inline(always)]
     unsafe fn load_f16(self, p: *const u16) -> Self::F {
-        // SAFETY: token; the caller guarantees 16 values at `p`.
+        // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for reading 16
+        // half-precision numbers.
         unsafe { _mm512_cvtph_ps(_mm256_loadu_si256(p.cast())) }
     }
     #[inline(always)]
     unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F) {
-        // SAFETY: token; the caller guarantees 16 words at `p`.
+        // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for reading 16 words of
+        // 32 bits.
         unsafe {
             let words = _mm512_loadu_si512(p.cast());
             let upper = _mm512_and_si512(words, _mm512_set1_epi32(0xffff_0000_u32 as i32));
@@ -75,42 +78,42 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn add(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_add_ps(a, b) }
     }
     #[inline(always)]
     fn sub(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_sub_ps(a, b) }
     }
     #[inline(always)]
     fn mul(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_mul_ps(a, b) }
     }
     #[inline(always)]
     fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_fmadd_ps(a, b, c) }
     }
     #[inline(always)]
     fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_fnmadd_ps(a, b, c) }
     }
     #[inline(always)]
     fn max(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_max_ps(a, b) }
     }
     #[inline(always)]
     fn min(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_min_ps(a, b) }
     }
     #[inline(always)]
     fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe {
             let mask = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(x, _mm512_setzero_ps());
             _mm512_mask_blend_ps(mask, other, positive)
@@ -118,7 +121,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe {
             let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(shifted));
             _mm512_castsi512_ps(_mm512_add_epi32(exponent, _mm512_set1_epi32(scale.to_bits() as i32)))
@@ -126,7 +129,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn sum(self, v: Self::F) -> f32 {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe {
             let v = _mm256_add_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps::<1>(v));
             let v = _mm_add_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
@@ -136,7 +139,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn largest(self, v: Self::F) -> f32 {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe {
             let v = _mm256_max_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps::<1>(v));
             let v = _mm_max_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
@@ -146,27 +149,27 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn zero_i(self) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_setzero_si512() }
     }
     #[inline(always)]
     fn to_f(self, v: Self::I) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_cvtepi32_ps(v) }
     }
     #[inline(always)]
     fn splat_bytes(self, bytes: u32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_set1_epi32(bytes as i32) }
     }
     #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
-        // SAFETY: token; the caller guarantees 64 bytes at `p`.
+        // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for reading 64 bytes.
         unsafe { _mm512_loadu_si512(p.cast()) }
     }
     #[inline(always)]
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
-        // SAFETY: token; a token with `VNNI` = true exists only if the CPU has VNNI.
+        // SAFETY: the token proves AVX-512, and VNNI too if its parameter `VNNI` is true.
         unsafe {
             if VNNI {
                 return _mm512_dpbusd_epi32(sum, a, w);
@@ -184,12 +187,12 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_add_epi32(a, b) }
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
-        // SAFETY: token; the caller guarantees room for 16 bytes at `p`.
+        // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for writing 16 bytes.
         unsafe {
             let v = _mm512_max_epi32(_mm512_cvtps_epi32(v), _mm512_setzero_si512());
             _mm_storeu_si128(p.cast(), _mm512_cvtusepi32_epi8(v));
@@ -197,27 +200,27 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
-        // SAFETY: token; `to` has 16 elements.
+        // SAFETY: the token proves AVX-512; `to` has 16 elements, and 16 are written.
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), v) }
     }
     #[inline(always)]
     fn div(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_div_ps(a, b) }
     }
     #[inline(always)]
     fn sqrt(self, a: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_sqrt_ps(a) }
     }
     #[inline(always)]
     fn lt(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b) }
     }
     #[inline(always)]
     fn le(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b) }
     }
     #[inline(always)]
@@ -238,43 +241,43 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_mask_blend_ps(m, no, yes) }
     }
     #[inline(always)]
     fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_mask_blend_epi32(m, no, yes) }
     }
     #[inline(always)]
     fn splat_i(self, x: i32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_set1_epi32(x) }
     }
     #[inline(always)]
     fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_mask_add_epi32(a, m, a, b) }
     }
     #[inline(always)]
     fn mul_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_mullo_epi32(a, _mm512_set1_epi32(b)) }
     }
     #[inline(always)]
     fn trunc(self, v: Self::F) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_cvttps_epi32(v) }
     }
     #[inline(always)]
     fn as_f(self, v: Self::I) -> Self::F {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_castsi512_ps(v) }
     }
     #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
         assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "`from` is empty or too long");
-        // SAFETY: token; indices are clamped to the last word.
+        // SAFETY: the token proves AVX-512; `from` is not empty, and each index is clamped to its last word.
         unsafe {
             let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
             // Scalar loads: gather instructions take two to three times as long on many machines.
@@ -286,22 +289,22 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn and_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_and_si512(a, _mm512_set1_epi32(b)) }
     }
     #[inline(always)]
     fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_xor_si512(a, b) }
     }
     #[inline(always)]
     fn nonzero(self, a: Self::I) -> Self::M {
-        // SAFETY: token.
+        // SAFETY: the token proves that the CPU has AVX-512.
         unsafe { _mm512_test_epi32_mask(a, a) }
     }
     #[inline(always)]
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {
-        // SAFETY: token; both have 64 bytes.
+        // SAFETY: the token proves AVX-512; `low` and `high` have the 64 bytes that are read.
         unsafe {
             let low = _mm512_loadu_si512(low.as_ptr().cast());
             let high = _mm512_loadu_si512(high.as_ptr().cast());
@@ -314,7 +317,8 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         let mut counts = [0; 8];
         let (blocks, rest) = chunks::<1024, _>(bytes);
         let (halves, rest) = chunks::<512, _>(rest);
-        // SAFETY: token; each block has sixteen vectors, and half a block has eight.
+        // SAFETY: the token proves AVX-512; a block has 1024 bytes (sixteen vectors), and half a block has
+        // 512.
         unsafe {
             let zero = _mm512_setzero_si512();
             let (mut sums, mut eights) = ([zero; 3], zero);
@@ -349,8 +353,9 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
-        // SAFETY: token. Compresses in a register and stores the whole vector: compressing stores are slow
-        // on some machines.
+        // The lanes are compressed in a register and stored as a whole vector, since compressing stores are
+        // slow on some machines.
+        // SAFETY: the token proves that the CPU has AVX-512.
         self.write(unsafe { _mm512_maskz_compress_ps(m, v) }, to);
         m.count_ones() as usize
     }
@@ -362,11 +367,11 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
 /// The CPU has AVX-512 F and BW, and `p` is valid for reading 64 bytes.
 #[inline(always)]
 unsafe fn bits_of(p: *const u8, first: u8) -> __m512i {
-    // SAFETY: the caller guarantees both. For values 16 and more above `first`, the shuffle index has its
-    // highest bit set, which gives zero.
+    // SAFETY: the caller guarantees AVX-512 F and BW, and that `p` is valid for reading 64 bytes.
     unsafe {
         let bits = _mm_setr_epi8(1, 2, 4, 8, 16, 32, 64, -128, 0, 0, 0, 0, 0, 0, 0, 0);
         let index = _mm512_sub_epi8(_mm512_loadu_si512(p.cast()), _mm512_set1_epi8(first as i8));
+        // A value of `first` + 16 or more gives a shuffle index with the highest bit set, which gives zero.
         _mm512_shuffle_epi8(_mm512_broadcast_i32x4(bits), _mm512_adds_epu8(index, _mm512_set1_epi8(0x70)))
     }
 }
@@ -377,7 +382,7 @@ unsafe fn bits_of(p: *const u8, first: u8) -> __m512i {
 /// The CPU has AVX-512 F.
 #[inline(always)]
 unsafe fn add_bits(a: __m512i, b: __m512i, c: __m512i) -> (__m512i, __m512i) {
-    // SAFETY: the caller guarantees AVX-512 F.
+    // SAFETY: the caller guarantees that the CPU has AVX-512 F.
     unsafe { (_mm512_ternarylogic_epi32::<0x96>(a, b, c), _mm512_ternarylogic_epi32::<0xe8>(a, b, c)) }
 }
 
@@ -388,7 +393,7 @@ unsafe fn add_bits(a: __m512i, b: __m512i, c: __m512i) -> (__m512i, __m512i) {
 /// As [`bits_of`], of 512 bytes.
 #[inline(always)]
 unsafe fn add_eight(p: *const u8, first: u8, [ones, twos, fours]: [__m512i; 3]) -> ([__m512i; 3], __m512i) {
-    // SAFETY: the caller guarantees both.
+    // SAFETY: the caller guarantees AVX-512 F and BW, and that `p` is valid for reading 512 bytes.
     unsafe {
         let (a, two) = add_bits(ones, bits_of(p, first), bits_of(p.add(64), first));
         let (b, second) = add_bits(a, bits_of(p.add(128), first), bits_of(p.add(192), first));
@@ -408,7 +413,7 @@ unsafe fn add_eight(p: *const u8, first: u8, [ones, twos, fours]: [__m512i; 3]) 
 #[inline(always)]
 unsafe fn take(counts: &mut [u32; 8], mut sums: __m512i, weight: u32) {
     for count in counts.iter_mut().rev() {
-        // SAFETY: the caller guarantees AVX-512 BW.
+        // SAFETY: the caller guarantees that the CPU has AVX-512 BW.
         unsafe {
             *count += weight * _mm512_movepi8_mask(sums).count_ones();
             sums = _mm512_add_epi8(sums, sums);
@@ -422,7 +427,7 @@ unsafe fn take(counts: &mut [u32; 8], mut sums: __m512i, weight: u32) {
 /// `at` has these entries, and each is less than the length of `from`.
 #[inline(always)]
 unsafe fn four_words(from: &[u32], at: &[u32; 16], i: usize) -> __m128i {
-    // SAFETY: the caller guarantees the indices; SSE2 is part of x86-64.
+    // SAFETY: the caller guarantees that each index is below the length of `from`; SSE2 is part of x86-64.
     unsafe {
         let [a, b, c, d] = [at[i], at[i + 1], at[i + 2], at[i + 3]].map(|at| at as usize);
         let (a, b) = (*from.get_unchecked(a) as i32, *from.get_unchecked(b) as i32);
@@ -436,7 +441,8 @@ unsafe fn four_words(from: &[u32], at: &[u32; 16], i: usize) -> __m128i {
 /// As [`four_words`], for eight entries; the CPU has AVX2.
 #[inline(always)]
 unsafe fn eight_words(from: &[u32], at: &[u32; 16], i: usize) -> __m256i {
-    // SAFETY: the caller guarantees both.
+    // SAFETY: the caller guarantees AVX2, that `at` has these eight entries, and that each is below the
+    // length of `from`.
     unsafe {
         let low = _mm256_castsi128_si256(four_words(from, at, i));
         _mm256_inserti128_si256::<1>(low, four_words(from, at, i + 4))

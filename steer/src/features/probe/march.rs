@@ -38,7 +38,7 @@ pub(super) const SHADOW_SEGMENTS: usize = 14;
 /// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; only with shadow
 /// rays.
 pub(super) const BUSY: usize = 15;
-/// Number of fields.
+/// Number of a ray's fields.
 pub(super) const FIELDS: usize = 16;
 
 /// log2 of the number of rays that a renderer on the CPU marches in lockstep.
@@ -408,7 +408,7 @@ impl<'a> March<'a> {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
         for k in 0..3 {
-            // The direction's components are all positive.
+            // All components of the light's direction are positive, so the ray leaves through an upper face.
             t_exit = t_exit.min((self.half_extent[k] - from[k]) / direction[k]);
         }
         let start = (from + self.half_extent) * self.scale - self.shift;

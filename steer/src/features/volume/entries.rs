@@ -108,7 +108,7 @@ pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
     fn ends([low, high]: [Self; 2], map: &Map) -> [u8; 2] {
         [map.below(low.number()), map.above(high.number())]
     }
-    /// The byte counted for a value.
+    /// Returns the table entry that is nearest to a value.
     #[inline(always)]
     fn entry_of(value: Self, map: &Map) -> u8 {
         near(map.position(value.number()))

@@ -214,7 +214,7 @@ pub(super) struct Scratch<T> {
     pub(super) joined: [Joined<T>; 4],
     /// Copy of a row whose voxels are not contiguous.
     pub(super) row: Vec<T>,
-    /// Table entries of a row.
+    /// Table entry of each voxel of a row.
     pub(super) line: Vec<u8>,
     /// Table entries of one row of cells, contiguous per cell.
     pub(super) cells: Vec<u8>,

@@ -214,7 +214,7 @@ impl SummarySeries {
             (Kind::U16(blocks), Scalars::U16(voxels)) => look!(voxels, blocks),
             (Kind::I16(blocks), Scalars::I16(voxels)) => look!(voxels, blocks),
             (Kind::F32(blocks), Scalars::F32(voxels)) => look!(voxels, blocks),
-            // The type was checked.
+            // Never reached: the scalar type has been checked.
             _ => {}
         }
         *search = false;

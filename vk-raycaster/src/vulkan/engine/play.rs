@@ -10,23 +10,23 @@ use ash::vk;
 impl Engine {
     pub(super) fn try_submit(&self, slot: &Slot, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
         let device = &self.gpu.device;
-        // SAFETY: the one command buffer of the pool is not pending: the slot's submission was waited for, or
-        // `drain` has waited for the device.
+        // SAFETY: the device does not use the pool's one command buffer: the slot's submission was waited
+        // for, or `drain` has waited for the device.
         unsafe { device.reset_command_pool(slot.pool.get(), vk::CommandPoolResetFlags::empty()) }
             .on(&self.gpu, "vkResetCommandPool")?;
         let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
-        // SAFETY: the command buffer is in its initial state.
+        // SAFETY: resetting its pool has put the command buffer into its initial state.
         unsafe { device.begin_command_buffer(slot.commands, &begin) }
             .on(&self.gpu, "vkBeginCommandBuffer")?;
         for command in commands {
             self.play(slot, shader, command)?;
         }
-        // SAFETY: recording was begun above.
+        // SAFETY: the command buffer is being recorded since `begin_command_buffer`.
         unsafe { device.end_command_buffer(slot.commands) }.on(&self.gpu, "vkEndCommandBuffer")?;
         let buffers = [slot.commands];
         let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
-        // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled,
-        // the fence is unsignaled, and the guard keeps other threads from the queue.
+        // SAFETY: the command buffer is complete, everything that it uses lives until the fence has signaled,
+        // the fence is unsignaled, and the lock keeps other threads from the queue.
         unsafe { device.queue_submit(*self.gpu.queue(), &submit, slot.fence.get()) }
             .on(&self.gpu, "vkQueueSubmit")
     }
@@ -43,9 +43,10 @@ impl Engine {
     fn play(&self, slot: &Slot, shader: Option<Shader>, command: &Command) -> Result<()> {
         let device = &self.gpu.device;
         let commands = slot.commands;
-        // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this
-        // engine and lives until the submission was waited for; ranges lie inside their buffers and images,
-        // because recordings are made from the same tile and image sizes that these were reserved with.
+        // SAFETY: the command buffer is being recorded. Every resource that a command names belongs to this
+        // engine and lives until the submission was waited for. All ranges lie inside their buffers and
+        // images, since these were reserved with the same tile and image sizes from which recordings are
+        // made.
         unsafe {
             match command {
                 Command::WriteSetup(setup) => {
@@ -76,7 +77,7 @@ impl Engine {
                 Command::CopySlices { target, first_slice, slices } => {
                     let image = self.image(*target)?;
                     let Some(staging) = &self.staging else {
-                        return Err(Error::new("a copy without staging buffer"));
+                        return Err(Error::new("the commands copy from a staging buffer, but there is none"));
                     };
                     let region = copy_region(&image.shape, *first_slice, *slices);
                     device.cmd_copy_buffer_to_image(
@@ -126,7 +127,7 @@ impl Engine {
                 }
                 Command::Dispatch { groups } => {
                     let Some((pipeline, set)) = shader else {
-                        return Err(Error::new("a dispatch without pipeline"));
+                        return Err(Error::new("the commands dispatch a shader before they bind a pipeline"));
                     };
                     let point = vk::PipelineBindPoint::COMPUTE;
                     device.cmd_bind_pipeline(commands, point, pipeline);
@@ -142,7 +143,9 @@ impl Engine {
                 }
                 Command::CopyToPicture { image, fresh, tile: at } => {
                     let Some(tile) = &slot.tile else {
-                        return Err(Error::new("a copy to a picture without tile buffers"));
+                        return Err(Error::new(
+                            "the commands copy a tile to a picture, but there are no tile buffers",
+                        ));
                     };
                     let shown = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
                     let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
@@ -179,7 +182,9 @@ impl Engine {
                 }
                 Command::ReadBack { image_bytes, work_bytes } => {
                     let Some(tile) = &slot.tile else {
-                        return Err(Error::new("a read-back without tile buffers"));
+                        return Err(Error::new(
+                            "the commands read a tile back, but there are no tile buffers",
+                        ));
                     };
                     let region = [vk::BufferCopy { src_offset: 0, dst_offset: 0, size: *image_bytes }];
                     device.cmd_copy_buffer(commands, tile.image.get(), tile.read_back.get(), &region);
@@ -207,7 +212,8 @@ impl Engine {
         source: Access,
         target: Access,
     ) {
-        // SAFETY: the caller's contract.
+        // SAFETY: the caller guarantees that the command buffer is being recorded, and that `old` is the
+        // image's layout or undefined.
         unsafe { self.layout_barrier(commands, image.get(), old, new, source, target) };
     }
 
@@ -233,7 +239,8 @@ impl Engine {
             .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .subresource_range(COLOR_RANGE)];
-        // SAFETY: the caller's contract.
+        // SAFETY: the caller guarantees that the command buffer is being recorded, and that `old` is the
+        // image's layout or undefined.
         unsafe {
             self.gpu.device.cmd_pipeline_barrier(
                 commands,

@@ -44,7 +44,7 @@ impl Engine {
         let longest = self.gpu.longest_wait;
         let nanoseconds = if self.hangs { 0 } else { u64::try_from(longest.as_nanos()).unwrap_or(u64::MAX) };
         let fences = [self.slots[slot].fence.get()];
-        // SAFETY: the fence was submitted, and nothing else waits for it.
+        // SAFETY: the fence is alive, and only this thread waits for it or resets it.
         match unsafe { self.gpu.device.wait_for_fences(&fences, true, nanoseconds) } {
             Err(vk::Result::TIMEOUT) => {
                 self.hangs = true;
@@ -66,7 +66,7 @@ impl Engine {
 
     fn reset_fence(&mut self, slot: usize) -> Result<()> {
         let fences = [self.slots[slot].fence.get()];
-        // SAFETY: the fence has signaled and is in no pending submission.
+        // SAFETY: the fence has signaled, so no pending submission uses it.
         unsafe { self.gpu.device.reset_fences(&fences) }.on(&self.gpu, "vkResetFences")?;
         self.slots[slot].pending = false;
         Ok(())
