@@ -16,7 +16,7 @@ _Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_desc) == 104, "entire
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_brick_desc) == 88, "entire_brick_desc");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_info) == 72, "entire_volume_info");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_frame) == 144, "entire_frame");
-_Static_assert(sizeof(void *) != 8 || sizeof(entire_session_options) == 40, "entire_session_options");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_session_options) == 48, "entire_session_options");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_plan) == 48, "entire_plan");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_prediction) == 32, "entire_prediction");
 _Static_assert(sizeof(entire_gaussian_lobe) == 12 && sizeof(entire_opacity_node) == 32 &&

@@ -168,6 +168,30 @@ fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
 }
 
 #[test]
+fn frames_of_a_pass_survive_an_error_with_the_manifest() {
+    let (dir, volume) = setting();
+    let broken = dir.path().join("broken.nrrd");
+    let bytes = std::fs::read(&volume).unwrap();
+    std::fs::write(&broken, &bytes[..bytes.len() - 100]).unwrap();
+    let settings = ["--frames", "2", "--passes", "2", "--max-size", "48"];
+    // The second volume cannot be read after frames of the first volume were collected.
+    let out = dir.path().join("t.csv");
+    let output = collect(&volume, &out, &settings).arg(&broken).output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(stderr(&output).contains("continue with the same command and --resume"), "{}", stderr(&output));
+    for kept in ["t.csv", "t.manifest.json", "t.pass1.csv"] {
+        assert!(dir.path().join(kept).exists(), "{kept} is gone");
+    }
+    // Without frames, nothing is left.
+    let out = dir.path().join("u.csv");
+    let output = collect(&broken, &out, &settings).arg(&volume).output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    for gone in ["u.csv", "u.manifest.json", "u.pass1.csv"] {
+        assert!(!dir.path().join(gone).exists(), "{gone} is left");
+    }
+}
+
+#[test]
 fn a_table_is_collected_anew_from_its_manifest() {
     let (dir, volume) = setting();
     let (first, again) = (dir.path().join("first.csv"), dir.path().join("again.csv"));
