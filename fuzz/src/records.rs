@@ -5,7 +5,7 @@ use crate::farm::{By, Farm, Method, parse_tasks, plan, play, times};
 use crate::path::{MAX_FRAMES, PathFile};
 use std::fmt::Display;
 
-/// Largest number of frames of a path whose frames are computed here; a million frames take a second.
+/// Number of frames above which a path is not resolved into frames: a million frames would take a second.
 const MOST_PATH_FRAMES: u32 = 4096;
 
 /// Checks that an error has a message.

@@ -36,8 +36,8 @@ pub struct VolumeArgs {
     /// range.
     #[arg(long, default_value_t, value_name = "VALUE,…|auto|none", allow_hyphen_values = true)]
     pub fill: Fill,
-    /// Scalar range that maps to [0, 1]: two numbers, data for the voxels' own range, or auto: 0 to 255 for unsigned
-    /// bytes, the voxels' own range for other types.
+    /// Scalar range that maps to [0, 1]: two numbers; `data`: the range of the voxel values; `auto`: 0 to
+    /// 255 for unsigned bytes, the range of the voxel values for other types.
     #[arg(long, default_value_t, value_name = "LO,HI|data|auto", allow_hyphen_values = true)]
     pub range: Range,
 }

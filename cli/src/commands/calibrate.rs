@@ -103,7 +103,7 @@ pub(crate) struct Options {
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER", requires = "data")]
     pub(crate) root: Option<PathBuf>,
     /// Threads that compute scene features; default: all logical processors.

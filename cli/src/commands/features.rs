@@ -30,7 +30,7 @@ pub struct Options {
     /// standard probe with 11, which is always computed.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
-    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
     /// Threads; default: all logical processors.

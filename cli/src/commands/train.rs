@@ -160,7 +160,7 @@ pub struct Options {
     /// Storage format of weights.
     #[arg(long, value_enum, default_value_t = DtypeChoice::F32)]
     pub dtype: DtypeChoice,
-    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
     /// Threads; default: all logical processors.

@@ -529,8 +529,8 @@ fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
         assert_eq!(volume.data(), &VolumeData::U8(right.to_vec()));
         assert!(!volume.notes().iter().any(|n| n.contains("bytes after")), "{:?}", volume.notes());
     }
-    check("a.nrrd", header(-6).as_bytes(), "last 3 bytes before 5 others, there are 7");
-    check("a.nrrd", header(i64::MIN).as_bytes(), "there are 7");
+    check("a.nrrd", header(-6).as_bytes(), "3 bytes of voxels and 5 bytes after them, but 7 bytes");
+    check("a.nrrd", header(i64::MIN).as_bytes(), "but 7 bytes follow");
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! Vector kernels, which run only with a [`Level`]. This is the only module of the crate with `unsafe`.
+//! SIMD kernels. Every call takes a [`Level`], the proof that the CPU has the instructions. This is
+//! the only module of the crate with `unsafe`.
 //!
 //! Only detection on the CPU creates a [`Level`], so a value of this type proves that the instructions of its
 //! ISA may be used. Networks keep the level for which they were built and dispatch once per call, not once

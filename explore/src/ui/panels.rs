@@ -59,8 +59,8 @@ fn steering(ui: &mut Ui, state: &mut State) {
             state.commands.push(Command::Forget);
         }
         let copy = ui.button("Calibrate …").on_hover_text(
-            "Copies a command line that calibrates this machine by wall time, the clock of the window, and \
-             then opens the volume again with the new model",
+            "Copies two commands to the clipboard. The first calibrates this machine by wall time, as the \
+             window measures it; the second opens the volume again with the new model",
         );
         if copy.clicked() && !state.calibration.is_empty() {
             ui.ctx().copy_text(state.calibration.clone());

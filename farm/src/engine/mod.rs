@@ -94,9 +94,9 @@ pub trait Engine {
 /// Paths that engines use.
 #[derive(Clone, Debug)]
 pub struct Places {
-    /// The state folder of the database.
+    /// Folder of the database in which the planner and the workers keep their journals, orders and results.
     pub state: PathBuf,
-    /// The program that contains the worker.
+    /// Executable file that runs the worker, as its command `farm-worker`.
     pub program: PathBuf,
 }
 

@@ -399,7 +399,7 @@ mod tests {
             (with(&format!("{PLAIN}data file: a%s 1 4 1\n"), &[]), "no pattern of file names"),
             (
                 with(&format!("{PLAIN}byte skip: -3\n"), &[0; 25]),
-                "last 24 bytes before 2 others, there are 25",
+                "24 bytes of voxels and 2 bytes after them, but 25 bytes",
             ),
             (with(&PLAIN.replace("raw", "hex"), b"00 0x"), "can hold 2 at most"),
             (with(&PLAIN.replace("raw", "hex"), &[b'x'; 48]), "no hexadecimal digit"),

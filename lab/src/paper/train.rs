@@ -38,7 +38,7 @@ const BY_SET: [Panel; 7] = [
 /// Computes the missing results of the selected parts (default: all).
 ///
 /// # Errors
-/// When tables cannot be read, a training fails, and when the study is stopped.
+/// When a table cannot be read, when a training fails, or when the study is stopped.
 pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     let wanted = |p: Panel| panels.is_empty() || panels.contains(&p);

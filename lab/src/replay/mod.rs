@@ -129,9 +129,9 @@ pub struct Replayed {
     pub ssim: f64,
     /// Structural similarity at the oracle's step.
     pub oracle_ssim: f64,
-    /// True if the coarsest step meets the target.
+    /// True if the frame meets the target at the coarsest allowed step.
     pub feasible: bool,
-    /// True if some allowed step takes exactly the target.
+    /// True if the frame takes exactly the target time at some allowed step.
     pub reachable: bool,
     /// True if the scene or the target changed abruptly in this frame.
     pub switched: bool,

@@ -72,7 +72,8 @@ fn standard_deviation(variance: f64) -> f64 {
 /// changed instead of the load. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
-    /// Estimates of the filter: the elements of θ, then b.
+    /// Estimates of the filter: the logarithm θ_i of each term's factor, then the logarithm b of the scene's
+    /// own factor.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
     /// Variance of ln(measured / expected seconds) over calm frames. Stalls and frames under a load are left
@@ -80,7 +81,7 @@ pub(crate) struct Correction {
     spread: f64,
     /// As `spread`, but including stalls and frames under a load.
     spread_of_all: f64,
-    /// Variance of b from scene to scene.
+    /// Variance, from scene to scene, of the logarithm of a scene's own factor.
     change: f64,
     /// Load: ln of a factor on the times of all scenes; 0 without a load.
     load: f64,
@@ -98,12 +99,12 @@ pub(crate) struct Correction {
     constants: CorrectionConstants,
 }
 
-/// Number of states of the filter: the elements of θ, and b.
+/// Number of states of the filter: the logarithm of each term's factor, and that of the scene's own factor.
 const STATES: usize = TERMS + 1;
-/// Index of b among the states.
+/// Index, among the states, of the logarithm of the scene's own factor.
 const LOCAL: usize = TERMS;
-/// Largest absolute value of θ_i, b and the load, logarithms of factors: e¹⁰ exceeds the speed ratio of any
-/// two machines.
+/// Largest absolute value of a state and of the load, which are logarithms of factors: e¹⁰ exceeds the speed
+/// ratio of any two machines.
 const STATE_LIMIT: f64 = 10.0;
 /// Range of the variance of calm frames' errors in ln(time), for standard deviations from 0.3 % (below any
 /// clock's noise) to 50 %.
@@ -111,16 +112,17 @@ const SPREAD: (f64, f64) = (1.0e-5, 0.25);
 /// Range of `gain`. At 0 the scene's factor would never change; at 1 every error, noise included, would be
 /// added to it completely.
 const GAIN: (f64, f64) = (0.1, 0.8);
-/// Smallest learning rate of the variance of calm frames' errors, which is thus an average over about ten
-/// frames. At half the rate, the loss on the training paths is the same.
+/// Smallest learning rate of the variance of calm frames' errors. At this rate, the variance is an average
+/// over about ten frames. At half the rate, the loss on the training paths is the same.
 const SPREAD_PACE: f64 = 0.1;
-/// Learning rate of the variance of b among scenes, which is thus an average over about ten scenes. At half
-/// the rate, the loss on the training paths is the same.
+/// Learning rate of the variance of b, the logarithm of the scene's own factor, among scenes. The variance is an
+/// average over about ten scenes. At half the rate, the loss on the training paths is the same.
 const SCENE_PACE: f64 = 0.1;
 /// Prior variance of ln of each unit cost of a fitted model, and of their common factor, as a share of the
 /// variance of the model's errors. At 0, the loss on the training paths is the same.
 const FITTED_SHARE: f64 = 0.1;
-/// Range of the variance of b among scenes, for standard deviations from 3 % to 70 %.
+/// Range of the variance among scenes of the logarithm of a scene's own factor, for standard deviations from
+/// 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
 /// Prior variance of ln of an unknown common factor, by definition. Its standard deviation of 3 is a factor
 /// of 20, so that the first observed time determines the factor, whatever its order of magnitude.
@@ -149,8 +151,9 @@ const LOAD_FRAMES: f64 = 8.0;
 /// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
 /// longest burst in the recordings.
 const ESTABLISHED: u64 = 32;
-/// Variance added to ln of the unit costs' common factor when an established load is added to θ, as a share
-/// of the variance of b among scenes: a guess, since few scenes were observed under the load.
+/// Variance added to ln of the unit costs' common factor when an established load becomes a part of that
+/// factor, as a share of the variance of the scenes' own factors ([`Correction::change`]): a guess, since few
+/// scenes were observed under the load.
 const LEARNED_SHARE: f64 = 0.25;
 /// Clipping limit of the ratio of a squared error to its expected value; 1.4 % of normal errors exceed it.
 const SQUARE_LIMIT: f64 = 6.0;
@@ -275,7 +278,7 @@ impl Correction {
             self.covariance[i][LOCAL] *= keep;
             self.covariance[LOCAL][i] *= keep;
         }
-        // b is a random walk, except during a load, when it is not updated.
+        // The logarithm of the scene's own factor is a random walk, except during a load, when it is not updated.
         let wander = if self.loaded() { 0.0 } else { keep * self.spread * self.gain() * self.gain() };
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
         self.widen(DRIFT, DRIFT_SINGLE);
@@ -337,9 +340,9 @@ impl Correction {
         // The distribution of errors is skewed: frames faster than expected are clipped earlier than slower
         // ones.
         let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
-        // In a scene's first frame, the squared error, less the variances of θ and of noise, updates the
-        // variance of b among scenes. In a calm frame, the squared error updates the variance of calm frames'
-        // errors.
+        // In a scene's first frame, the squared error, less the variances of the terms' factors and of the noise,
+        // updates the variance of the scenes' own factors. In a calm frame, the squared error updates the
+        // variance of calm frames' errors.
         let squared = (error * error).min(CLIP * CLIP * sd * sd);
         if standing == Standing::First {
             if self.observations > 0 {
@@ -377,7 +380,8 @@ impl Correction {
     }
 
     /// Begins, changes or ends the load. `free` is ln(observed / expected without a load), `sd` its standard
-    /// deviation. Returns true if b must be changed instead: the frames of a new scene have become faster.
+    /// deviation. Returns true if the scene's own factor must be changed instead of the load: the frames of a new
+    /// scene have become faster.
     fn judge(&mut self, free: f64, sd: f64) -> bool {
         let with = free - self.load;
         // After n frames of a load, the odds that it continues are n to 1 (Laplace's rule of succession).
@@ -403,8 +407,9 @@ impl Correction {
             self.loaded = self.loaded.saturating_add(1);
             let mean = self.load + with / (self.loaded as f64).min(LOAD_FRAMES);
             self.load = mean.clamp(-STATE_LIMIT, STATE_LIMIT);
-            // An established load is added to θ, except in the first frame of a scene, whose error updates θ
-            // and b too.
+            // A load that has lasted for `ESTABLISHED` frames is added to θ, the logarithms of the common
+            // factors. It is not added in the first frame of a scene, since the error of that frame updates θ
+            // too.
             if self.loaded > ESTABLISHED && self.age > 1 {
                 for i in 0..TERMS {
                     self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);
@@ -424,7 +429,7 @@ impl Correction {
     }
 
     /// Returns the corrected time t in seconds, without the load, and the derivatives of ln t with respect to
-    /// the states. Without `this_scene`, b is left out.
+    /// the states. Without `this_scene`, the scene's own factor is left out.
     fn shares(&self, terms: &CostTerms, this_scene: bool) -> (f64, [f64; STATES]) {
         let mut parts = [0.0f64; STATES];
         let mut sum = 0.0;
@@ -455,7 +460,8 @@ impl Correction {
         v.max(0.0)
     }
 
-    /// Adds `common` to all covariances of θ, and `single` to each variance of θ.
+    /// Adds `common` to all covariances of the logarithms of the terms' factors, and `single` also to the
+    /// variances.
     fn widen(&mut self, common: f64, single: f64) {
         for i in 0..TERMS {
             for j in 0..TERMS {

@@ -107,7 +107,7 @@ impl Polygon {
         }
     }
 
-    /// The part of the polygon with w + plane·(x, y) ≥ 0.
+    /// Returns the part of the polygon with w + plane·(x, y) ≥ 0.
     fn clip(&self, plane: [f32; 2]) -> Self {
         let side = |c: &[f32; 3]| c[2] + plane[0] * c[0] + plane[1] * c[1];
         let mut out = Self::default();
@@ -125,8 +125,8 @@ impl Polygon {
         out
     }
 
-    /// Returns the part of the polygon that parallel rays can meet. `self` has corners (x, y, depth), of
-    /// which those with depth ≥ 0 are kept; the result has corners (x, y, 1).
+    /// Returns the part of the polygon that parallel rays can meet: the part with depth ≥ 0. The corners of
+    /// `self` are (x, y, depth), the corners of the result are (x, y, 1).
     fn before_the_plane(&self) -> Self {
         let mut out = self.clip([0.0, 0.0]);
         for corner in &mut out.corners[..out.len] {

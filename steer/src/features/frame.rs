@@ -91,28 +91,28 @@ impl Changes {
 /// Estimated work of a whole frame. All values are counts, except the ray spacing; none is negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Work {
-    /// Pixels of the image.
+    /// Number of pixels of the image.
     pub(crate) pixels: f64,
-    /// Rays that meet the volume's box.
+    /// Number of rays that meet the volume's box.
     pub(crate) rays: f64,
-    /// Samples taken along primary rays.
+    /// Number of samples along primary rays.
     pub(crate) samples: f64,
-    /// Jumps over empty blocks, including those of shadow rays.
+    /// Number of jumps over empty blocks, of primary rays and of shadow rays.
     pub(crate) skips: f64,
-    /// Samples of a renderer that runs a tile of pixels in lockstep until the tile's longest ray ends.
+    /// Number of samples in a renderer that runs a tile of pixels in lockstep until the tile's longest ray ends.
     pub(crate) lane_samples: f64,
-    /// Samples with opacity where shading is on, otherwise 0.
+    /// Number of samples with opacity where shading is on, otherwise 0.
     pub(crate) shaded: f64,
-    /// Samples along shadow rays with single scattering, otherwise 0.
+    /// Number of samples along shadow rays with single scattering, otherwise 0.
     pub(crate) shadow_samples: f64,
     /// As [`Self::shadow_samples`], plus the samples for which rays wait in a renderer that marches eight
     /// adjacent rays in lockstep: all eight wait while any of them shades.
     pub(crate) lane_shadow_samples: f64,
     /// As [`Self::lane_shadow_samples`], for adjacent rays so far apart that their samples are independent.
     pub(crate) parted_shadow_samples: f64,
-    /// Runs of consecutive samples between jumps; 0 without skipping.
+    /// Number of runs: consecutive samples between two jumps. 0 without skipping.
     pub(crate) runs: f64,
-    /// Lookups in the skip map during runs, including those of shadow rays; 0 without skipping.
+    /// Number of lookups in the skip map during runs, along primary and shadow rays; 0 without skipping.
     pub(crate) segments: f64,
     /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
     pub(crate) ray_spacing: f64,

@@ -99,9 +99,12 @@ fn read(bits: &[u64], at: usize) -> u64 {
     word(at / 64) >> (at % 64) | word(at / 64 + 1) << 1 << (63 - at % 64)
 }
 
-/// Binary erosion: keeps set cells whose 26 neighbors inside the grid are all set, one pass per axis. Bits
-/// beyond the end of a row must be set before the first erosion. An erosion clears such a bit only if the
-/// row's last cell is clear in the result too, so these bits change no cell.
+/// Binary erosion, in one pass per axis: a set cell stays set if all of its neighbors inside the grid (26 at
+/// most) are set.
+///
+/// The last word of a row has unused bits after the row's last cell. They must be set before the first
+/// erosion. An erosion clears an unused bit only if it leaves the row's last cell clear. So a cleared unused
+/// bit never clears a cell that would otherwise stay set.
 fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: usize) {
     // First pass: erosion along x, with carries between neighboring words.
     for (from, to) in from.chunks_exact(words).zip(to.chunks_exact_mut(words)) {

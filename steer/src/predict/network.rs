@@ -445,8 +445,8 @@ mod tests {
         };
         assert_eq!(row(&[lobe(0.4, 0.6)]), [0.4, 0.01, 0.6 / 3.0].repeat(3));
         assert_eq!(row(&[lobe(0.2, 0.1), lobe(0.4, 0.6)]), [0.2, 0.01, 0.1, 0.4, 0.01, 0.3, 0.4, 0.01, 0.3]);
-        // The full row describes the same function: the sum of its lobes (Eq. 4 of the paper) has the same
-        // value everywhere.
+        // The row with three lobes describes the transfer function with two lobes: at every scalar value, the
+        // sums of the lobes (Eq. 4 of the paper) are equal.
         let of = |row: &[f32], s: f32| -> f32 {
             row.chunks(3).map(|l| l[2] * libm::expf(-(s - l[0]).powi(2) / l[1])).sum()
         };

@@ -69,7 +69,7 @@ pub(crate) struct Options {
     /// Seed of the choice of frames whose mean time is the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Folder of the tables' volumes, if it is neither the working folder nor the table's.
+    /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER")]
     pub(crate) root: Option<PathBuf>,
     /// Threads; default: all logical processors.
@@ -191,7 +191,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         )?);
     }
     let constant = probe_means(&refs, &measured, options.seed);
-    let name = format!("mean of {:.0} % of each volume's frames", 100.0 * PROBE_SHARE);
+    let name = format!("mean time of {:.0} % of each volume's frames", 100.0 * PROBE_SHARE);
     let constant = assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?;
     predictors.push(Predictor { constant: true, ..constant });
 

@@ -190,8 +190,9 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Returns the packed words of the cells, with the edit's bits cleared, and the lanes whose cell is not
-    /// empty. Computes the optics of cells that no ray has met since the last edit.
+    /// Returns the packed optics of each lane's cell, without the bits that hold the number of the edit
+    /// ([`packed::EDIT`]), and the mask of those `lanes` whose cell is not empty. Before that, computes the
+    /// optics of cells that no ray has met since the last edit of the transfer function.
     #[inline(always)]
     fn look(&mut self, index: S::I, lanes: S::M) -> (S::I, S::M) {
         let simd = self.simd;

@@ -35,7 +35,8 @@ impl Map {
         self.range
     }
 
-    /// Position of a stored value in the table, 0…255, as by [`VolumeView::normalize`].
+    /// Returns the position of a stored voxel value in the transfer function's table, 0 to 255, computed as in
+    /// [`VolumeView::normalize`].
     #[inline(always)]
     fn position(&self, value: f32) -> f32 {
         match self.scale {
@@ -44,12 +45,12 @@ impl Map {
         }
     }
 
-    /// The highest entry at or below a stored value.
+    /// Returns the highest entry at or below a stored value.
     fn below(&self, value: f32) -> u8 {
         self.position(value) as u8
     }
 
-    /// The lowest entry at or above a stored value.
+    /// Returns the lowest entry at or above a stored value.
     fn above(&self, value: f32) -> u8 {
         super::ceil_entry(self.position(value))
     }
