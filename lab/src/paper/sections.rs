@@ -343,7 +343,11 @@ fn codes(of: &[&Results], s: &mut Section) {
 
 fn tuning(of: &[&Results], s: &mut Section) {
     for r in of {
-        let machine = if r.set == MACHINES { &format!(" Machine of the pre-training frames: {}.", r.machine) } else { "" };
+        let machine = if r.set == MACHINES {
+            &format!(" Machine of the pre-training frames: {}.", r.machine)
+        } else {
+            ""
+        };
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x != SORTED).map(|c| c.chart.as_str()).collect();
         for name in names {
