@@ -70,8 +70,8 @@ fn a_job_is_all_combinations_and_ids_survive_its_growth() {
 fn semi_spheres_are_even_and_above() {
     let poses = cameras(&[CamerasEntry::SemiSphere { views: 200, distances_radii: vec![2.0] }]).unwrap();
     assert!(poses.iter().all(|p| (0.0..=90.0).contains(&p.rx)));
-    // Each view covers an equal area of the upper half sphere. The circle at 30 degrees halves this area, so as
-    // many views are above it as below it.
+    // Each view covers an equal area of the upper half sphere. The circle at 30 degrees halves this area, so
+    // half of the views must lie above the circle.
     assert_eq!(poses.iter().filter(|p| p.rx > 30.0).count(), 100);
     let half = poses.iter().filter(|p| p.ry < 180.0).count();
     assert!((95..=105).contains(&half), "{half}");

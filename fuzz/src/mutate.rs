@@ -74,7 +74,8 @@ fn put(data: &mut [u8], bytes: &[u8], room: usize) -> usize {
     length
 }
 
-/// Replaces a number by another, repeats or deletes a line, or applies the byte mutation `step`.
+/// Changes a text, the first `size` bytes of `data`: replaces a number by another, repeats or deletes a line,
+/// or applies the byte mutation `step`. Returns the new number of used bytes.
 pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = random(seed);
     let mut bytes = data[..size].to_vec();
@@ -110,8 +111,8 @@ pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) ->
     put(data, &bytes, room)
 }
 
-/// Changes the first `size` bytes of `data`, a model file: changes its header or its tensors and then corrects
-/// the stored length of the header, or writes a generated model instead. Returns the new number of used bytes.
+/// Changes the header or the tensors of a model file, the first `size` bytes of `data`, and then corrects the
+/// stored length of the header; or writes a generated model instead. Returns the new number of used bytes.
 pub fn model(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = random(seed);
     let header = data[..size]

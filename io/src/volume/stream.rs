@@ -279,8 +279,8 @@ impl<'a> Stream<'a> {
         let keep = count.saturating_add(behind);
         let short = |found: u64, prefix: String| {
             anyhow!(
-                "{prefix}the header states {count} bytes of voxels and {behind} bytes after them, but {found} \
-                 bytes follow it; the file is cut short or its header is wrong"
+                "{prefix}the header states {count} bytes of voxels and {behind} bytes after them, but \
+                 {found} bytes follow the header; the file is cut short or its header is wrong"
             )
         };
         if let Remaining::Exact(left) = self.remaining {

@@ -84,8 +84,8 @@ fn a_simulated_farm_does_all_tasks_and_pays_for_bundles() {
     };
     let plain = run(&["--arrival"]);
     assert_eq!(plain["lower_bound_s"], 24.0);
-    // There are four slots, tasks take 1 s and 2 s in turn, and the start of a bundle takes no time. The makespan is then
-    // at most one task longer than the lower bound of any schedule.
+    // Tasks alternately take 1 s and 2 s; there are four slots, and starting a bundle takes no time. The
+    // makespan must exceed the lower bound of all schedules by at most 1 s, the time of a short task.
     let plain = plain["makespan_s"].as_f64().unwrap();
     assert!((24.0..=25.0).contains(&plain), "{plain}");
     let paid = run(&["--arrival", "--latency", "0.5", "--overhead", "0"]);

@@ -115,8 +115,9 @@ const GAIN: (f64, f64) = (0.1, 0.8);
 /// Smallest learning rate of the variance of calm frames' errors. At this rate, the variance is an average
 /// over about ten frames. At half the rate, the loss on the training paths is the same.
 const SPREAD_PACE: f64 = 0.1;
-/// Learning rate of the variance of b, the logarithm of the scene's own factor, among scenes. The variance is an
-/// average over about ten scenes. At half the rate, the loss on the training paths is the same.
+/// Learning rate of the variance among scenes of the logarithm of a scene's own factor. At this rate, the
+/// variance is an average over about ten scenes. At half the rate, the loss on the training paths is the
+/// same.
 const SCENE_PACE: f64 = 0.1;
 /// Prior variance of ln of each unit cost of a fitted model, and of their common factor, as a share of the
 /// variance of the model's errors. At 0, the loss on the training paths is the same.
@@ -278,7 +279,8 @@ impl Correction {
             self.covariance[i][LOCAL] *= keep;
             self.covariance[LOCAL][i] *= keep;
         }
-        // The logarithm of the scene's own factor is a random walk, except during a load, when it is not updated.
+        // The logarithm of the scene's own factor is a random walk, except during a load, which stops its
+        // updates.
         let wander = if self.loaded() { 0.0 } else { keep * self.spread * self.gain() * self.gain() };
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
         self.widen(DRIFT, DRIFT_SINGLE);
@@ -340,9 +342,9 @@ impl Correction {
         // The distribution of errors is skewed: frames faster than expected are clipped earlier than slower
         // ones.
         let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
-        // In a scene's first frame, the squared error, less the variances of the terms' factors and of the noise,
-        // updates the variance of the scenes' own factors. In a calm frame, the squared error updates the
-        // variance of calm frames' errors.
+        // In a scene's first frame, the squared error, less the variances of the terms' factors and of the
+        // noise, updates the variance of the scenes' own factors. In a calm frame, the squared error updates
+        // the variance of calm frames' errors.
         let squared = (error * error).min(CLIP * CLIP * sd * sd);
         if standing == Standing::First {
             if self.observations > 0 {
@@ -380,8 +382,8 @@ impl Correction {
     }
 
     /// Begins, changes or ends the load. `free` is ln(observed / expected without a load), `sd` its standard
-    /// deviation. Returns true if the scene's own factor must be changed instead of the load: the frames of a new
-    /// scene have become faster.
+    /// deviation. Returns true if the scene's own factor must be changed instead of the load: the frames
+    /// of a new scene have become faster.
     fn judge(&mut self, free: f64, sd: f64) -> bool {
         let with = free - self.load;
         // After n frames of a load, the odds that it continues are n to 1 (Laplace's rule of succession).
@@ -407,9 +409,9 @@ impl Correction {
             self.loaded = self.loaded.saturating_add(1);
             let mean = self.load + with / (self.loaded as f64).min(LOAD_FRAMES);
             self.load = mean.clamp(-STATE_LIMIT, STATE_LIMIT);
-            // A load that has lasted for `ESTABLISHED` frames is added to θ, the logarithms of the common
-            // factors. It is not added in the first frame of a scene, since the error of that frame updates θ
-            // too.
+            // A load that has lasted for more than `ESTABLISHED` frames is added to the logarithms of the
+            // terms' factors. It is not added in the first frame of a scene, because the error of that frame
+            // updates these logarithms too.
             if self.loaded > ESTABLISHED && self.age > 1 {
                 for i in 0..TERMS {
                     self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);

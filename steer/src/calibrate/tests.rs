@@ -109,8 +109,8 @@ fn several_machines_make_one_prior_and_a_factor_stands_alone() {
     for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
         assert!((found - 2.0 * stored).abs() <= 1e-6 * stored, "{found} {stored}");
     }
-    // If the frames of one machine could not determine a cost, the machine's model has 0 for it. The cost of the
-    // prior is not 0 for that reason.
+    // A cost of 0 in a machine's model means that the machine's frames could not determine the cost. Checks
+    // that the prior's cost is positive if only one of two models has a cost of 0.
     let mut blind = UnitCosts::SOFTWARE.0;
     blind[2] = 0.0;
     let blind = AnalyticModel::from_costs(blind).unwrap().to_model_file().unwrap();

@@ -99,7 +99,8 @@ pub(crate) struct Work {
     pub(crate) samples: f64,
     /// Number of jumps over empty blocks, of primary rays and of shadow rays.
     pub(crate) skips: f64,
-    /// Number of samples in a renderer that runs a tile of pixels in lockstep until the tile's longest ray ends.
+    /// Number of samples in a renderer that runs a tile of pixels in lockstep until the tile's longest ray
+    /// ends.
     pub(crate) lane_samples: f64,
     /// Number of samples with opacity where shading is on, otherwise 0.
     pub(crate) shaded: f64,

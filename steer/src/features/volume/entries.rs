@@ -35,8 +35,8 @@ impl Map {
         self.range
     }
 
-    /// Returns the position of a stored voxel value in the transfer function's table, 0 to 255, computed as in
-    /// [`VolumeView::normalize`].
+    /// Returns the position of a stored voxel value in the transfer function's table, 0 to 255 and not
+    /// rounded: 255 times the result of [`VolumeView::normalize`].
     #[inline(always)]
     fn position(&self, value: f32) -> f32 {
         match self.scale {
