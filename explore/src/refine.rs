@@ -165,7 +165,7 @@ mod tests {
                     Ok(cost(r))
                 })
                 .unwrap();
-            // Where the cost jumps tenfold, one region may exceed the budget.
+            // A tenfold jump of the cost may let one region exceed the budget.
             assert!(total <= 0.02 + 1e-9 || largest > 0.02, "{total}");
             slices += 1;
             let done: u64 = cursor.covered().iter().flatten().map(Region::pixels).sum();

@@ -461,8 +461,8 @@ mod tests {
         assert_eq!(c.residuals.len(), 4);
         assert!((c.noise(2) - 0.9f64.ln()).abs() < 1e-9 && c.noise(6) == c.noise(2));
         assert!((c.psnr(2.0) - 48.0).abs() < 1e-9);
-        // Where the time rises with the step, the two neighboring points both get the geometric mean of their
-        // times (isotonic regression).
+        // The time rises from step 1 to step 2, so both points get the geometric mean of their times (isotonic
+        // regression).
         let c = Curve::of(&[point(1.0, &[2.0]), point(2.0, &[4.0]), point(4.0, &[1.0])]);
         assert!((c.seconds(1.0) - 8f64.sqrt()).abs() < 1e-9 && c.seconds(1.0) == c.seconds(2.0));
     }

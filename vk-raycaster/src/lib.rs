@@ -34,7 +34,7 @@
 //! *Local shading.* Samples with α′ > 0 are lit by a headlight, which shines along the ray: gradient g by
 //! central differences over one voxel along each axis (in world proportions), N·L = |g·v| / |g| with v the
 //! ray's direction, c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v).
-//! Where the gradient is zero, c is unchanged.
+//! A sample whose gradient is zero keeps its c.
 //!
 //! *Single scattering.* Each sample with α′ > 0 casts a shadow ray towards a directional light that is fixed
 //! in scene space ([`LIGHT_DIRECTION`]). The shadow ray is sampled every [`SHADOW_STEP`] steps, for the first

@@ -11,7 +11,7 @@ mod protocol;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use passes::{collect_passes, pass_files};
+pub(crate) use passes::{collect_passes, pass_files, remove};
 pub(crate) use protocol::manifest_of;
 pub use protocol::{Job, Protocol, differences};
 

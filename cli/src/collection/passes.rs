@@ -78,7 +78,11 @@ pub(crate) fn collect_passes(
     Ok(outcome)
 }
 
-fn remove(files: &[PathBuf]) -> Result<()> {
+/// Removes the files that exist.
+///
+/// # Errors
+/// When a file cannot be removed; names the file.
+pub(crate) fn remove(files: &[PathBuf]) -> Result<()> {
     for file in files.iter().filter(|f| f.exists()) {
         std::fs::remove_file(file).with_context(|| format!("cannot remove {}", file.display()))?;
     }

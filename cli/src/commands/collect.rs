@@ -1,6 +1,6 @@
 //! `entire collect`: render many random frames of volumes and write their times to a table.
 
-use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
+use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files, remove};
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
@@ -308,14 +308,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     );
     bar.finish_and_clear();
     let go_on = format!("continue with the same command and --resume ({})", options.out.display());
+    let mut tables = pass_files(&options.out, protocol.passes);
+    tables.push(options.out.clone());
     let outcome = match result {
-        Err(error) if all_fresh(&tables(&options.out, protocol.passes))? => {
+        Err(error)
+            if tables.iter().try_fold(true, |all, file| anyhow::Ok(all && Writer::is_fresh(file)?))? =>
+        {
             // No table has frames: all are removed, so that a corrected command can start.
             drop(table);
-            for file in tables(&options.out, protocol.passes) {
-                std::fs::remove_file(file)?;
-            }
-            std::fs::remove_file(Manifest::path_for(&options.out))?;
+            tables.push(Manifest::path_for(&options.out));
+            remove(&tables)?;
             return Err(error);
         }
         result => result.with_context(|| format!("finished frames are kept; {go_on}"))?,
@@ -349,22 +351,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     );
     said.iter().for_each(|line| println!("{line}"));
     Ok(())
-}
-
-/// Returns the table and its pass tables, as far as they exist.
-fn tables(out: &Path, passes: u32) -> Vec<PathBuf> {
-    let all = std::iter::once(out.to_owned()).chain(pass_files(out, passes));
-    all.filter(|file| file.exists()).collect()
-}
-
-/// Returns true if no table has frames.
-fn all_fresh(tables: &[PathBuf]) -> Result<bool> {
-    for table in tables {
-        if !Writer::is_fresh(table)? {
-            return Ok(false);
-        }
-    }
-    Ok(true)
 }
 
 #[cfg(test)]

@@ -1,9 +1,10 @@
 //! NIfTI-1 and NIfTI-2 in one file (`.nii`, `.nii.gz`), either byte order. The header's slope and intercept
 //! are applied to the stored numbers; its orientation and its units are not used.
 //!
-//! As in the format's own library, a slope that is 0 or not finite means no scaling, an intercept that is not
-//! finite counts as 0, and a size of 0 after the third axis counts as 1. A spacing that is not finite is
-//! unknown: 1 is taken, with a note.
+//! The following rules are those of the format's own library. A slope that is 0 or not finite means no
+//! scaling, an intercept that is not finite counts as 0, and a size of 0 after the third axis counts as 1.
+//!
+//! A spacing that is not finite is unknown: 1 is taken, with a note.
 //!
 //! The project has its own reader, since the crate `nifti` 0.18 reads only NIfTI-1 and panics where a
 //! header's sizes contradict each other.

@@ -100,8 +100,8 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
         }
         let last = frames.last().unwrap();
         match player.kind {
-            // As in VTK, the first frame is drawn at half of the largest image sample distance; here, the
-            // smallest recorded image (s = 16) limits it. The distance of a later frame depends on the time
+            // VTK's rule draws the first frame at half of the largest image sample distance; here, the smallest
+            // recorded image (s = 16) limits this distance. The distance of a later frame depends on the time
             // of the frame before.
             ControllerKind::VtkFixedPoint => {
                 assert!(close(frames[0].step, 16.0) && frames[20].step > 7.0, "{:?}", frames[20]);

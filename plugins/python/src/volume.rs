@@ -223,7 +223,7 @@ fn hide<'py>(
     let numpy = py.import("numpy")?;
     calling(py, || {
         let copy = numpy.call_method1("array", (asarray(array)?,))?;
-        // As in the readers of volume files, values are rounded to 32-bit floats before they are compared.
+        // Values are rounded to 32-bit floats before they are compared, as by the readers of volume files.
         let narrow = copy.call_method1("astype", ("float32",))?;
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {
@@ -287,7 +287,7 @@ impl Volume {
                     ),
                 )?;
             }
-            // Where fill values are declared, all other values are data.
+            // If the caller declares fill values, all other values are data.
             let others = if matches!(fill, Fill::Auto) { Fill::Auto } else { Fill::Values(Vec::new()) };
             let mut data = Self::look_at(py, &hidden, spacing, origin, order, range, &others)?;
             data.copied = true;
