@@ -125,12 +125,12 @@ def split(files: list[VolumeFile], args: argparse.Namespace) -> dict[str, list[V
 
 
 @torch.no_grad()
-def reconstruction(model: VolumeNet, volumes: torch.Tensor, device: str, batch: int) -> np.ndarray:
+def reconstruction(model: VolumeNet, volumes: torch.Tensor, batch: int) -> np.ndarray:
     """Mean squared error of each volume in [-1, 1] units, evaluation mode."""
     model.eval()
     errors = []
     for i in range(0, len(volumes), batch):
-        x = volumes[i : i + batch].to(device, memory_format=torch.channels_last_3d)
+        x = volumes[i : i + batch].to(memory_format=torch.channels_last_3d)
         errors.append(((model(x) - x) ** 2).mean(dim=(1, 2, 3, 4)).cpu().numpy())
     return np.concatenate(errors) if errors else np.zeros(0)
 
@@ -145,6 +145,7 @@ def main() -> None:
     if args.threads:
         torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)
+    torch.backends.cudnn.benchmark = True
     files = find_volumes(args.data, args.datasets)
     if not files:
         sys.exit(f"no .nrrd or .nhdr file under {args.data}; name a folder with --data")
@@ -156,6 +157,7 @@ def main() -> None:
         for i, file in enumerate(tqdm(members, desc=f"reading {name}", leave=False)):
             digest.update(file.path.read_bytes())
             tensors[name][i] = network_input(file.path, args.size)
+        tensors[name] = tensors[name].to(args.device)
     print(", ".join(f"{len(v)} {k} volumes" for k, v in parts.items()))
 
     model = VolumeNet(args.size, args.features, args.channels).to(args.device, memory_format=torch.channels_last_3d)
@@ -193,14 +195,14 @@ def main() -> None:
     bar = tqdm(range(first_epoch, args.epochs), initial=first_epoch, total=args.epochs, unit="epoch")
     for epoch in bar:
         generator = torch.Generator().manual_seed(args.seed * 100_003 + epoch)
-        order = torch.randperm(len(parts["train"]), generator=generator)
+        order = torch.randperm(len(parts["train"]), generator=generator).to(args.device)
         model.train()
         total = 0.0
         for i in range(0, len(order), args.batch):
             chosen = order[i : i + args.batch]
             if len(chosen) == 1 and len(order) > 1 and args.size == 2 ** len(args.channels):
                 break  # batch normalization needs more than one value per channel
-            x = tensors["train"][chosen].to(args.device, memory_format=torch.channels_last_3d)
+            x = tensors["train"][chosen].to(memory_format=torch.channels_last_3d)
             optimizer.zero_grad(set_to_none=True)
             loss = loss_function(model(x), x)
             loss.backward()
@@ -213,7 +215,7 @@ def main() -> None:
         if stop["now"]:
             why = f"interrupted in epoch {epoch + 1}"
             break
-        judged_loss = float(reconstruction(model, tensors[judged], args.device, args.batch).mean())
+        judged_loss = float(reconstruction(model, tensors[judged], args.batch).mean())
         history.append({"epoch": epoch + 1, "train": total / len(order), judged: judged_loss})
         if judged_loss < best_loss:
             best_loss, best_epoch = judged_loss, epoch
@@ -247,7 +249,7 @@ def main() -> None:
     model.load_state_dict(best_state)
     results = {}
     for name, members in parts.items():
-        errors = reconstruction(model, tensors[name], args.device, args.batch)
+        errors = reconstruction(model, tensors[name], args.batch)
         by_dataset = defaultdict(list)
         for file, error in zip(members, errors):
             by_dataset[file.dataset].append(error)

@@ -2,7 +2,6 @@
 //! together, and with other numbers of channels for the capacity sweep.
 
 use super::Work;
-use super::description::BY_VOLUMES;
 use super::volumes::Place;
 use crate::child;
 use anyhow::{Context, Result, bail, ensure};
@@ -184,7 +183,8 @@ fn train(
 ) -> Result<()> {
     let asked = &work.paper.encoders;
     let union = |part: fn(&super::volumes::Parts) -> &BTreeSet<String>| -> Vec<String> {
-        places.iter().filter_map(|p| p.split(BY_VOLUMES)).flat_map(|s| part(s).iter().cloned()).collect()
+        let splits = places.iter().filter_map(|p| p.split(p.main_split()));
+        splits.flat_map(|s| part(s).iter().cloned()).collect()
     };
     let to = encoder.path(work.out);
     let parts = to.with_extension("parts.json");

@@ -137,12 +137,12 @@ pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>
 }
 
 /// Returns the encoder for the parts of the study that do not compare encoders, with its description in
-/// words. For the split by volumes it is an encoder trained on the data set: of the main size if it exists,
+/// words. For the paper's split it is an encoder trained on the data set: of the main size if it exists,
 /// else of another size with as many features. If there is none, and for all other splits, it is the shipped
 /// encoder, which was trained without the test members.
 pub(super) fn main_encoder(work: &Work<'_>, set: &str, split: &str) -> Result<(PathBuf, String)> {
     let (size, features) = work.paper.encoders.main;
-    if split == BY_VOLUMES {
+    if split == work.paper.rule(set).split() {
         let mut own = trained(work, Some(set))?;
         own.retain(|e| e.features == features);
         own.sort_by_key(|e| e.size != size);

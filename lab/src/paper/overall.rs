@@ -48,7 +48,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
                 errors_table(r),
                 format!(
                     "{}: tested on random volumes, a left-out member, and volumes of another kind ({BY_MODALITY}). \
-                     Encoder of the network in the split by random volumes: {}.",
+                     Encoder of the network: {}.",
                     title(paper, r),
                     r.encoder
                 ),

@@ -61,15 +61,22 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
     s
 }
 
+/// The split of the results that a section shows: the paper's if the results hold it, else that by random volumes.
+fn split_of(paper: &Paper, r: &Results) -> &'static str {
+    let rule = paper.rule(&r.set).split();
+    if r.rows.iter().any(|x| x.split == rule) { rule } else { BY_VOLUMES }
+}
+
 fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> Table) {
     for r in of.iter().filter(|r| !r.rows.is_empty()) {
-        let frames = r.frames.get(BY_VOLUMES).map_or(String::new(), |f| {
-            let split = in_words(BY_VOLUMES);
+        let split = split_of(paper, r);
+        let frames = r.frames.get(split).map_or(String::new(), |f| {
+            let split = in_words(split);
             format!(" Split by {split}: {} training, {} validation and {} test frames.", f[0], f[1], f[2])
         });
         s.tables
             .push((table(r), format!("{}.{frames} Encoder of the network: {}.", title(paper, r), r.encoder)));
-        let found = r.row(BY_VOLUMES, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
+        let found = r.row(split, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
         if let Some(row) = found {
             s.summary = format!("{}: {} ± {} s", title(paper, r), seconds(row.rmse), seconds(row.rmse_sd));
         } else if let Some(best) = r
@@ -288,7 +295,8 @@ fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
     let mut table = Table::new(columns);
     let mut deviations = vec![Vec::new(); names.len()];
     for r in &shown {
-        let errors: Vec<Option<f64>> = names.iter().map(|n| Some(r.row(BY_VOLUMES, n)?.rmse)).collect();
+        let errors: Vec<Option<f64>> =
+            names.iter().map(|n| Some(r.row(split_of(paper, r), n)?.rmse)).collect();
         let best = errors.iter().flatten().copied().fold(f64::INFINITY, f64::min);
         let mut cells = vec![title(paper, r).into()];
         for (i, e) in errors.iter().enumerate() {

@@ -144,17 +144,18 @@ impl At<'_> {
 
     /// Trains the paper's network without one of its inputs, and returns the models.
     fn without(&self, input: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
-        let (mut recipe, _) = self.network(BY_VOLUMES)?;
+        let split = self.place.main_split();
+        let (mut recipe, _) = self.network(split)?;
         recipe.inputs.retain(|i| i != input);
         if input == GroupKind::VolumeFeatures.to_string() {
             recipe.volumenet = None;
         }
-        let key = format!("{BY_VOLUMES}-without-{input}");
+        let key = format!("{split}-without-{input}");
         self.on_split(&Method { name: input, key: &key, recipe }, self.paper().runs, frames)
     }
 
     fn note_frames(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
-        results.encoder = self.network(BY_VOLUMES)?.1;
+        results.encoder = self.network(self.place.main_split())?.1;
         let count = |f: &TimedFrames<'_>| f.frames.len();
         let counts = [count(&frames.training), count(&frames.validation), count(&frames.test)];
         results.frames.insert(split.to_owned(), counts);
@@ -231,7 +232,7 @@ impl At<'_> {
     fn code_curves(&self, results: &mut Results) -> Result<()> {
         let features = self.loaded.tables[0].features.as_ref().context("no features")?;
         let encoders = [
-            (main_encoder(self.work, &self.place.set.name, BY_VOLUMES)?.0, "own"),
+            (self.network(self.place.main_split())?.0.volumenet.context("no encoder")?, "own"),
             (self.paper().encoders.shipped[0].clone(), "shipped"),
         ];
         for (path, chart) in encoders {
@@ -269,10 +270,11 @@ impl At<'_> {
     }
 
     fn ablation(&self, results: &mut Results) -> Result<()> {
-        let frames = self.frames(BY_VOLUMES)?;
-        self.note_frames(results, BY_VOLUMES, &frames)?;
-        let mut judge = self.judge(BY_VOLUMES, &frames.test, self.proxy(&frames.training));
-        let networks = self.networks(BY_VOLUMES, &frames)?;
+        let split = self.place.main_split();
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
+        let mut judge = self.judge(split, &frames.test, self.proxy(&frames.training));
+        let networks = self.networks(split, &frames)?;
         judge.add(NETWORK, &self.predictions(&networks, &frames.test.frames)?);
         for input in &self.paper().network.inputs {
             let models = self.without(input, &frames)?;
@@ -284,11 +286,12 @@ impl At<'_> {
 
     fn varied(&self, results: &mut Results) -> Result<()> {
         let table = self.loaded.varied.context("no frames of one parameter varied at a time")?;
-        let frames = self.frames(BY_VOLUMES)?;
-        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let split = self.place.main_split();
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
         let line = self.proxy(&frames.training);
-        let networks = self.networks(BY_VOLUMES, &frames)?;
-        let ours = self.ours(BY_VOLUMES, &frames)?;
+        let networks = self.networks(split, &frames)?;
+        let ours = self.ours(split, &frames)?;
         let all = self.loaded.all(table, self.clock);
         let inputs = [
             GroupKind::VolumeFeatures,
@@ -357,15 +360,16 @@ impl At<'_> {
     }
 
     fn samples(&self, results: &mut Results) -> Result<()> {
-        let frames = self.frames(BY_VOLUMES)?;
-        self.note_frames(results, BY_VOLUMES, &frames)?;
-        let (recipe, _) = self.network(BY_VOLUMES)?;
+        let split = self.place.main_split();
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
+        let (recipe, _) = self.network(split)?;
         let line = self.proxy(&frames.training);
-        let mut judge = self.judge(BY_VOLUMES, &frames.test, line);
+        let mut judge = self.judge(split, &frames.test, line);
         for &share in self.paper().shares.iter().chain([&1.0]) {
             let count = ((share * frames.training.frames.len() as f64).round() as usize).max(2);
             let predicted = if share < 1.0 {
-                let key = format!("{BY_VOLUMES}-network-{share:.2}");
+                let key = format!("{split}-network-{share:.2}");
                 let method = Method { name: NETWORK, key: &key, recipe: recipe.clone() };
                 let made = self.runs(&method, self.paper().runs, |run| {
                     (frames.training.sample(count, run as u64).0, frames.validation.clone())
@@ -374,7 +378,7 @@ impl At<'_> {
                     made.iter().map(|(f, _)| Ok(f.to_model()?)).collect::<Result<_>>()?;
                 self.predictions(&models, &frames.test.frames)?
             } else {
-                self.predictions(&self.networks(BY_VOLUMES, &frames)?, &frames.test.frames)?
+                self.predictions(&self.networks(split, &frames)?, &frames.test.frames)?
             };
             judge.add(&format!("{share:.2}"), &predicted);
             if let Some(row) = judge.rows.last_mut() {
@@ -387,13 +391,14 @@ impl At<'_> {
     }
 
     fn depth(&self, results: &mut Results) -> Result<()> {
-        let frames = self.frames(BY_VOLUMES)?;
-        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let split = self.place.main_split();
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
         let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
         let line = self.proxy(&frames.training);
-        let mut judge = self.judge(BY_VOLUMES, &frames.test, line);
+        let mut judge = self.judge(split, &frames.test, line);
         for preset in &self.paper().depths {
-            let (network, _) = self.network(BY_VOLUMES)?;
+            let (network, _) = self.network(split)?;
             let models = self.with_layers(preset, network, "", &frames)?;
             judge.add(preset, &self.predictions(&models, &frames.test.frames)?);
             if let (Some(bench), Some(row)) = (&mut bench, judge.rows.last_mut()) {
@@ -413,21 +418,23 @@ impl At<'_> {
         encoder: &str,
         frames: &SplitFrames<'_>,
     ) -> Result<Vec<Model>> {
-        let same = self.network(BY_VOLUMES)?.0;
+        let split = self.place.main_split();
+        let same = self.network(split)?.0;
         let recipe = Recipe { preset: Some(preset.to_owned()), ..network };
         if recipe == same {
-            return self.networks(BY_VOLUMES, frames);
+            return self.networks(split, frames);
         }
-        let key = format!("{BY_VOLUMES}-{encoder}{preset}");
+        let key = format!("{split}-{encoder}{preset}");
         self.on_split(&Method { name: preset, key: &key, recipe }, self.paper().runs, frames)
     }
 
     fn encoders(&self, results: &mut Results) -> Result<()> {
-        let frames = self.frames(BY_VOLUMES)?;
-        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let split = self.place.main_split();
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
         let set = &self.place.set.name;
         let line = self.proxy(&frames.training);
-        let mut judge = self.judge(BY_VOLUMES, &frames.test, line);
+        let mut judge = self.judge(split, &frames.test, line);
         for encoder in trained(self.work, Some(set))? {
             let path = encoder.path(self.work.out);
             let name = format!("{}³F{}", encoder.size, encoder.features);
@@ -469,10 +476,11 @@ impl At<'_> {
     }
 
     fn finalists(&self, results: &mut Results) -> Result<()> {
-        let frames = self.frames(BY_VOLUMES)?;
-        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let split = self.place.main_split();
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
         let trained = trained(self.work, Some(&self.place.set.name))?;
-        let mut judge = self.judge(BY_VOLUMES, &frames.test, self.proxy(&frames.training));
+        let mut judge = self.judge(split, &frames.test, self.proxy(&frames.training));
         for (size, features, preset) in &self.paper().finalists {
             let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
                 entire_io::files::note(&format!(

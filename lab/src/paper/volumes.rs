@@ -4,7 +4,7 @@ use super::description::{BY_MEMBERS, BY_VOLUMES, DataSet, Paper};
 use anyhow::{Context, Result, ensure};
 use entire_cli::collection::Job;
 use entire_io::files::fnv1a;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Selected data sets and modes; an empty list selects all.
@@ -90,6 +90,13 @@ impl Place {
         if learned { paper.frames.training } else { paper.frames.held_out }
     }
 
+    /// The split by which the paper tests on the data set; the split by random volumes if the members of the paper's
+    /// split are missing.
+    pub(crate) fn main_split(&self) -> &'static str {
+        let rule = self.set.rule.split();
+        self.split(rule).map_or(BY_VOLUMES, |s| s.name)
+    }
+
     /// The split with a name.
     pub(crate) fn split(&self, name: &str) -> Option<&Parts> {
         self.splits.iter().find(|s| s.name == name)
@@ -121,13 +128,27 @@ fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()
     Ok(())
 }
 
-/// Returns two disjoint tenths of some volumes, each of at least one volume. Volumes are taken in the order
-/// of a hash of their names, so that the choice is pseudo-random but depends on the names alone.
+/// Name of the volume of which a volume is a variant: `t0010.nrrd` for `t0010.s50.nrrd`, with the same folders.
+fn original(name: &str) -> String {
+    let (folder, file) = name.rsplit_once('/').unwrap_or(("", name));
+    let Some((stem, rest)) = file.split_once('.') else { return name.to_owned() };
+    let extension = rest.rsplit('.').next().unwrap_or(rest);
+    if folder.is_empty() { format!("{stem}.{extension}") } else { format!("{folder}/{stem}.{extension}") }
+}
+
+/// Returns two disjoint tenths of some volumes, each of at least one volume with its variants. Volumes are taken in
+/// the order of a hash of their names, so that the choice is pseudo-random but depends on the names alone.
 fn tenths<'a>(names: impl Iterator<Item = &'a String>) -> (BTreeSet<String>, BTreeSet<String>) {
-    let mut names: Vec<&String> = names.collect();
-    let tenth = ((names.len() as f64 / 10.0).round() as usize).max(1);
-    names.sort_by_key(|n| (fnv1a(n.as_bytes()), (*n).clone()));
-    let part = |from: usize| names.iter().skip(from).take(tenth).map(|n| (*n).clone()).collect();
+    let mut originals: BTreeMap<String, Vec<&String>> = BTreeMap::new();
+    for name in names {
+        originals.entry(original(name)).or_default().push(name);
+    }
+    let tenth = ((originals.len() as f64 / 10.0).round() as usize).max(1);
+    let mut originals: Vec<(String, Vec<&String>)> = originals.into_iter().collect();
+    originals.sort_by_key(|(n, _)| (fnv1a(n.as_bytes()), n.clone()));
+    let part = |from: usize| {
+        originals.iter().skip(from).take(tenth).flat_map(|(_, all)| all.iter().copied().cloned()).collect()
+    };
     (part(0), part(tenth))
 }
 
@@ -197,6 +218,22 @@ mod tests {
 
     fn jobs() -> Vec<Job> {
         (0..40).map(|i| Job::from_path(Path::new(&format!("e/m0{}/t{:04}.nrrd", i % 4, i / 4)))).collect()
+    }
+
+    #[test]
+    fn variants_of_a_volume_are_in_the_same_part() {
+        let variants = |j: Job| {
+            let name = name_of(&j);
+            let of =
+                |share: &str| Job::from_path(Path::new(&name.replace(".nrrd", &format!(".s{share}.nrrd"))));
+            [j.clone(), of("50"), of("80")]
+        };
+        let plain = &splits(&set(None), &jobs()).unwrap()[0];
+        let all: Vec<Job> = jobs().into_iter().flat_map(variants).collect();
+        let found = &splits(&set(None), &all).unwrap()[0];
+        assert_eq!(found.test.len(), 3 * plain.test.len());
+        let originals: BTreeSet<String> = found.test.iter().map(|n| original(n)).collect();
+        assert_eq!(originals, plain.test, "{:?}", found.test);
     }
 
     #[test]
