@@ -7,6 +7,7 @@ use entire_io::dataset::{Table, read_tables};
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
 use entire_steer::calibrate::PriorModel;
+use entire_steer::predict::UnitCosts;
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, predict};
 use entire_train::split::TimedFrames;
@@ -211,7 +212,7 @@ fn card(
          {}\n\
          entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
          `entire steer --model here.safetensors` steers with it.\n",
-        if PriorModel::new(std::slice::from_ref(file)).is_ok() {
+        if PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok() {
             format!(
                 "entire calibrate --data FRAMES.csv --shade {shading} --prior models/{name}.safetensors --out here.safetensors"
             )

@@ -23,9 +23,8 @@ use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, t
 use entire_io::volume::Reading;
 use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
 use entire_steer::features::PROBE_SIDE;
-use entire_steer::predict::UnitCosts;
 use entire_train::fit::FitContext;
-use entire_train::fit::{counts, expected_costs};
+use entire_train::fit::{counts, expected_costs, typical_costs};
 use entire_train::inputs::{Layout, work_of};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
@@ -140,7 +139,8 @@ pub(crate) fn calibrate(
     bar.set_length(settings.seconds.ceil() as u64);
     bar.set_message("choosing frames");
     let (files, names) = named(priors);
-    let pool = Pool::draw(settings, &files, threads)?;
+    let typical = typical_costs(renderer.backend(), &renderer.device());
+    let pool = Pool::draw(settings, (&files, &typical), threads)?;
     let frames_end =
         deadline - Duration::from_secs_f64(PICTURES_SHARE * settings.seconds).min(deadline - start);
     let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, bar);
@@ -184,7 +184,7 @@ pub(crate) fn calibrate(
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
-    let chosen = pool.prior.choose(&observed, &UnitCosts::SOFTWARE, Executor::Rayon(threads))?;
+    let chosen = pool.prior.choose(&observed, &typical, Executor::Rayon(threads))?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let report = Report::new(
         (settings.shading, settings.clock),
@@ -212,7 +212,8 @@ fn fit_to_frames(
     priors: &[ModelFile],
 ) -> Result<(Chosen, Vec<Observed>)> {
     let mut groups = Groups::default();
-    let prior = PriorModel::new(priors)?;
+    let renderer = expected_costs(context, part);
+    let prior = PriorModel::new(priors, &renderer)?;
     let (rows, width, side) = match prior.layout() {
         None => (Vec::new(), 0, PROBE_SIDE),
         Some(_) => {
@@ -221,7 +222,6 @@ fn fit_to_frames(
             (rows, layout.width(), layout.probe_side())
         }
     };
-    let renderer = expected_costs(context, part);
     let work = counts(context, part, &renderer, side)?;
     let observed: Vec<Observed> = part
         .frames

@@ -13,7 +13,7 @@ use entire_io::volume::Reading;
 use entire_steer::calibrate::PriorModel;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_steer::numeric::dot;
-use entire_steer::predict::{COST_QUANTITIES, COSTS};
+use entire_steer::predict::{COST_QUANTITIES, COSTS, UnitCosts};
 use entire_train::inputs::{Layout, measure, work_of};
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
@@ -88,7 +88,7 @@ impl Pool {
     /// When a volume cannot be read, or the priors do not fit together.
     pub(crate) fn draw(
         settings: &Settings,
-        priors: &[ModelFile],
+        (priors, typical): (&[ModelFile], &UnitCosts),
         threads: &rayon::ThreadPool,
     ) -> Result<Self> {
         ensure!(!settings.volumes.is_empty(), "no volume to calibrate with was given; name volume files");
@@ -137,7 +137,7 @@ impl Pool {
                 }
             }
         }
-        let prior = PriorModel::new(priors)?;
+        let prior = PriorModel::new(priors, typical)?;
         let factor = match prior.layout() {
             Some(_) => Some(priors[0].to_model()?),
             None => None,
@@ -198,7 +198,7 @@ mod tests {
         let threads = entire_io::options::thread_pool(Some(1)).unwrap();
         for seed in [0, u64::MAX] {
             let settings = Settings { seed, ..Settings::brief(vec![path.clone()]) };
-            let pool = Pool::draw(&settings, &[], &threads).unwrap();
+            let pool = Pool::draw(&settings, (&[], &UnitCosts::SOFTWARE), &threads).unwrap();
             assert_eq!(pool.candidates.len() as u64, 2 * PER_VOLUME);
         }
     }

@@ -40,7 +40,7 @@ pub struct Report {
     pub warm_ups: usize,
     /// Wall seconds of the whole calibration.
     pub seconds: f64,
-    /// Names of the prior models; `None` for the unit costs of a software renderer.
+    /// Names of the prior models; `None` for typical unit costs of this kind of renderer.
     pub prior: Option<String>,
     /// Number of folds of the cross-validation by volume; 0 where there were too few volumes.
     pub folds: usize,
@@ -189,7 +189,7 @@ impl Report {
         if let Some(noise) = self.noise {
             line(&mut out, "noise", noise.describe());
         }
-        let from = self.prior.as_deref().unwrap_or("the unit costs of a software renderer");
+        let from = self.prior.as_deref().unwrap_or("typical unit costs of this kind of renderer");
         line(&mut out, "prior", from.into());
         let interval = self
             .median_error_interval

@@ -5,7 +5,7 @@ use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
 use crate::collection::manifest_of;
-use crate::shipped::shipped_models;
+use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::scene::Shading;
@@ -192,7 +192,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut written = 0;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     for (&shading, out) in options.shade.modes().iter().zip(&outs) {
-        let priors = priors_of(options, shading)?;
+        let priors = priors_of(options, shading, (renderer.backend(), &renderer.device()))?;
         let settings = Settings {
             volumes: volumes.clone(),
             reading: options.volume_args.reading(),
@@ -241,11 +241,16 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
     Manifest { files: report.files.clone(), ..manifest_of(renderer, options.seed, 0, settings) }
 }
 
-/// Returns the priors with their names: the model of --prior, else the shipped models of the shading mode.
-fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
+/// Returns the priors with their names: the model of --prior, else the shipped priors of the shading mode for a
+/// renderer with this backend and device.
+fn priors_of(
+    options: &Options,
+    shading: Shading,
+    (backend, device): (&str, &str),
+) -> Result<Vec<NamedPrior>> {
     match &options.prior {
         Some(path) => Ok(vec![(path.display().to_string(), read_model_file(path)?.0)]),
-        None => shipped_models(shading),
+        None => shipped_priors(shading, backend, device),
     }
 }
 
@@ -284,7 +289,9 @@ fn from_tables(options: &Options) -> Result<()> {
         if let Some(text) = left_out(&tables, clock, Some(shading)) {
             note(&text);
         }
-        let priors = priors_of(options, shading)?;
+        let manifest = tables.first().and_then(|t| t.manifest.as_ref());
+        let drawn_by = manifest.map_or(("", ""), |m| (m.renderer.as_str(), m.device.as_str()));
+        let priors = priors_of(options, shading, drawn_by)?;
         let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, &threads)?;
         write_whole(&out, &file.to_bytes()?)?;
         print!("{}", report.text());

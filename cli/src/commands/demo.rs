@@ -6,7 +6,7 @@ use crate::calibrate::pool::SMALL_VOLUME;
 use crate::calibrate::{Calibrated, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
 use crate::commands::steer::{INTERRUPTED, describe};
-use crate::shipped::shipped_models;
+use crate::shipped::shipped_priors;
 use crate::steering::calibrate::CALIBRATION_STEPS;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
@@ -131,7 +131,7 @@ fn calibrated(
         seed: options.seed,
         picture_error: PictureError::default(),
     };
-    let priors = shipped_models(draw.shading)?;
+    let priors = shipped_priors(draw.shading, renderer.backend(), &renderer.device())?;
     let threads = thread_pool(None)?;
     let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
     let Calibrated { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;

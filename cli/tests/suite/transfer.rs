@@ -1,6 +1,6 @@
 //! A model of one renderer is calibrated to another with a few frames.
 
-use entire_cli::calibrate::calibrate_to_frames;
+use entire_cli::calibrate::{calibrate_from, calibrate_to_frames};
 use entire_io::dataset::{Clock, Table, Timed};
 use entire_io::metrics::Metrics;
 use entire_train::fit::{FitContext, Kind, Recipe, predict};
@@ -52,11 +52,33 @@ fn what_converting_stored_values_costs_is_told_from_the_volume() {
         Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
     };
     let converting = error(&context);
-    // The same frames, as if the raycaster had drawn them.
+    // The same frames, as if the CPU version of the raycaster had drawn them.
     let mut as_ours = tables.clone();
     for t in &mut as_ours {
-        t.manifest.as_mut().unwrap().renderer = "vulkan".into();
+        t.manifest.as_mut().unwrap().renderer = "cpu".into();
     }
     let plain = error(&FitContext { tables: &as_ours, ..context });
     assert!(converting < 0.2 && converting < 0.75 * plain, "{converting}, {plain} without");
+}
+
+#[test]
+fn the_longest_ray_decides_how_long_a_gpu_takes() {
+    let tables = tables(&["none-h100-train", "none-h100-members"]);
+    let [train, unseen] = [0, 1].map(|i: usize| TimedFrames::of(&tables[i].frames, Clock::Device));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let bar = indicatif::ProgressBar::hidden();
+    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+    let error = |context: &FitContext<'_>| {
+        let file = calibrate_from(&[], context, train.timed()).unwrap();
+        let predicted = predict(&file.to_model().unwrap(), context, &unseen.frames).unwrap();
+        Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
+    };
+    let gpu = error(&context);
+    // The same frames, as if a software driver had drawn them: no cost is that of a single ray.
+    let mut as_software = tables.clone();
+    for t in &mut as_software {
+        t.manifest.as_mut().unwrap().device = "llvmpipe".into();
+    }
+    let software = error(&FitContext { tables: &as_software, ..context });
+    assert!(gpu < 0.35 && gpu < 0.6 * software, "{gpu}, {software} as if in software");
 }

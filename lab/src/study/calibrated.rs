@@ -9,6 +9,7 @@ use entire_cli::calibrate::calibrate_to_frames;
 use entire_core::model::ModelFile;
 use entire_io::metrics::Metrics;
 use entire_steer::calibrate::PriorModel;
+use entire_steer::predict::UnitCosts;
 use entire_train::fit::predict;
 use entire_train::split::TimedFrames;
 use rand::seq::SliceRandom;
@@ -37,7 +38,7 @@ pub(super) fn calibrated(
     let Some(at) = set.splits.iter().position(|s| set.calibration_split.as_ref() == Some(&s.name)) else {
         return Ok(());
     };
-    if PriorModel::new(std::slice::from_ref(file)).is_err() {
+    if PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_err() {
         return Ok(());
     }
     let Some(halves) = halves(&data.splits[at]) else { return Ok(()) };

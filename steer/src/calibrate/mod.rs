@@ -138,7 +138,7 @@ impl Calibration {
             );
         }
         let prior = match prior {
-            Some(file) => PriorModel::new(core::slice::from_ref(file))?,
+            Some(file) => PriorModel::new(core::slice::from_ref(file), &UnitCosts::SOFTWARE)?,
             None => PriorModel::default(),
         };
         let width = prior.width();

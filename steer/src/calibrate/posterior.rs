@@ -177,11 +177,14 @@ impl Default for PriorModel {
 impl PriorModel {
     /// Returns the prior made from `files`. For analytic models of different machines, it is the geometric
     /// mean of their unit costs. An analytic model times a learned factor must be the only file, and is the
-    /// prior itself. Without files, the prior is the unit costs of a software renderer.
+    /// prior itself. Without files, the prior is `typical`, the typical costs of this kind of renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Unsupported`] for other models.
-    pub fn new(files: &[ModelFile]) -> Result<Self> {
+    pub fn new(files: &[ModelFile], typical: &UnitCosts) -> Result<Self> {
+        if files.is_empty() {
+            return Ok(Self { costs: typical.0, factor: None });
+        }
         let mut logs = [0.0; COSTS];
         for file in files {
             let Some(model) = AnalyticModel::from_model(&file.to_model()?)? else {
@@ -191,12 +194,12 @@ impl PriorModel {
                 let (factor, costs) = Factor::new(file)?;
                 return Ok(Self { costs, factor: Some(factor) });
             };
-            let UnitCosts(costs) = with_unknown(&model.costs(), &UnitCosts::SOFTWARE);
+            let UnitCosts(costs) = with_unknown(&model.costs(), typical);
             for (log, cost) in logs.iter_mut().zip(costs) {
                 *log += libm::log(cost) / files.len() as f64;
             }
         }
-        Ok(if files.is_empty() { Self::default() } else { Self { costs: logs.map(libm::exp), factor: None } })
+        Ok(Self { costs: logs.map(libm::exp), factor: None })
     }
 
     /// Unit costs of the prior, in seconds; 0 for work whose cost the prior lacks.

@@ -56,7 +56,8 @@ fn seconds_by(costs: &[f64; COSTS], work: &[f64; COSTS]) -> f64 {
 
 #[test]
 fn a_calibration_finds_another_machines_unit_costs() {
-    let prior = PriorModel::new(&[AnalyticModel::default().to_model_file().unwrap()]).unwrap();
+    let prior =
+        PriorModel::new(&[AnalyticModel::default().to_model_file().unwrap()], &UnitCosts::SOFTWARE).unwrap();
     assert!(prior.layout().is_none());
     for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
         assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
@@ -105,7 +106,7 @@ fn several_machines_make_one_prior_and_a_factor_stands_alone() {
         let costs = UnitCosts::SOFTWARE.0.map(|c| scale * c);
         AnalyticModel::from_costs(costs).unwrap().to_model_file().unwrap()
     };
-    let prior = PriorModel::new(&[model(0.5), model(8.0)]).unwrap();
+    let prior = PriorModel::new(&[model(0.5), model(8.0)], &UnitCosts::SOFTWARE).unwrap();
     for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
         assert!((found - 2.0 * stored).abs() <= 1e-6 * stored, "{found} {stored}");
     }
@@ -114,18 +115,25 @@ fn several_machines_make_one_prior_and_a_factor_stands_alone() {
     let mut blind = UnitCosts::SOFTWARE.0;
     blind[2] = 0.0;
     let blind = AnalyticModel::from_costs(blind).unwrap().to_model_file().unwrap();
-    let prior = PriorModel::new(&[model(1.0), blind]).unwrap();
+    let prior = PriorModel::new(&[model(1.0), blind], &UnitCosts::SOFTWARE).unwrap();
     let ratio = prior.costs()[2] / UnitCosts::SOFTWARE.0[2];
     assert!((0.1..1.0).contains(&ratio), "{ratio}");
     let factor = unit_factor(PROBE_SIDE);
-    assert_eq!(PriorModel::new(core::slice::from_ref(&factor)).unwrap().layout().unwrap().width(), 4);
-    let error = PriorModel::new(&[factor, model(1.0)]).err().unwrap().to_string();
+    assert_eq!(
+        PriorModel::new(core::slice::from_ref(&factor), &UnitCosts::SOFTWARE)
+            .unwrap()
+            .layout()
+            .unwrap()
+            .width(),
+        4
+    );
+    let error = PriorModel::new(&[factor, model(1.0)], &UnitCosts::SOFTWARE).err().unwrap().to_string();
     assert!(error.contains("--model-kind"), "{error}");
 }
 
 #[test]
 fn a_factor_is_kept_and_its_costs_are_fitted() {
-    let prior = PriorModel::new(&[unit_factor(PROBE_SIDE)]).unwrap();
+    let prior = PriorModel::new(&[unit_factor(PROBE_SIDE)], &UnitCosts::SOFTWARE).unwrap();
     let row = |i: usize, costs: &[f64; COSTS]| -> Vec<f32> {
         let mut row: Vec<f32> = (0..4).map(|k| ((i * (k + 2)) % 7) as f32).collect();
         row[3] = seconds_by(costs, &work(i)).ln() as f32;

@@ -55,7 +55,7 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
     // The simulated machine has other ratios of unit costs than the default, and is far slower.
     let truth = AnalyticModel::from_costs([
         4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-        0.0, 0.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ])
     .unwrap();
     let mut noise = Noise(7);

@@ -3,7 +3,7 @@
 use super::{FrameFeatures, SceneQuantity, Setting};
 
 /// Number of unit costs of the linear model: one per frame, then one per quantity of [`COST_QUANTITIES`].
-pub const COSTS: usize = 22;
+pub const COSTS: usize = 28;
 
 /// Quantities that have a unit cost, in the order of [`UnitCosts`] after its first element, the cost per
 /// frame.
@@ -29,10 +29,17 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::FarY,
     SceneQuantity::FarZ,
     SceneQuantity::RemappedSamples,
+    SceneQuantity::LongestSamples,
+    SceneQuantity::LongestSegments,
+    SceneQuantity::LongestShadowSamples,
+    SceneQuantity::FarLongestSamples,
+    SceneQuantity::FarLongestSegments,
+    SceneQuantity::FarLongestShadowSamples,
 ];
 
-/// Number of unit costs that any renderer may have: all but the last. The last one, for the conversion of
-/// stored values, is nonzero only for renderers like [`UnitCosts::CONVERTING`].
+/// Number of unit costs that any renderer may have. The next one, for the conversion of stored values, is nonzero only
+/// for renderers like [`UnitCosts::CONVERTING`], the others, for the longest ray, only for those like
+/// [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
 /// Unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
@@ -44,7 +51,8 @@ impl UnitCosts {
     /// Only the ratios of the costs matter, since the first observed frames set their scale.
     pub const SOFTWARE: Self = Self([
         1.3e-4, 8.0e-8, 1.3e-8, 5.5e-9, 2.2e-9, 1.2e-9, 2.5e-8, 1.9e-8, 4.2e-10, 1.2e-9, 5.3e-11, 2.7e-9,
-        2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0,
+        2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+        0.0,
     ]);
 
     /// As [`UnitCosts::SOFTWARE`], with a cost for the conversion of stored values: for renderers that look
@@ -54,6 +62,16 @@ impl UnitCosts {
         costs[COMMON_COSTS] = 2.0e-9;
         Self(costs)
     };
+
+    /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its longest ray,
+    /// plus the work of all rays divided by the throughput (Brent's bound of parallel time: work over processors, plus
+    /// the longest chain of dependent operations). Geometric means of the costs measured with each shading mode on an NVIDIA
+    /// H100.
+    pub const GPU: Self = Self([
+        6.0e-6, 1.1e-12, 6.5e-13, 2.2e-12, 1.8e-12, 5.6e-13, 3.1e-12, 1.1e-12, 9.1e-12, 3.6e-12, 6.1e-13,
+        2.2e-12, 1.3e-10, 3.4e-12, 2.3e-10, 5.8e-12, 6.8e-12, 1.0e-10, 3.9e-12, 5.4e-12, 6.8e-12, 0.0,
+        6.8e-7, 1.3e-6, 4.8e-8, 2.3e-7, 3.6e-6, 9.9e-8,
+    ]);
 
     /// Each unit cost with its name: `frame`, then the quantities' names.
     pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {

@@ -115,6 +115,12 @@ pub(crate) struct Work {
     pub(crate) runs: f64,
     /// Number of lookups in the skip map during runs, along primary and shadow rays; 0 without skipping.
     pub(crate) segments: f64,
+    /// Number of samples of the ray with the most samples.
+    pub(crate) longest_samples: f64,
+    /// Number of lookups in the skip map by the ray with the most lookups; 0 without skipping.
+    pub(crate) longest_segments: f64,
+    /// Number of samples along the shadow rays of the ray with the most such samples.
+    pub(crate) longest_shadow_samples: f64,
     /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
     pub(crate) ray_spacing: f64,
 }
@@ -288,6 +294,13 @@ impl FrameFeatures {
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
             shadow_segments = p.shadow_segments * inv;
         }
+        let longest_length = if skipping { p.longest.occupied } else { p.longest.all };
+        let (mut longest_segments, mut longest_shadow) = (p.longest.segments, 0.0);
+        if setting.shading == Shading::Scatter {
+            let length = if skipping { p.longest.shadow } else { p.longest.shadow_all };
+            longest_shadow = inv * inv * length * (1.0 / SHADOW_STEP);
+            longest_segments += p.longest.shadow_segments * inv;
+        }
         let shadow_samples = rays * f64::from(shadow);
         let waiting = if p.visible > 0.0 { f64::from(p.busy / p.visible).max(1.0) } else { 1.0 };
         let mut work = Work {
@@ -302,6 +315,9 @@ impl FrameFeatures {
             parted_shadow_samples: shadow_samples * waiting,
             runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
             segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
+            longest_samples: f64::from(longest_length * inv + crossing),
+            longest_segments: if skipping { f64::from(longest_segments) } else { 0.0 },
+            longest_shadow_samples: f64::from(longest_shadow),
             ray_spacing: f64::from(p.spread / setting.height as f32),
         };
         // Adjacent rays less than about two voxels apart shade at the same time, so they hardly wait.
@@ -366,6 +382,12 @@ impl FrameFeatures {
             Q::MeanExtinction => f64::from(self.mean_extinction),
             Q::Voxels => f64::from(self.voxels),
             Q::Step => f64::from(setting.step),
+            Q::LongestSamples => work.longest_samples,
+            Q::LongestSegments => work.longest_segments,
+            Q::LongestShadowSamples => work.longest_shadow_samples,
+            Q::FarLongestSamples => work.longest_samples * far(UNSHARED_SPACING),
+            Q::FarLongestSegments => work.longest_segments * far(UNSHARED_SPACING),
+            Q::FarLongestShadowSamples => work.longest_shadow_samples * far(UNSHARED_SHADING),
         }
     }
 

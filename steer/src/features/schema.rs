@@ -126,6 +126,19 @@ quantities! {
     MeanExtinction, "mean_extinction", "1/reference step", 1.0e-4, no, no, "extinction averaged over voxels";
     Voxels, "voxels", "voxels", 1.0, no, no, "voxels of the volume";
     Step, "step", "reference steps", 0.0, yes, no, "ray step";
+    LongestSamples, "longest_samples", "samples", 1.0, yes, yes,
+        "samples of the ray with the most samples; a GPU marches all rays of an image at once, but takes the samples \
+         of a ray one after another";
+    LongestSegments, "longest_segments", "segments", 1.0, yes, yes,
+        "reads of the skip map by the ray with the most such reads, its shadow rays included";
+    LongestShadowSamples, "longest_shadow_samples", "samples", 1.0, yes, yes,
+        "samples along the shadow rays of the ray with the most such samples";
+    FarLongestSamples, "far_longest_samples", "samples", 1.0, yes, yes,
+        "longest samples times the far share";
+    FarLongestSegments, "far_longest_segments", "segments", 1.0, yes, yes,
+        "longest segments times the far share";
+    FarLongestShadowSamples, "far_longest_shadow_samples", "samples", 1.0, yes, yes,
+        "longest shadow samples times the far share of shading";
 }
 
 impl fmt::Display for SceneQuantity {

@@ -318,6 +318,35 @@ fn a_transparent_table_leaves_only_jumps_and_an_opaque_one_the_first_sample() {
 }
 
 #[test]
+fn the_longest_ray_is_no_shorter_than_the_mean_ray_and_does_not_grow_with_the_image() {
+    let data = noise(32 * 32 * 32, 9);
+    let s = summary(&data, [32; 3], 48);
+    let t = table(|i| if i > 200 { 0.02 } else { 0.0 });
+    let quantity = |features: &FrameFeatures, setting: Setting, q| features.quantities(setting)(q);
+    for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+        let frame = Frame { shading, ..frame(20.0, 30.0, 2.5, 100) };
+        let features = measured(&s, &t, &frame);
+        let small = Setting::from(&frame);
+        let large = Setting { width: 400, height: 400, ..small };
+        for (longest, sum) in [
+            (SceneQuantity::LongestSamples, SceneQuantity::Samples),
+            (SceneQuantity::LongestSegments, SceneQuantity::Segments),
+            (SceneQuantity::LongestShadowSamples, SceneQuantity::ShadowSamples),
+        ] {
+            let rays = quantity(&features, small, SceneQuantity::Rays);
+            let (most, mean) = (quantity(&features, small, longest), quantity(&features, small, sum) / rays);
+            assert!(most >= mean, "{longest} {shading}: {most}, {mean} on average");
+            assert_eq!(most, quantity(&features, large, longest), "{longest} {shading}");
+        }
+    }
+    // A box that no sample is skipped in: the longest ray is its diagonal or shorter, and no shorter than an edge.
+    let (s, t) = (summary(&[200; 4096], [16; 3], 48), table(|_| 1.0e-4));
+    let frame = frame(0.0, 0.0, 3.0, 64);
+    let most = quantity(&measured(&s, &t, &frame), Setting::from(&frame), SceneQuantity::LongestSamples);
+    assert!((15.5..28.0).contains(&most), "{most}");
+}
+
+#[test]
 fn distances_match_a_search_over_all_cells() {
     let dims = [56, 40, 48];
     let mut data = std::vec![0u8; 56 * 40 * 48];

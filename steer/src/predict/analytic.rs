@@ -23,7 +23,8 @@ use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
 pub const TERMS: usize = 9;
 
 /// Term of each unit cost; costs that scale together on every machine share a term.
-const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 3, 3, 6, 8, 5, 5, 5, 4];
+const PART_OF: [usize; COSTS] =
+    [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 3, 3, 6, 8, 5, 5, 5, 4, 4, 3, 8, 4, 3, 8];
 
 impl UnitCosts {
     /// Returns the first cost that is negative or not finite, with its name.
@@ -230,14 +231,15 @@ impl AnalyticModel {
     }
 
     /// Returns the model as a file with one dense layer that predicts seconds. Its scene features are
-    /// [`COST_QUANTITIES`], without the last quantity if its cost is 0. Calibration and range are stored
+    /// [`COST_QUANTITIES`], without those at the end whose cost only some renderers have if these are 0. Calibration and range are stored
     /// under [`Key::Calibration`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] if a cost overflows single precision.
     pub fn to_model_file(&self) -> Result<ModelFile> {
         let mut file = ModelFile::default();
-        let used = if self.costs[COMMON_COSTS..].iter().all(|&c| c == 0.0) { COMMON_COSTS } else { COSTS };
+        let last = self.costs.iter().rposition(|&c| c != 0.0).unwrap_or(0);
+        let used = COMMON_COSTS.max(last + 1);
         let parts = PredNetParts {
             layers: alloc::vec![DenseParts {
                 inputs: used - 1,
@@ -371,7 +373,10 @@ impl Predictor for AnalyticModel {
 
     fn identity(&self) -> u32 {
         // Bytes are little-endian on every machine, so that a saved state can be loaded on all of them.
-        crc32fast::hash(self.costs.map(f64::to_le_bytes).as_flattened())
+        // Costs of the longest ray count only where there are any, so that states saved without them stay valid.
+        let used =
+            if self.costs[COMMON_COSTS + 1..].iter().all(|&c| c == 0.0) { COMMON_COSTS + 1 } else { COSTS };
+        crc32fast::hash(self.costs.map(f64::to_le_bytes)[..used].as_flattened())
     }
 
     fn clock(&self) -> Option<Clock> {
@@ -406,7 +411,7 @@ mod tests {
 
     const TRUTH: [f64; COSTS] = [
         2e-4, 6e-8, 2e-8, 9e-9, 4e-9, 2e-9, 4e-8, 3e-8, 9e-10, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-        0.0, 0.0, 0.0, 0.0,
+        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ];
 
     /// Simulated measurements: counts span several decades, and no frame scatters.
@@ -470,7 +475,7 @@ mod tests {
         assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 5e-3);
         assert!((asked.costs().0[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
         // The file names the quantities with nonzero costs, and reads back.
-        for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COSTS - 1)] {
+        for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COMMON_COSTS)] {
             let file = model.to_model_file().unwrap().to_model().unwrap();
             assert_eq!(file.scene_features().len(), names);
             let back = AnalyticModel::from_model(&file).unwrap().unwrap();

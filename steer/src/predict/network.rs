@@ -552,7 +552,7 @@ mod tests {
     fn analytic_models_survive_their_file() {
         let mut analytic = AnalyticModel::from_costs([
             1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8, 1e-8, 0.0, 2e-8, 3e-9, 0.0, 4e-8, 5e-8, 6e-9,
-            0.0, 3e-9, 0.0, 0.0, 0.0,
+            0.0, 3e-9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         ])
         .unwrap();
         analytic.calibration = UpperBound { log_factor: 0.25 };

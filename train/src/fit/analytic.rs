@@ -3,7 +3,8 @@
 use super::FitContext;
 use crate::inputs::{Layout, seconds_of, work_of};
 use anyhow::Result;
-use entire_io::dataset::{Timed, TimedFrame};
+use entire_io::dataset::Timed;
+use entire_io::device::names_software;
 use entire_steer::features::SceneFeature;
 use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, Measurement, UnitCosts};
 use indicatif::ProgressBar;
@@ -30,15 +31,34 @@ pub(super) fn fit_analytic(
     Ok((model, text))
 }
 
-/// Returns the initial unit costs of a fit. They are the costs of a renderer that converts stored scalar
-/// values, unless all frames were drawn by the project's raycaster or its CPU version, which do not convert
-/// values.
+/// Returns the typical unit costs of a renderer with this backend on this device. The project's raycaster has the
+/// costs of a GPU or of a software renderer; other renderers are taken to convert stored scalar values in software.
+pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
+    match backend {
+        "vulkan" | "cpu" if names_software(backend, device) => UnitCosts::SOFTWARE,
+        "vulkan" => UnitCosts::GPU,
+        _ => UnitCosts::CONVERTING,
+    }
+}
+
+/// Returns the initial unit costs of a fit: those that are [typical](typical_costs) of the renderer of all frames. If
+/// several renderers drew the frames, these are the costs of a software renderer, which converts stored values unless
+/// the project's raycaster drew all frames.
 pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
-    let own = |f: &&TimedFrame| {
-        let manifest = context.tables.get(f.table).and_then(|t| t.manifest.as_ref());
-        manifest.is_some_and(|m| ["vulkan", "cpu"].contains(&m.renderer.as_str()))
-    };
-    if part.frames.iter().all(own) { UnitCosts::SOFTWARE } else { UnitCosts::CONVERTING }
+    let mut found: Option<UnitCosts> = None;
+    let mut tables: Vec<usize> = part.frames.iter().map(|f| f.table).collect();
+    tables.dedup();
+    for table in tables {
+        let manifest = context.tables.get(table).and_then(|t| t.manifest.as_ref());
+        let costs = manifest.map_or(UnitCosts::CONVERTING, |m| typical_costs(&m.renderer, &m.device));
+        found = Some(match found {
+            Some(other) if other == costs => costs,
+            None => costs,
+            Some(other) if [other, costs].contains(&UnitCosts::CONVERTING) => UnitCosts::CONVERTING,
+            Some(_) => UnitCosts::SOFTWARE,
+        });
+    }
+    found.unwrap_or(UnitCosts::SOFTWARE)
 }
 
 /// Returns the counts that are multiplied by unit costs, one row per frame; 0 for counts whose unit cost is

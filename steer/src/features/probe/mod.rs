@@ -78,6 +78,8 @@ pub(crate) struct Probe {
     pub(super) shadow_all: f32,
     /// Visible length times the number of lookups in the skip map by a shadow ray.
     pub(super) shadow_segments: f32,
+    /// The largest work of a single ray.
+    pub(super) longest: Longest,
     /// Relative standard error of the sampled length.
     pub(super) error: f32,
     block_skips: Chords,
@@ -105,6 +107,7 @@ impl Probe {
         shadow_skips: 0.0,
         shadow_all: 0.0,
         shadow_segments: 0.0,
+        longest: Longest::NOTHING,
         error: 0.0,
         block_skips: Chords::NOTHING,
         distance_skips: Chords::NOTHING,
@@ -220,6 +223,8 @@ impl Probe {
         let sampled = if frame.skipping == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
         let error = relative_error(sampled, &rays[CHORD][..count], side, hits);
         let block_skips = block_skips.mean(inv);
+        let largest = |values: &[f32]| values.iter().copied().fold(0.0f32, f32::max);
+        let longest = |field: usize| largest(&rays[field][..count]);
         Self {
             footprint,
             rays: hits as u32,
@@ -239,6 +244,14 @@ impl Probe {
             shadow_skips: total(SHADOW_SKIPS) * inv,
             shadow_all: total(SHADOW_ALL) * inv,
             shadow_segments: total(SHADOW_SEGMENTS) * inv,
+            longest: Longest {
+                occupied: longest(OCCUPIED),
+                all: largest(&all[..count]),
+                segments: longest(SEGMENTS),
+                shadow: longest(SHADOW),
+                shadow_all: longest(SHADOW_ALL),
+                shadow_segments: longest(SHADOW_SEGMENTS),
+            },
             error,
             block_skips,
             distance_skips: if mapped { distance_skips.mean(inv) } else { block_skips },
@@ -283,6 +296,24 @@ impl Probe {
     pub(super) fn skips(&self, step: f32, distance: bool) -> f32 {
         if distance { self.distance_skips.visited(step) } else { self.block_skips.visited(step) }
     }
+}
+
+/// The largest value of any ray, for each kind of work. Units are those of the fields of [`Probe`] with the same
+/// names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Longest {
+    pub(super) occupied: f32,
+    /// Sum of the lengths in occupied and in empty blocks.
+    pub(super) all: f32,
+    pub(super) segments: f32,
+    pub(super) shadow: f32,
+    pub(super) shadow_all: f32,
+    pub(super) shadow_segments: f32,
+}
+
+impl Longest {
+    const NOTHING: Self =
+        Self { occupied: 0.0, all: 0.0, segments: 0.0, shadow: 0.0, shadow_all: 0.0, shadow_segments: 0.0 };
 }
 
 /// Histogram of chords through empty space by length. Each bin holds the mean per ray of the number of
