@@ -121,6 +121,9 @@ pub(crate) struct DataSet {
     /// The members of the split by member.
     #[serde(default)]
     pub(crate) members: Option<MemberSplit>,
+    /// True to train and test by the paper's split alone.
+    #[serde(default)]
+    pub(crate) only_rule: bool,
 }
 
 /// The split by which the paper tests on a data set; the paper's main numbers are those of this split.

@@ -5,7 +5,7 @@ use super::description::{BY_MODALITY, BY_VOLUMES, Panel, Paper, RAYCASTER_MODES}
 use super::frames::{Loaded, SplitFrames, identity, main_encoder, of_panel, trained};
 use super::judge::{At, Method, NETWORK, OURS, by_proxy};
 use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, write};
-use super::volumes::{Parts, Place};
+use super::volumes::{Parts, Place, in_words};
 use super::{Work, tuning};
 use crate::study::{Runner, clock};
 use anyhow::{Context, Result, bail};
@@ -155,7 +155,8 @@ impl At<'_> {
     }
 
     fn note_frames(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
-        results.encoder = self.network(self.place.main_split())?.1;
+        let main = self.place.main_split();
+        results.encoder = format!("{}, in the split by {}", self.network(main)?.1, in_words(main));
         let count = |f: &TimedFrames<'_>| f.frames.len();
         let counts = [count(&frames.training), count(&frames.validation), count(&frames.test)];
         results.frames.insert(split.to_owned(), counts);

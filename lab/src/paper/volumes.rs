@@ -175,6 +175,9 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
             out.push(Parts { name: BY_MEMBERS, training, validation, test });
         }
     }
+    if set.only_rule && out.iter().any(|s| s.name == set.rule.split()) {
+        out.retain(|s| s.name == set.rule.split());
+    }
     Ok(out)
 }
 
