@@ -23,6 +23,7 @@ use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, t
 use entire_io::volume::Reading;
 use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
 use entire_steer::features::PROBE_SIDE;
+use entire_steer::predict::UnitCosts;
 use entire_train::fit::FitContext;
 use entire_train::fit::{counts, expected_costs, typical_costs};
 use entire_train::inputs::{Layout, work_of};
@@ -184,7 +185,7 @@ pub(crate) fn calibrate(
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
-    let chosen = pool.prior.choose(&observed, &typical, Executor::Rayon(threads))?;
+    let chosen = pool.prior.choose(&observed, &[typical], Executor::Rayon(threads))?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let report = Report::new(
         (settings.shading, settings.clock),
@@ -214,6 +215,7 @@ fn fit_to_frames(
     let mut groups = Groups::default();
     let renderer = expected_costs(context, part);
     let prior = PriorModel::new(priors, &renderer)?;
+    let unknown = UnitCosts::OF_UNKNOWN;
     let (rows, width, side) = match prior.layout() {
         None => (Vec::new(), 0, PROBE_SIDE),
         Some(_) => {
@@ -222,7 +224,12 @@ fn fit_to_frames(
             (rows, layout.width(), layout.probe_side())
         }
     };
-    let work = counts(context, part, &renderer, side)?;
+    // The longest rays of a renderer that may run on a GPU are counted in the volumes, which may be missing.
+    let longest = || counts(context, part, &unknown[1], side).ok();
+    let (renderers, work) = match (renderer == unknown[0]).then(longest).flatten() {
+        Some(work) => (&unknown[..], work),
+        None => (std::slice::from_ref(&renderer), counts(context, part, &renderer, side)?),
+    };
     let observed: Vec<Observed> = part
         .frames
         .iter()
@@ -236,7 +243,7 @@ fn fit_to_frames(
             group: groups.number(&frame.scene.volume),
         })
         .collect();
-    let chosen = prior.choose(&observed, &renderer, Executor::Rayon(context.pool))?;
+    let chosen = prior.choose(&observed, renderers, Executor::Rayon(context.pool))?;
     Ok((chosen, observed))
 }
 

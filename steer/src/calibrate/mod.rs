@@ -295,8 +295,7 @@ impl Calibration {
             .enumerate()
             .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
             .collect();
-        // The renderer is unknown, and its costs may include a conversion of stored values.
-        let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, executor)?;
+        let chosen = self.prior.choose(&frames, &UnitCosts::OF_UNKNOWN, executor)?;
         let pairs: Vec<(f64, f64)> =
             chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();
         let mut errors: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();

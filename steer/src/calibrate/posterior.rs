@@ -5,7 +5,7 @@
 //! their root mean square.
 
 use crate::features::{SceneFeature, SceneQuantity};
-use crate::numeric::{dot, median};
+use crate::numeric::{dot, median, rmse_over_sd};
 use crate::predict::{
     AnalyticModel, COST_SD, COSTS, CostFit, Expected, FitRow, InputLayout, InputRange, Inputs, UnitCosts,
 };
@@ -33,6 +33,9 @@ const FACTOR_SD: f64 = 0.2;
 /// renderer. The cost is 0 because frames of that machine could not separate two kinds of work; frames of
 /// this machine may separate them.
 const ZERO_SHARE: f64 = 0.1;
+
+/// Share of the error of the kinds of renderer before it below which another kind is taken.
+const LESS_ERROR: f64 = 0.95;
 
 /// Largest number of folds in cross-validation.
 const FOLDS: usize = 7;
@@ -246,19 +249,42 @@ impl PriorModel {
         CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
     }
 
-    /// Fits a model to frames of this machine. `renderer` holds typical costs of this kind of renderer. For
-    /// work whose cost the prior model lacks, a tenth of the typical cost is the prior, scaled to the speed
-    /// of the prior model. Costs that are 0 in both stay 0.
+    /// Fits a model to frames of this machine. Each of `renderers` holds typical costs of a kind of renderer that this one
+    /// may be of; if there are several, the model is that of the first kind, unless another kind has a clearly smaller
+    /// error in cross-validation. For work whose cost the prior model lacks, a tenth of the typical cost is the prior,
+    /// scaled to the speed of the prior model. Costs that are 0 in both stay 0.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, if rows do not
+    /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, if rows do not
     /// fit the prior's factor, or if the fit predicts a time that is not finite.
     pub fn choose(
         &self,
         frames: &[Observed],
-        renderer: &UnitCosts,
+        renderers: &[UnitCosts],
         executor: Executor<'_>,
     ) -> Result<Chosen> {
+        let mut best: Option<(f64, Chosen)> = None;
+        for renderer in renderers {
+            let chosen = match (self.fit_for(frames, renderer, executor), &best) {
+                (Ok(chosen), _) => chosen,
+                (Err(error), None) => return Err(error),
+                (Err(_), Some(_)) => continue,
+            };
+            let error = chosen.error(frames);
+            if best.as_ref().is_none_or(|(least, _)| chosen.folds > 0 && error < LESS_ERROR * least) {
+                best = Some((error, chosen));
+            }
+        }
+        match best {
+            Some((_, chosen)) => Ok(chosen),
+            None => {
+                bail!(InvalidArgument, "no typical costs of a renderer were given; give at least one set")
+            }
+        }
+    }
+
+    /// Fits a model with the typical costs of one kind of renderer.
+    fn fit_for(&self, frames: &[Observed], renderer: &UnitCosts, executor: Executor<'_>) -> Result<Chosen> {
         let inputs = self.width();
         if frames.is_empty() {
             bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
@@ -312,6 +338,15 @@ impl PriorModel {
             }
         };
         Ok(Chosen { file, crossed, folds: count })
+    }
+}
+
+impl Chosen {
+    /// Cross-validated error: the geometric mean of the median of |predicted / measured − 1| and RMSE/SD.
+    pub(super) fn error(&self, frames: &[Observed]) -> f64 {
+        let pairs: Vec<(f64, f64)> = self.crossed.iter().zip(frames).map(|(&p, f)| (p, f.seconds)).collect();
+        let mut relative: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();
+        libm::sqrt(median(&mut relative).unwrap_or(f64::NAN) * rmse_over_sd(&pairs).unwrap_or(f64::NAN))
     }
 }
 

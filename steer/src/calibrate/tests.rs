@@ -69,7 +69,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
     let frames: Vec<Observed> = (0..80)
         .map(|i| Observed { row: vec![], work: work(i), seconds: seconds(i), group: i as u64 % 6 })
         .collect();
-    let chosen = prior.choose(&frames, &UnitCosts::SOFTWARE, Executor::Serial).unwrap();
+    let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
     assert_eq!(chosen.folds, 6);
     let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
     let mut errors: Vec<f64> =
@@ -78,8 +78,41 @@ fn a_calibration_finds_another_machines_unit_costs() {
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
     // Too few volumes for cross-validation: the errors are those of the fitted frames.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
-    assert_eq!(prior.choose(&few, &UnitCosts::SOFTWARE, Executor::Serial).unwrap().folds, 0);
-    assert!(prior.choose(&[], &UnitCosts::SOFTWARE, Executor::Serial).is_err());
+    assert_eq!(prior.choose(&few, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap().folds, 0);
+    assert!(prior.choose(&[], &[UnitCosts::SOFTWARE], Executor::Serial).is_err());
+}
+
+#[test]
+fn the_longest_ray_is_found_to_cost_time_where_it_does() {
+    const LONGEST: usize = crate::features::COMMON_COSTS + 1;
+    let prior = PriorModel::default();
+    // The longest ray has far less work than all rays together.
+    let work = |i: usize| {
+        let mut work = work(i);
+        work[LONGEST..].iter_mut().for_each(|w| *w *= 1e-3);
+        work
+    };
+    let mut software = UnitCosts::SOFTWARE.0;
+    (software[3], software[4]) = (3.0 * software[3], 2.0 * software[4]);
+    for (machine, on_gpu) in [(software, false), (UnitCosts::GPU.0, true)] {
+        let frames: Vec<Observed> = (0..120)
+            .map(|i| {
+                let noise = 1.0 + 0.01 * ((i * 31 % 7) as f64 - 3.0);
+                let seconds = noise * seconds_by(&machine, &work(i));
+                Observed { row: vec![], work: work(i), seconds, group: i as u64 % 6 }
+            })
+            .collect();
+        let fitted = |renderers: &[UnitCosts]| {
+            let chosen = prior.choose(&frames, renderers, Executor::Serial).unwrap();
+            let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
+            (there.costs().0, chosen.error(&frames))
+        };
+        let ((plain, plain_error), (found, error)) =
+            (fitted(&[UnitCosts::CONVERTING]), fitted(&UnitCosts::OF_UNKNOWN));
+        assert!(plain[LONGEST..].iter().all(|c| *c == 0.0));
+        assert_eq!(found[LONGEST] > 0.0, on_gpu, "{plain_error} {error}");
+        assert!(if on_gpu { error < 0.5 * plain_error } else { found == plain }, "{plain_error} {error}");
+    }
 }
 
 #[test]
@@ -93,7 +126,7 @@ fn three_frames_set_the_speed_alone() {
             group: i as u64,
         })
         .collect();
-    let chosen = prior.choose(&frames, &UnitCosts::SOFTWARE, Executor::Serial).unwrap();
+    let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
     let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
     for (found, known) in there.costs().0.iter().zip(prior.costs()) {
         assert!(*known == 0.0 || (found / known / 3.0 - 1.0).abs() < 1e-3, "{found} {known}");
@@ -147,7 +180,7 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
             group: i as u64 % 3,
         })
         .collect();
-    let chosen = prior.choose(&frames, &UnitCosts::SOFTWARE, Executor::Serial).unwrap();
+    let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
     for (p, f) in chosen.crossed.iter().zip(&frames) {
         assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
     }

@@ -42,6 +42,9 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
 /// [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
+/// For each cost of the longest ray, the index of the cost of the same work of all rays.
+const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
+
 /// Unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitCosts(pub [f64; COSTS]);
@@ -61,6 +64,19 @@ impl UnitCosts {
         let mut costs = Self::SOFTWARE.0;
         costs[COMMON_COSTS] = 2.0e-9;
         Self(costs)
+    };
+
+    /// Typical costs of the kinds of renderer that an unknown renderer may be of: its costs may include a conversion of
+    /// stored values, and on a GPU those of the longest ray. A sample of the longest ray has 10⁴ times the cost of a
+    /// sample, between those of a processor with two cores and of a large GPU.
+    pub const OF_UNKNOWN: [Self; 2] = {
+        let mut costs = Self::CONVERTING.0;
+        let mut longest = COMMON_COSTS + 1;
+        while longest < COSTS {
+            costs[longest] = 1.0e4 * costs[OF_ALL_RAYS[longest - COMMON_COSTS - 1]];
+            longest += 1;
+        }
+        [Self::CONVERTING, Self(costs)]
     };
 
     /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its longest ray,
