@@ -249,14 +249,14 @@ impl PriorModel {
         CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
     }
 
-    /// Fits a model to frames of this machine. Each of `renderers` holds typical costs of a kind of renderer that this one
-    /// may be of; if there are several, the model is that of the first kind, unless another kind has a clearly smaller
-    /// error in cross-validation. For work whose cost the prior model lacks, a tenth of the typical cost is the prior,
-    /// scaled to the speed of the prior model. Costs that are 0 in both stay 0.
+    /// Fits a model to frames of this machine. Each of `renderers` holds typical costs of a kind of renderer
+    /// that this one may be of; if there are several, the model is that of the first kind, unless another kind
+    /// has a clearly smaller error in cross-validation. For work whose cost the prior model lacks, a tenth of
+    /// the typical cost is the prior, scaled to the speed of the prior model. Costs that are 0 in both stay 0.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, if rows do not
-    /// fit the prior's factor, or if the fit predicts a time that is not finite.
+    /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, if
+    /// rows do not fit the prior's factor, or if the fit predicts a time that is not finite.
     pub fn choose(
         &self,
         frames: &[Observed],

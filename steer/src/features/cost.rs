@@ -79,10 +79,10 @@ impl UnitCosts {
         [Self::CONVERTING, Self(costs)]
     };
 
-    /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its longest ray,
-    /// plus the work of all rays divided by the throughput (Brent's bound of parallel time: work over processors, plus
-    /// the longest chain of dependent operations). Geometric means of the costs measured with each shading mode on an NVIDIA
-    /// H100.
+    /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its
+    /// longest ray, plus the work of all rays divided by the throughput (Brent's bound of parallel time: work
+    /// over processors, plus the longest chain of dependent operations). Geometric means of the costs measured
+    /// with each shading mode on an NVIDIA H100.
     pub const GPU: Self = Self([
         6.0e-6, 1.1e-12, 6.5e-13, 2.2e-12, 1.8e-12, 5.6e-13, 3.1e-12, 1.1e-12, 9.1e-12, 3.6e-12, 6.1e-13,
         2.2e-12, 1.3e-10, 3.4e-12, 2.3e-10, 5.8e-12, 6.8e-12, 1.0e-10, 3.9e-12, 5.4e-12, 6.8e-12, 0.0,

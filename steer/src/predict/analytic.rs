@@ -231,8 +231,8 @@ impl AnalyticModel {
     }
 
     /// Returns the model as a file with one dense layer that predicts seconds. Its scene features are
-    /// [`COST_QUANTITIES`], without those at the end whose cost only some renderers have if these are 0. Calibration and range are stored
-    /// under [`Key::Calibration`].
+    /// [`COST_QUANTITIES`], without those at the end whose cost only some renderers have if these are 0.
+    /// Calibration and range are stored under [`Key::Calibration`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] if a cost overflows single precision.
