@@ -80,10 +80,10 @@ struct Wanted {
 }
 
 /// Returns the frames of the experiments and of both orbits. The base frame is a random frame of the first
-/// test volume of the split by volumes. Every experiment varies one parameter of the base frame. The
+/// test volume of the data set's main split. Every experiment varies one parameter of the base frame. The
 /// experiment `volume` shows all held-out volumes of that split.
 fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
-    let Some(parts) = place.split(super::description::BY_VOLUMES) else { return Ok(Vec::new()) };
+    let Some(parts) = place.main_split() else { return Ok(Vec::new()) };
     let protocol = protocol(paper, mode, false)?;
     let find = |name: &String| place.jobs.iter().position(|j| super::volumes::name_of(j) == *name);
     let middle = parts.test.first().and_then(find).context("no test volume")?;

@@ -183,8 +183,7 @@ fn train(
 ) -> Result<()> {
     let asked = &work.paper.encoders;
     let union = |part: fn(&super::volumes::Parts) -> &BTreeSet<String>| -> Vec<String> {
-        let splits = places.iter().filter_map(|p| p.split(p.main_split()));
-        splits.flat_map(|s| part(s).iter().cloned()).collect()
+        places.iter().filter_map(|p| p.main_split()).flat_map(|s| part(s).iter().cloned()).collect()
     };
     let to = encoder.path(work.out);
     let parts = to.with_extension("parts.json");

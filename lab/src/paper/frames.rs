@@ -2,7 +2,7 @@
 
 use super::Work;
 use super::collect::{Kind, table_path};
-use super::description::{BY_MEMBERS, BY_VOLUMES, DataSet, Panel, Paper};
+use super::description::{DataSet, Panel, Paper};
 use super::encode::{ALL, Encoder};
 use super::volumes::{Parts, Place, places};
 use crate::study::twins;
@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Version of the results: raised whenever the same frames give other results.
-const MADE_AS: u32 = 2;
+const MADE_AS: u32 = 3;
 
 /// Seconds of the frames as rendered by the low-resolution proxy, by table and frame number.
 pub(super) type Low = BTreeMap<(usize, u64), f64>;
@@ -137,12 +137,12 @@ pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>
 }
 
 /// Returns the encoder for the parts of the study that do not compare encoders, with its description in
-/// words. For the paper's split it is an encoder trained on the data set: of the main size if it exists,
-/// else of another size with as many features. If there is none, and for all other splits, it is the shipped
-/// encoder, which was trained without the test members.
-pub(super) fn main_encoder(work: &Work<'_>, set: &str, split: &str) -> Result<(PathBuf, String)> {
+/// words. For `own`, a data set whose main split is tested, it is an encoder trained on the data set: of the
+/// main size if it exists, else of another size with as many features. If there is none, and for all other
+/// splits, it is the shipped encoder, which was trained without the test members.
+pub(super) fn main_encoder(work: &Work<'_>, own: Option<&str>) -> Result<(PathBuf, String)> {
     let (size, features) = work.paper.encoders.main;
-    if split == work.paper.rule(set).split() {
+    if let Some(set) = own {
         let mut own = trained(work, Some(set))?;
         own.retain(|e| e.features == features);
         own.sort_by_key(|e| e.size != size);
@@ -220,8 +220,8 @@ pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table
         text +=
             &format!(" {:016x} {:016x}", table.hash, table.features.as_ref().map_or(0, FeatureTable::hash));
     }
-    for split in [BY_VOLUMES, BY_MEMBERS] {
-        let bytes = read_bytes(&main_encoder(work, set, split)?.0)?;
+    for own in [Some(set), None] {
+        let bytes = read_bytes(&main_encoder(work, own)?.0)?;
         text += &format!(" {}", fnv1a_text(&bytes));
     }
     Ok(fnv1a_text(text.as_bytes()))

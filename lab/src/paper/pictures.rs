@@ -2,7 +2,7 @@
 
 use super::Work;
 use super::collect::protocol;
-use super::description::{BY_VOLUMES, Panel, RAYCASTER_MODES};
+use super::description::{Panel, RAYCASTER_MODES};
 use super::encode::Encoder;
 use super::results::{Results, kept, write};
 use super::volumes::Place;
@@ -96,7 +96,7 @@ fn reconstructed(work: &Work<'_>, place: &Place) -> Result<Vec<Encoder>> {
 }
 
 fn reconstruct(work: &Work<'_>, place: &Place, encoder: &Encoder, name: &str) -> Result<()> {
-    let Some(parts) = place.split(BY_VOLUMES) else { return Ok(()) };
+    let Some(parts) = place.main_split() else { return Ok(()) };
     let script = work.paper.encoders.script.with_file_name("reconstruct.py");
     let mut command = Command::new(work.python);
     command.arg(&script).arg("--model").arg(encoder.path(work.out));

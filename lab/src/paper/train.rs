@@ -120,13 +120,20 @@ impl At<'_> {
         self.place.split(split).with_context(|| format!("{} has no split by {split}", self.place.set.name))
     }
 
+    /// Name of the data set's main split.
+    fn main(&self) -> Result<&'static str> {
+        let main = self.place.main_split().map(|parts| parts.name);
+        main.with_context(|| format!("{} has no split", self.place.set.name))
+    }
+
     fn frames(&self, split: &str) -> Result<SplitFrames<'_>> {
         Ok(self.loaded.split(self.work, self.parts(split)?, self.clock))
     }
 
     /// Recipe of the paper's network with the main encoder, and the encoder's description.
     fn network(&self, split: &str) -> Result<(Recipe, String)> {
-        let (path, what) = main_encoder(self.work, &self.place.set.name, split)?;
+        let own = (self.main()? == split).then_some(self.place.set.name.as_str());
+        let (path, what) = main_encoder(self.work, own)?;
         Ok((Recipe { volumenet: Some(path), ..self.paper().network.clone() }, what))
     }
 
@@ -144,7 +151,7 @@ impl At<'_> {
 
     /// Trains the paper's network without one of its inputs, and returns the models.
     fn without(&self, input: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
-        let split = self.place.main_split();
+        let split = self.main()?;
         let (mut recipe, _) = self.network(split)?;
         recipe.inputs.retain(|i| i != input);
         if input == GroupKind::VolumeFeatures.to_string() {
@@ -155,7 +162,7 @@ impl At<'_> {
     }
 
     fn note_frames(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
-        let main = self.place.main_split();
+        let main = self.main()?;
         results.encoder = format!("{}, in the split by {}", self.network(main)?.1, in_words(main));
         let count = |f: &TimedFrames<'_>| f.frames.len();
         let counts = [count(&frames.training), count(&frames.validation), count(&frames.test)];
@@ -233,7 +240,7 @@ impl At<'_> {
     fn code_curves(&self, results: &mut Results) -> Result<()> {
         let features = self.loaded.tables[0].features.as_ref().context("no features")?;
         let encoders = [
-            (self.network(self.place.main_split())?.0.volumenet.context("no encoder")?, "own"),
+            (main_encoder(self.work, Some(&self.place.set.name))?.0, "own"),
             (self.paper().encoders.shipped[0].clone(), "shipped"),
         ];
         for (path, chart) in encoders {
@@ -271,7 +278,7 @@ impl At<'_> {
     }
 
     fn ablation(&self, results: &mut Results) -> Result<()> {
-        let split = self.place.main_split();
+        let split = self.main()?;
         let frames = self.frames(split)?;
         self.note_frames(results, split, &frames)?;
         let mut judge = self.judge(split, &frames.test, self.proxy(&frames.training));
@@ -287,7 +294,7 @@ impl At<'_> {
 
     fn varied(&self, results: &mut Results) -> Result<()> {
         let table = self.loaded.varied.context("no frames of one parameter varied at a time")?;
-        let split = self.place.main_split();
+        let split = self.main()?;
         let frames = self.frames(split)?;
         self.note_frames(results, split, &frames)?;
         let line = self.proxy(&frames.training);
@@ -361,7 +368,7 @@ impl At<'_> {
     }
 
     fn samples(&self, results: &mut Results) -> Result<()> {
-        let split = self.place.main_split();
+        let split = self.main()?;
         let frames = self.frames(split)?;
         self.note_frames(results, split, &frames)?;
         let (recipe, _) = self.network(split)?;
@@ -392,7 +399,7 @@ impl At<'_> {
     }
 
     fn depth(&self, results: &mut Results) -> Result<()> {
-        let split = self.place.main_split();
+        let split = self.main()?;
         let frames = self.frames(split)?;
         self.note_frames(results, split, &frames)?;
         let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
@@ -419,7 +426,7 @@ impl At<'_> {
         encoder: &str,
         frames: &SplitFrames<'_>,
     ) -> Result<Vec<Model>> {
-        let split = self.place.main_split();
+        let split = self.main()?;
         let same = self.network(split)?.0;
         let recipe = Recipe { preset: Some(preset.to_owned()), ..network };
         if recipe == same {
@@ -430,7 +437,7 @@ impl At<'_> {
     }
 
     fn encoders(&self, results: &mut Results) -> Result<()> {
-        let split = self.place.main_split();
+        let split = self.main()?;
         let frames = self.frames(split)?;
         self.note_frames(results, split, &frames)?;
         let set = &self.place.set.name;
@@ -477,7 +484,7 @@ impl At<'_> {
     }
 
     fn finalists(&self, results: &mut Results) -> Result<()> {
-        let split = self.place.main_split();
+        let split = self.main()?;
         let frames = self.frames(split)?;
         self.note_frames(results, split, &frames)?;
         let trained = trained(self.work, Some(&self.place.set.name))?;

@@ -3,7 +3,7 @@
 //! stored as soon as it ends.
 
 use super::Work;
-use super::description::{BY_MEMBERS, Change, Panel, TrialTables, Validation};
+use super::description::{Change, Panel, TrialTables, Validation};
 use super::frames::{Low, main_encoder};
 use super::judge::{Judge, line_of};
 use super::results::{Results, kept, write};
@@ -208,7 +208,7 @@ struct Parts<'a> {
 
 impl Parts<'_> {
     fn trial(&self, work: &Work<'_>, measured: &Measured, change: Change, epochs: usize) -> Result<Trial> {
-        let (shipped, _) = main_encoder(work, SETS, BY_MEMBERS)?;
+        let (shipped, _) = main_encoder(work, None)?;
         let network = &work.paper.network;
         let recipe =
             Recipe { volumenet: Some(shipped), sorted_lobes: change.sorted_lobes, ..network.clone() };
@@ -384,7 +384,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     }
     let mut results = Results::new(panel, SETS, mode, mark);
     results.seconds = started.elapsed().as_secs_f64();
-    results.encoder = main_encoder(work, SETS, BY_MEMBERS)?.1;
+    results.encoder = main_encoder(work, None)?.1;
     let read = |i: usize| -> Result<Done> {
         let path: PathBuf = file(&identities[i]);
         let text = read_text(&path, 64 << 20)?;

@@ -4,7 +4,7 @@
 
 use super::Work;
 use super::collect::{Kind, table_path};
-use super::description::{BY_VOLUMES, Panel};
+use super::description::Panel;
 use super::frames::{Loaded, identity};
 use super::judge::{NETWORK, OURS};
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
@@ -152,7 +152,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         pieces.iter().map(|(p, _)| &all[*p].set).filter(|s| !s.only_tests).map(|s| s.name.as_str()).collect();
     for (p, t) in &pieces {
         let place = &all[*p];
-        match place.split(BY_VOLUMES) {
+        match place.main_split() {
             Some(parts) => {
                 training = training.and(of_table(*t).parted(|f| parts.training.contains(&f.scene.volume)).0);
                 let each = u64::from(paper.frames.training);

@@ -90,11 +90,10 @@ impl Place {
         if learned { paper.frames.training } else { paper.frames.held_out }
     }
 
-    /// The split by which the paper tests on the data set; the split by random volumes if the members of the paper's
-    /// split are missing.
-    pub(crate) fn main_split(&self) -> &'static str {
-        let rule = self.set.rule.split();
-        self.split(rule).map_or(BY_VOLUMES, |s| s.name)
+    /// The split by which the paper tests on the data set; the split by random volumes if the members of the
+    /// paper's split are missing; `None` where the set is only for tests.
+    pub(crate) fn main_split(&self) -> Option<&Parts> {
+        self.split(self.set.rule.split()).or_else(|| self.splits.first())
     }
 
     /// The split with a name.
@@ -130,10 +129,11 @@ fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()
 
 /// Name of the volume of which a volume is a variant: `t0010.nrrd` for `t0010.s50.nrrd`, with the same folders.
 fn original(name: &str) -> String {
-    let (folder, file) = name.rsplit_once('/').unwrap_or(("", name));
-    let Some((stem, rest)) = file.split_once('.') else { return name.to_owned() };
-    let extension = rest.rsplit('.').next().unwrap_or(rest);
-    if folder.is_empty() { format!("{stem}.{extension}") } else { format!("{folder}/{stem}.{extension}") }
+    let (folder, file) = name.split_at(name.rfind('/').map_or(0, |slash| slash + 1));
+    match (file.split_once('.'), file.rsplit_once('.')) {
+        (Some((stem, _)), Some((_, extension))) => format!("{folder}{stem}.{extension}"),
+        _ => name.to_owned(),
+    }
 }
 
 /// Returns two disjoint tenths of some volumes, each of at least one volume with its variants. Volumes are taken in
@@ -209,6 +209,7 @@ pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Resul
 
 #[cfg(test)]
 mod tests {
+    use super::super::description::Rule;
     use super::*;
 
     fn set(members: Option<serde_json::Value>) -> DataSet {
@@ -237,6 +238,23 @@ mod tests {
         assert_eq!(found.test.len(), 3 * plain.test.len());
         let originals: BTreeSet<String> = found.test.iter().map(|n| original(n)).collect();
         assert_eq!(originals, plain.test, "{:?}", found.test);
+    }
+
+    #[test]
+    fn the_main_split_is_the_papers_or_else_the_one_that_is_there() {
+        let place = |members: &str, only_rule: bool| {
+            let members = serde_json::json!({ "validation": ["m02"], "test": [members] });
+            let set = DataSet { rule: Rule::Members, only_rule, ..set(Some(members)) };
+            let splits = splits(&set, &jobs()).unwrap();
+            Place { set, root: PathBuf::new(), jobs: jobs(), splits }
+        };
+        for (place, main, count) in [
+            (place("m03", false), BY_MEMBERS, 2),
+            (place("m03", true), BY_MEMBERS, 1),
+            (place("m09", true), BY_VOLUMES, 1),
+        ] {
+            assert_eq!((place.main_split().unwrap().name, place.splits.len()), (main, count));
+        }
     }
 
     #[test]
