@@ -15,7 +15,8 @@ pub(super) const BY_MEMBERS: &str = "members";
 /// Name of the test on volumes of another kind, such as scans.
 pub(super) const BY_MODALITY: &str = "modality";
 
-/// Contents of a description file. Paths are relative to the file's folder.
+/// Contents of a description file. Paths are relative to the file's folder. The key `base` names a description in the
+/// same folder, whose values are used for all other keys that the file lacks.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Paper {
@@ -452,13 +453,30 @@ impl Paper {
     }
 }
 
+/// Reads the values of a description. If the file has the key `base`, the name of another description in the same
+/// folder, the values that it lacks are those of the base.
+fn values(path: &Path) -> Result<serde_json::Map<String, serde_json::Value>> {
+    let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut own: serde_json::Map<_, _> = serde_json::from_str(&text)
+        .with_context(|| format!("{} is no description of the paper's study", path.display()))?;
+    let Some(base) = own.remove("base") else { return Ok(own) };
+    let base = base.as_str().with_context(|| format!("{}: base is not a file's name", path.display()))?;
+    ensure!(
+        path.file_name().is_some_and(|name| name != base),
+        "{}: base names the file itself; name another description",
+        path.display()
+    );
+    let mut all = values(&path.with_file_name(base))?;
+    all.extend(own);
+    Ok(all)
+}
+
 /// Reads a description.
 ///
 /// # Errors
 /// When the file cannot be read or holds an invalid value.
 pub(crate) fn read(path: &Path) -> Result<Paper> {
-    let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
-    let mut paper: Paper = serde_json::from_str(&text)
+    let mut paper: Paper = serde_json::from_value(values(path)?.into())
         .with_context(|| format!("{} is no description of the paper's study", path.display()))?;
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();
     let place = |p: &mut PathBuf| *p = folder.join(&*p);
@@ -523,4 +541,22 @@ fn check(paper: &Paper) -> Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_description_takes_what_it_lacks_from_its_base() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings");
+        let base = read(&folder.join("paper.json")).unwrap();
+        let gpu = read(&folder.join("paper-gpu.json")).unwrap();
+        assert_eq!((base.clock.as_str(), gpu.clock.as_str()), ("cpu", "device"));
+        assert!(gpu.labels.len() == base.labels.len() && !gpu.panels.contains_key(&Panel::Depth));
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("own.json");
+        std::fs::write(&path, r#"{"base": "own.json"}"#).unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("another description"));
+    }
 }
