@@ -15,7 +15,6 @@ pub use posterior::{Chosen, Observed, PriorModel};
 use crate::features::{
     Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary,
 };
-use crate::numeric::{median, rmse_over_sd};
 use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
 use alloc::string::ToString;
 use alloc::vec::Vec;
@@ -296,16 +295,16 @@ impl Calibration {
             .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
             .collect();
         let chosen = self.prior.choose(&frames, &UnitCosts::OF_UNKNOWN, executor)?;
-        let pairs: Vec<(f64, f64)> =
-            chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();
-        let mut errors: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();
+        let (median_error, rmse_over_sd) = chosen.errors(&frames);
+        let logs = chosen.crossed.iter().zip(&frames).map(|(p, f)| libm::log(f.seconds / p));
+        let upper = UpperBound::from_groups(logs.zip(groups));
         let mut out = Calibrated {
             file: chosen.file,
             frames: frames.len(),
             held_out,
-            median_error: median(&mut errors).unwrap_or(f64::NAN),
-            rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
-            upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
+            median_error,
+            rmse_over_sd,
+            upper,
             // With too few scenes, the model has no picture quality law.
             quality: fit_quality(&self.pictures).ok(),
         };

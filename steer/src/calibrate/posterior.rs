@@ -263,28 +263,6 @@ impl PriorModel {
         renderers: &[UnitCosts],
         executor: Executor<'_>,
     ) -> Result<Chosen> {
-        let mut best: Option<(f64, Chosen)> = None;
-        for renderer in renderers {
-            let chosen = match (self.fit_for(frames, renderer, executor), &best) {
-                (Ok(chosen), _) => chosen,
-                (Err(error), None) => return Err(error),
-                (Err(_), Some(_)) => continue,
-            };
-            let error = chosen.error(frames);
-            if best.as_ref().is_none_or(|(least, _)| chosen.folds > 0 && error < LESS_ERROR * least) {
-                best = Some((error, chosen));
-            }
-        }
-        match best {
-            Some((_, chosen)) => Ok(chosen),
-            None => {
-                bail!(InvalidArgument, "no typical costs of a renderer were given; give at least one set")
-            }
-        }
-    }
-
-    /// Fits a model with the typical costs of one kind of renderer.
-    fn fit_for(&self, frames: &[Observed], renderer: &UnitCosts, executor: Executor<'_>) -> Result<Chosen> {
         let inputs = self.width();
         if frames.is_empty() {
             bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
@@ -300,7 +278,6 @@ impl PriorModel {
                 );
             }
         }
-        let UnitCosts(prior) = with_unknown(&UnitCosts(self.costs), renderer);
         let prepared: Vec<FitRow> = frames
             .iter()
             .map(|f| FitRow {
@@ -314,16 +291,47 @@ impl PriorModel {
         if count < FEWEST_GROUPS {
             count = 0;
         }
+        let mut best: Option<(f64, Chosen)> = None;
+        for renderer in renderers {
+            let chosen = match self.fit_for(renderer, frames, &prepared, (&folds, count), executor) {
+                Err(_) if best.is_some() => continue,
+                chosen => chosen?,
+            };
+            // Both errors count equally: their geometric mean decides.
+            let (median, rmse_over_sd) = chosen.errors(frames);
+            let error = libm::sqrt(median * rmse_over_sd);
+            if best.as_ref().is_none_or(|(least, _)| count > 0 && error < LESS_ERROR * least) {
+                best = Some((error, chosen));
+            }
+        }
+        match best {
+            Some((_, chosen)) => Ok(chosen),
+            None => {
+                bail!(InvalidArgument, "no typical costs of a renderer were given; give at least one set")
+            }
+        }
+    }
+
+    /// Fits a model with the typical costs of one kind of renderer.
+    fn fit_for(
+        &self,
+        renderer: &UnitCosts,
+        frames: &[Observed],
+        prepared: &[FitRow],
+        (folds, count): (&[usize], usize),
+        executor: Executor<'_>,
+    ) -> Result<Chosen> {
+        let UnitCosts(prior) = with_unknown(&UnitCosts(self.costs), renderer);
         // The fit to all frames, then the fits without each fold.
         let mut fits: Vec<(usize, Option<CostFit>)> = (0..=count).map(|part| (part, None)).collect();
         each(executor, &mut fits, &|(part, fit): &mut (usize, Option<CostFit>)| {
-            let kept = prepared.iter().zip(&folds).filter(|(_, f)| *part == 0 || **f + 1 != *part);
+            let kept = prepared.iter().zip(folds).filter(|(_, f)| *part == 0 || **f + 1 != *part);
             *fit = Some(self.fit(&prior, &kept.map(|(p, _)| p).collect::<Vec<_>>()));
         });
         let fits: Vec<CostFit> = fits.into_iter().filter_map(|(_, fit)| fit).collect();
         let without = |fold: usize| &fits[if count == 0 { 0 } else { fold + 1 }];
         let crossed: Vec<f64> =
-            prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(without(f).log_seconds(p))).collect();
+            prepared.iter().zip(folds).map(|(p, &f)| libm::exp(without(f).log_seconds(p))).collect();
         if !crossed.iter().all(|p| p.is_finite()) {
             bail!(
                 InvalidArgument,
@@ -342,11 +350,11 @@ impl PriorModel {
 }
 
 impl Chosen {
-    /// Cross-validated error: the geometric mean of the median of |predicted / measured − 1| and RMSE/SD.
-    pub(super) fn error(&self, frames: &[Observed]) -> f64 {
+    /// Cross-validated errors on the frames of the fit: the median of |predicted / measured − 1|, and RMSE/SD.
+    pub(super) fn errors(&self, frames: &[Observed]) -> (f64, f64) {
         let pairs: Vec<(f64, f64)> = self.crossed.iter().zip(frames).map(|(&p, f)| (p, f.seconds)).collect();
         let mut relative: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();
-        libm::sqrt(median(&mut relative).unwrap_or(f64::NAN) * rmse_over_sd(&pairs).unwrap_or(f64::NAN))
+        (median(&mut relative).unwrap_or(f64::NAN), rmse_over_sd(&pairs).unwrap_or(f64::NAN))
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::features::{COST_QUANTITIES, SceneFeature, SceneQuantity};
+use crate::numeric::median;
 use crate::predict::{AnalyticModel, GroupKind, InputLayout};
 use alloc::vec;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
@@ -105,7 +106,8 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
         let fitted = |renderers: &[UnitCosts]| {
             let chosen = prior.choose(&frames, renderers, Executor::Serial).unwrap();
             let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
-            (there.costs().0, chosen.error(&frames))
+            let (median, rmse_over_sd) = chosen.errors(&frames);
+            (there.costs().0, (median * rmse_over_sd).sqrt())
         };
         let ((plain, plain_error), (found, error)) =
             (fitted(&[UnitCosts::CONVERTING]), fitted(&UnitCosts::OF_UNKNOWN));

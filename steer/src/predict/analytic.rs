@@ -230,6 +230,11 @@ impl AnalyticModel {
         })
     }
 
+    /// Number of costs without those at the end that are 0, at least `least`.
+    fn used(&self, least: usize) -> usize {
+        self.costs.iter().rposition(|&c| c != 0.0).map_or(least, |last| least.max(last + 1))
+    }
+
     /// Returns the model as a file with one dense layer that predicts seconds. Its scene features are
     /// [`COST_QUANTITIES`], without those at the end whose cost only some renderers have if these are 0.
     /// Calibration and range are stored under [`Key::Calibration`].
@@ -238,8 +243,7 @@ impl AnalyticModel {
     /// [`crate::ErrorKind::InvalidTensor`] if a cost overflows single precision.
     pub fn to_model_file(&self) -> Result<ModelFile> {
         let mut file = ModelFile::default();
-        let last = self.costs.iter().rposition(|&c| c != 0.0).unwrap_or(0);
-        let used = COMMON_COSTS.max(last + 1);
+        let used = self.used(COMMON_COSTS);
         let parts = PredNetParts {
             layers: alloc::vec![DenseParts {
                 inputs: used - 1,
@@ -374,9 +378,7 @@ impl Predictor for AnalyticModel {
     fn identity(&self) -> u32 {
         // Bytes are little-endian on every machine, so that a saved state can be loaded on all of them.
         // Costs of the longest ray count only where there are any, so that states saved without them stay valid.
-        let used =
-            if self.costs[COMMON_COSTS + 1..].iter().all(|&c| c == 0.0) { COMMON_COSTS + 1 } else { COSTS };
-        crc32fast::hash(self.costs.map(f64::to_le_bytes)[..used].as_flattened())
+        crc32fast::hash(self.costs.map(f64::to_le_bytes)[..self.used(COMMON_COSTS + 1)].as_flattened())
     }
 
     fn clock(&self) -> Option<Clock> {

@@ -223,7 +223,6 @@ impl Probe {
         let sampled = if frame.skipping == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
         let error = relative_error(sampled, &rays[CHORD][..count], side, hits);
         let block_skips = block_skips.mean(inv);
-        let largest = |values: &[f32]| values.iter().copied().fold(0.0f32, f32::max);
         let longest = |field: usize| largest(&rays[field][..count]);
         Self {
             footprint,
@@ -337,17 +336,31 @@ impl Chords {
 /// Sum of the values. The order of additions does not depend on the width of the CPU's vectors, so neither
 /// does the result.
 fn sum(values: &[f32]) -> f32 {
+    in_lanes(values, |a, b| a + b)
+}
+
+/// The largest of the values, which are not negative; 0 without values.
+fn largest(values: &[f32]) -> f32 {
+    in_lanes(values, larger)
+}
+
+fn larger(a: f32, b: f32) -> f32 {
+    if b > a { b } else { a }
+}
+
+/// Combines 0 and all values, in an order that does not depend on the width of the CPU's vectors.
+fn in_lanes(values: &[f32], combine: impl Fn(f32, f32) -> f32) -> f32 {
     let mut lanes = [0.0f32; 16];
     let (chunks, rest) = chunks::<16, _>(values);
     for chunk in chunks {
-        lanes.iter_mut().zip(chunk).for_each(|(a, b)| *a += b);
+        lanes.iter_mut().zip(chunk).for_each(|(a, b)| *a = combine(*a, *b));
     }
-    lanes.iter_mut().zip(rest).for_each(|(a, b)| *a += b);
+    lanes.iter_mut().zip(rest).for_each(|(a, b)| *a = combine(*a, *b));
     let mut width = 16;
     while width > 1 {
         width /= 2;
         for i in 0..width {
-            lanes[i] += lanes[i + width];
+            lanes[i] = combine(lanes[i], lanes[i + width]);
         }
     }
     lanes[0]
@@ -356,7 +369,6 @@ fn sum(values: &[f32]) -> f32 {
 /// Sum, over rays, of the maximum value among a ray and its four neighbors; values are not negative. `W` must
 /// exceed `side` by at least 2.
 fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
-    let larger = |a: f32, b: f32| if b > a { b } else { a };
     let mut padded = [[0.0f32; W]; MAX_PROBE_SIDE + 2];
     for (line, values) in padded[1..=side].iter_mut().zip(values.chunks_exact(side)) {
         line[1..=side].copy_from_slice(values);
