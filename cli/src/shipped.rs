@@ -5,7 +5,6 @@ use anyhow::{Context, Result};
 use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
 use entire_steer::predict::UnitCosts;
-use entire_train::fit::typical_costs;
 
 /// A name, and the bytes of `models/NAME-selected.safetensors`.
 macro_rules! selected {
@@ -36,18 +35,14 @@ pub(crate) fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)
     files(shading).into_iter().map(read).collect()
 }
 
-/// The priors of a calibration of a renderer with this backend and device, with their names: the shipped models of the
+/// The priors of a calibration of a renderer with these typical costs, with their names: the shipped models of the
 /// shading mode, which were fitted to software renderers. For a GPU there are none, so that the calibration starts from
-/// [`UnitCosts::GPU`].
+/// the typical costs.
 ///
 /// # Errors
 /// When a file holds no model.
-pub(crate) fn shipped_priors(
-    shading: Shading,
-    backend: &str,
-    device: &str,
-) -> Result<Vec<(String, ModelFile)>> {
-    if typical_costs(backend, device) == UnitCosts::GPU { Ok(Vec::new()) } else { shipped_models(shading) }
+pub(crate) fn shipped_priors(shading: Shading, typical: &UnitCosts) -> Result<Vec<(String, ModelFile)>> {
+    if *typical == UnitCosts::GPU { Ok(Vec::new()) } else { shipped_models(shading) }
 }
 
 /// The shipped model that was selected for a shading mode, with its name.

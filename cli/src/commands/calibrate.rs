@@ -15,6 +15,8 @@ use entire_io::files::{check_model_out, make_folder_of, note, open_model, read_m
 use entire_io::interrupt;
 use entire_io::options::{SkipOption, VolumeArgs, check_termination, thread_pool};
 use entire_io::progress::templated_bar;
+use entire_steer::predict::UnitCosts;
+use entire_train::fit::{typical_costs, typical_costs_of};
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -193,7 +195,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut written = 0;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     for (&shading, out) in options.shade.modes().iter().zip(&outs) {
-        let priors = priors_of(options, shading, (renderer.backend(), &renderer.device()))?;
+        let priors = priors_of(options, shading, &typical_costs(renderer.backend(), &renderer.device()))?;
         let settings = Settings {
             volumes: volumes.clone(),
             reading: options.volume_args.reading(),
@@ -243,15 +245,11 @@ fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer
 }
 
 /// Returns the priors with their names: the model of --prior, else the shipped priors of the shading mode for a
-/// renderer with this backend and device.
-fn priors_of(
-    options: &Options,
-    shading: Shading,
-    (backend, device): (&str, &str),
-) -> Result<Vec<NamedPrior>> {
+/// renderer with these typical costs.
+fn priors_of(options: &Options, shading: Shading, typical: &UnitCosts) -> Result<Vec<NamedPrior>> {
     match &options.prior {
         Some(path) => Ok(vec![(path.display().to_string(), read_model_file(path)?.0)]),
-        None => shipped_priors(shading, backend, device),
+        None => shipped_priors(shading, typical),
     }
 }
 
@@ -290,9 +288,7 @@ fn from_tables(options: &Options) -> Result<()> {
         if let Some(text) = left_out(&tables, clock, Some(shading)) {
             note(&text);
         }
-        let manifest = tables.first().and_then(|t| t.manifest.as_ref());
-        let drawn_by = manifest.map_or(("", ""), |m| (m.renderer.as_str(), m.device.as_str()));
-        let priors = priors_of(options, shading, drawn_by)?;
+        let priors = priors_of(options, shading, &typical_costs_of(&tables))?;
         let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, &threads)?;
         write_whole(&out, &file.to_bytes()?)?;
         print!("{}", report.text());

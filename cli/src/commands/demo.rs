@@ -27,6 +27,7 @@ use entire_io::path::Generated;
 use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
 use entire_steer::control::StepLimits;
+use entire_train::fit::typical_costs;
 use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -131,7 +132,7 @@ fn calibrated(
         seed: options.seed,
         picture_error: PictureError::default(),
     };
-    let priors = shipped_priors(draw.shading, renderer.backend(), &renderer.device())?;
+    let priors = shipped_priors(draw.shading, &typical_costs(renderer.backend(), &renderer.device()))?;
     let threads = thread_pool(None)?;
     let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
     let Calibrated { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;

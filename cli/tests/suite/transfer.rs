@@ -1,6 +1,7 @@
 //! A model of one renderer is calibrated to another with a few frames.
 
 use entire_cli::calibrate::{calibrate_from, calibrate_to_frames};
+use entire_core::model::ModelFile;
 use entire_io::dataset::{Clock, Table, Timed};
 use entire_io::metrics::Metrics;
 use entire_train::fit::{FitContext, Kind, Recipe, predict};
@@ -29,7 +30,7 @@ fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
     let seconds: Vec<f64> = few.iter().map(|&i| there.seconds[i]).collect();
     let few = Timed { frames: &frames, seconds: &seconds };
     let tuned = calibrate_to_frames(&base, &context, few).unwrap();
-    let error = |file: &entire_core::model::ModelFile| {
+    let error = |file: &ModelFile| {
         let predicted = predict(&file.to_model().unwrap(), &context, &unseen.frames).unwrap();
         Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
     };
@@ -37,48 +38,47 @@ fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
     assert!(after < 0.25 && after < 0.5 * before, "{before} as it is, {after} calibrated");
 }
 
+/// RMSE/SD on the frames of the second table, of a model that `fit` makes of the frames of the first one.
+fn error(
+    tables: &[Table],
+    clock: Clock,
+    fit: impl Fn(&FitContext<'_>, Timed<'_>) -> anyhow::Result<ModelFile>,
+) -> f64 {
+    let [train, unseen] = [0, 1].map(|i: usize| TimedFrames::of(&tables[i].frames, clock));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let bar = indicatif::ProgressBar::hidden();
+    let context = FitContext { tables, pool: &pool, bar: &bar, stop: &|| false };
+    let model = fit(&context, train.timed()).unwrap().to_model().unwrap();
+    let predicted = predict(&model, &context, &unseen.frames).unwrap();
+    Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
+}
+
+/// The same tables, as if a renderer with this backend on this device had drawn them.
+fn drawn_by(tables: &[Table], backend: &str, device: &str) -> Vec<Table> {
+    let mut out = tables.to_vec();
+    for manifest in out.iter_mut().filter_map(|t| t.manifest.as_mut()) {
+        (manifest.renderer, manifest.device) = (backend.into(), device.into());
+    }
+    out
+}
+
 #[test]
 fn what_converting_stored_values_costs_is_told_from_the_volume() {
     let tables = tables(&["vtk-fixed-train", "vtk-fixed-test"]);
-    let [train, unseen] = [0, 1].map(|i: usize| TimedFrames::of(&tables[i].frames, Clock::Cpu));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let bar = indicatif::ProgressBar::hidden();
-    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
-    let nothing = Timed { frames: &[], seconds: &[] };
     let recipe = Recipe { kind: Kind::Analytic, ..Recipe::default() };
-    let error = |context: &FitContext<'_>| {
-        let file = recipe.make(context, train.timed(), nothing).unwrap().file;
-        let predicted = predict(&file.to_model().unwrap(), context, &unseen.frames).unwrap();
-        Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
-    };
-    let converting = error(&context);
-    // The same frames, as if the CPU version of the raycaster had drawn them.
-    let mut as_ours = tables.clone();
-    for t in &mut as_ours {
-        t.manifest.as_mut().unwrap().renderer = "cpu".into();
-    }
-    let plain = error(&FitContext { tables: &as_ours, ..context });
+    let nothing = Timed { frames: &[], seconds: &[] };
+    let fit = |context: &FitContext<'_>, frames: Timed<'_>| Ok(recipe.make(context, frames, nothing)?.file);
+    let converting = error(&tables, Clock::Cpu, fit);
+    let plain = error(&drawn_by(&tables, "cpu", "CPU"), Clock::Cpu, fit);
     assert!(converting < 0.2 && converting < 0.75 * plain, "{converting}, {plain} without");
 }
 
 #[test]
 fn the_longest_ray_decides_how_long_a_gpu_takes() {
     let tables = tables(&["none-h100-train", "none-h100-members"]);
-    let [train, unseen] = [0, 1].map(|i: usize| TimedFrames::of(&tables[i].frames, Clock::Device));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let bar = indicatif::ProgressBar::hidden();
-    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
-    let error = |context: &FitContext<'_>| {
-        let file = calibrate_from(&[], context, train.timed()).unwrap();
-        let predicted = predict(&file.to_model().unwrap(), context, &unseen.frames).unwrap();
-        Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
-    };
-    let gpu = error(&context);
-    // The same frames, as if a software driver had drawn them: no cost is that of a single ray.
-    let mut as_software = tables.clone();
-    for t in &mut as_software {
-        t.manifest.as_mut().unwrap().device = "llvmpipe".into();
-    }
-    let software = error(&FitContext { tables: &as_software, ..context });
+    let fit = |context: &FitContext<'_>, frames: Timed<'_>| calibrate_from(&[], context, frames);
+    let gpu = error(&tables, Clock::Device, fit);
+    // In software, no cost is that of a single ray.
+    let software = error(&drawn_by(&tables, "vulkan", "llvmpipe"), Clock::Device, fit);
     assert!(gpu < 0.35 && gpu < 0.6 * software, "{gpu}, {software} as if in software");
 }

@@ -3,11 +3,12 @@
 use super::FitContext;
 use crate::inputs::{Layout, seconds_of, work_of};
 use anyhow::Result;
-use entire_io::dataset::Timed;
+use entire_io::dataset::{Table, Timed};
 use entire_io::device::names_software;
 use entire_steer::features::SceneFeature;
 use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, Measurement, UnitCosts};
 use indicatif::ProgressBar;
+use std::collections::BTreeSet;
 
 pub(super) fn fit_analytic(
     context: &FitContext<'_>,
@@ -41,24 +42,26 @@ pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
     }
 }
 
-/// Returns the initial unit costs of a fit: those that are [typical](typical_costs) of the renderer of all frames. If
-/// several renderers drew the frames, these are the costs of a software renderer, which converts stored values unless
-/// the project's raycaster drew all frames.
+/// Returns the [typical costs](typical_costs) of the renderer that drew the frames of all tables. If several kinds of
+/// renderer drew them, these are the costs of a software renderer, which converts stored values unless the project's
+/// raycaster drew all frames.
+pub fn typical_costs_of<'a>(tables: impl IntoIterator<Item = &'a Table>) -> UnitCosts {
+    let of = |table: &Table| {
+        let manifest = table.manifest.as_ref();
+        manifest.map_or(UnitCosts::CONVERTING, |m| typical_costs(&m.renderer, &m.device))
+    };
+    let merged = tables.into_iter().map(of).reduce(|a, b| match [a, b] {
+        [a, b] if a == b => a,
+        both if both.contains(&UnitCosts::CONVERTING) => UnitCosts::CONVERTING,
+        _ => UnitCosts::SOFTWARE,
+    });
+    merged.unwrap_or(UnitCosts::SOFTWARE)
+}
+
+/// Returns the initial unit costs of a fit: the [typical costs](typical_costs_of) of the frames' tables.
 pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
-    let mut found: Option<UnitCosts> = None;
-    let mut tables: Vec<usize> = part.frames.iter().map(|f| f.table).collect();
-    tables.dedup();
-    for table in tables {
-        let manifest = context.tables.get(table).and_then(|t| t.manifest.as_ref());
-        let costs = manifest.map_or(UnitCosts::CONVERTING, |m| typical_costs(&m.renderer, &m.device));
-        found = Some(match found {
-            Some(other) if other == costs => costs,
-            None => costs,
-            Some(other) if [other, costs].contains(&UnitCosts::CONVERTING) => UnitCosts::CONVERTING,
-            Some(_) => UnitCosts::SOFTWARE,
-        });
-    }
-    found.unwrap_or(UnitCosts::SOFTWARE)
+    let used: BTreeSet<usize> = part.frames.iter().map(|f| f.table).collect();
+    typical_costs_of(used.iter().filter_map(|&table| context.tables.get(table)))
 }
 
 /// Returns the counts that are multiplied by unit costs, one row per frame; 0 for counts whose unit cost is

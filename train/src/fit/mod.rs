@@ -13,7 +13,7 @@ mod recipe;
 mod tests;
 mod training;
 
-pub use analytic::{counts, expected_costs, typical_costs};
+pub use analytic::{counts, expected_costs, typical_costs, typical_costs_of};
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_features};
 
 use crate::gradient::EpochRecord;
