@@ -9,6 +9,11 @@ use std::collections::BTreeMap;
 /// The shortest prediction, seconds; it replaces smaller predictions and NaN.
 pub const SHORTEST: f64 = 1e-6;
 
+/// The prediction, or [`SHORTEST`] in place of a smaller one and of NaN.
+pub fn usable(predicted: f64) -> f64 {
+    if predicted > SHORTEST { predicted } else { SHORTEST }
+}
+
 /// Errors of predictions over some frames.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Metrics {
@@ -47,7 +52,6 @@ impl Metrics {
         }
         let (predicted, measured) = (&predicted[..frames], &measured[..frames]);
         let n = frames as f64;
-        let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
         let pairs: Vec<(f64, f64)> = predicted.iter().zip(measured).map(|(&p, &t)| (usable(p), t)).collect();
         let mean = measured.iter().sum::<f64>() / n;
         let sd = (measured.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / n).sqrt();

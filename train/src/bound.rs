@@ -1,13 +1,11 @@
 //! Upper bounds of frame times: computed from residuals, read from model files, and evaluated.
 
 use entire_core::model::{Key, Model};
-use entire_io::metrics::{BoundMetrics, SHORTEST};
+use entire_io::metrics::{BoundMetrics, usable};
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 
-/// Returns ln(measured / predicted) of every frame; predictions below [`SHORTEST`] and NaN count as
-/// [`SHORTEST`].
+/// Returns ln(measured / predicted) of every frame, with [`usable`] predictions.
 pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
-    let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
     predicted.iter().zip(measured).map(|(&p, t)| (t / usable(p)).ln()).collect()
 }
 
@@ -29,7 +27,7 @@ pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<
 
 /// Returns the upper bound of each prediction, seconds.
 fn of_predictions(upper: &UpperBound, predicted: &[f64]) -> Vec<f64> {
-    predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect()
+    predicted.iter().map(|p| f64::from(upper.upper(usable(*p) as f32))).collect()
 }
 
 /// The upper bound that a model file contains; `None` if it contains none.
@@ -43,6 +41,7 @@ pub fn of(model: &Model) -> Option<UpperBound> {
 mod tests {
     use super::*;
     use entire_core::model::ModelFile;
+    use entire_io::metrics::SHORTEST;
 
     #[test]
     fn a_bound_holds_for_its_share_of_the_frames_that_gave_it() {

@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use entire_core::model::{Model, ModelFile};
 use entire_io::dataset::{Clock, TimedFrame};
 use entire_io::enlarge::enlarge;
-use entire_io::metrics::{Metrics, median, percentile};
+use entire_io::metrics::{Metrics, median, percentile, usable};
 use entire_io::volume::Volume;
 use entire_train::evaluation::PROBE_SHARE;
 use entire_train::fit::{FitContext, Recipe, predict};
@@ -207,6 +207,8 @@ impl<'a> Judge<'a> {
     /// without frames.
     fn judged(&self, name: &str, runs: &[Vec<f64>], frames: &TimedFrames<'_>) -> Option<Row> {
         let measured = &frames.seconds;
+        // The proxy's line and a network may predict times that are not positive.
+        let runs: Vec<Vec<f64>> = runs.iter().map(|p| p.iter().copied().map(usable).collect()).collect();
         let metrics: Vec<Metrics> = runs.iter().filter_map(|p| Metrics::new(p, measured)).collect();
         let first = metrics.first()?;
         let n = metrics.len() as f64;
@@ -220,7 +222,7 @@ impl<'a> Judge<'a> {
             interval::by_volume(of.frames.iter().map(|f| f.scene.volume.as_str()), &of.seconds, runs)
         };
         let of_twins = if frames.frames.len() < self.frames.frames.len() {
-            by_volume(frames, runs)
+            by_volume(frames, &runs)
         } else {
             let of =
                 |run: &Vec<f64>| run.iter().zip(&self.proxy).filter_map(|(p, l)| l.map(|_| *p)).collect();
@@ -241,7 +243,7 @@ impl<'a> Judge<'a> {
             mdape: metrics.iter().map(|m| m.mdape).sum::<f64>() / n,
             latency: None,
             squared_errors: [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| percentile(&errors, q)),
-            by_volume: by_volume(frames, runs),
+            by_volume: by_volume(frames, &runs),
             of_twins,
             more: BTreeMap::new(),
         })
@@ -254,5 +256,25 @@ impl<'a> Judge<'a> {
         row.over_constant = self.constant.as_ref().and_then(|c| Some(errors(row)? / errors(c)?));
         let twins = |r: &Row| interval::rmse(&r.of_twins);
         row.over_lvrp = self.lvrp.as_ref().and_then(|l| Some(twins(row)? / twins(l)?));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_io::dataset::Table;
+    use std::path::Path;
+
+    #[test]
+    fn a_time_that_is_not_positive_counts_alike_in_all_errors() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/none-h100-members.csv.gz");
+        let table = Table::read_without_features(&path, 0).unwrap();
+        let frames = TimedFrames::of(&table.frames[..40], Clock::Device);
+        let mut judge = Judge::new(&Low::new(), 5, "members", &frames, None);
+        let predicted = (0..40).map(|i| if i % 3 == 0 { -1.0 } else { 1e-4 }).collect();
+        judge.add("a network", &[predicted]);
+        let row = judge.rows.last().unwrap();
+        let by_volume = interval::rmse(&row.by_volume).unwrap();
+        assert!((by_volume / row.rmse - 1.0).abs() < 1e-9, "{by_volume} {}", row.rmse);
     }
 }
