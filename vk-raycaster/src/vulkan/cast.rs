@@ -76,6 +76,8 @@ impl VulkanRaycaster {
         let mut counts = WorkCounts::default();
         let mut device = self.has_timestamps().then_some(0.0);
         let timestamps = device.is_some();
+        let is_fixed = self.is_software() && self.options.tile.is_none();
+        let longest = if is_fixed { f64::INFINITY } else { LONG_DISPATCH_SECONDS };
         let class = plan.class;
         let windowed = plan.last_window > 0.0 || bricks.len() > 1;
         let edge = self.tile[class];
@@ -109,7 +111,7 @@ impl VulkanRaycaster {
                     let found = self.engine.finish(ticket)?;
                     device = device.zip(found.seconds).map(|(sum, s)| sum + s);
                     let seconds = found.seconds.unwrap_or_else(|| tile_watch.wall());
-                    if compiled && seconds > LONG_DISPATCH_SECONDS {
+                    if compiled && seconds > longest {
                         self.tile[class] = (edge / 2).max(SMALLEST_TILE.min(edge));
                     }
                     if done {
