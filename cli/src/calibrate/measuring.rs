@@ -13,7 +13,7 @@ use entire_io::dataset::{Clock, TimedFrame, Timing, noise_floor};
 use entire_io::enlarge::enlarge;
 use entire_io::identity;
 use entire_io::metrics::median;
-use entire_io::volume::Volume;
+use entire_io::volume::{Volume, VolumeData};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::collections::{BTreeMap, HashMap};
@@ -229,8 +229,14 @@ impl<'a> Measuring<'a> {
                 bail!("{} changed during the calibration: {what}; calibrate again", path.display());
             }
             let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
-            // No scalar type has more than four bytes.
-            let bytes = |v: &Volume| v.dims().iter().product::<usize>() * 4;
+            let bytes = |v: &Volume| {
+                let scalar = match v.data() {
+                    VolumeData::U8(_) => 1,
+                    VolumeData::U16(_) | VolumeData::I16(_) => 2,
+                    VolumeData::F32(_) => 4,
+                };
+                v.dims().iter().product::<usize>() * scalar
+            };
             if self.volumes.values().map(bytes).sum::<usize>() + bytes(&opened) > KEPT_BYTES {
                 self.volumes.clear();
             }

@@ -6,6 +6,7 @@ use anyhow::{Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_io::dataset::{Scene, Table, TimedFrame};
+use entire_io::enlarge::MAX_FACTOR;
 use entire_io::files::open_volume;
 use entire_io::identity::{self, Identity};
 use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
@@ -30,6 +31,22 @@ const RANDOM_EVERY: u64 = 3;
 /// Number of voxels below which a volume is also rendered enlarged by 2 along every axis: the cost of a frame
 /// depends on the share of the volume that fits in the caches.
 pub(crate) const SMALL_VOLUME: u64 = 160 * 160 * 160;
+
+/// Number of voxels of the largest enlargement: more than the caches of processors and GPUs hold.
+const LARGE_VOLUME: u64 = 300 * 300 * 300;
+
+/// Interval between volumes that are also rendered with at least [`LARGE_VOLUME`] voxels, in volumes.
+const LARGE_EVERY: usize = 4;
+
+/// Factors by which the volume with this index is enlarged along every axis.
+fn factors(index: usize, voxels: u64) -> Vec<usize> {
+    let mut out = if voxels < SMALL_VOLUME { vec![2, 1] } else { vec![1] };
+    let large = |factor: &usize| voxels * (*factor as u64).pow(3) >= LARGE_VOLUME;
+    if index.is_multiple_of(LARGE_EVERY) {
+        out.extend((1..=MAX_FACTOR).find(large).filter(|factor| !out.contains(factor)));
+    }
+    out
+}
 
 /// A candidate frame.
 #[derive(Clone, Debug)]
@@ -106,9 +123,8 @@ impl Pool {
         for (v, path) in settings.volumes.iter().enumerate() {
             let volume = open_volume(path, &settings.reading)?;
             let voxels = volume.view().shape().voxels;
-            let factors: &[usize] = if voxels < SMALL_VOLUME { &[2, 1] } else { &[1] };
             let job = Job::from_path(path);
-            for &factor in factors {
+            for factor in factors(v, voxels) {
                 for index in 0..PER_VOLUME {
                     let drawn =
                         scenes.draw(settings.seed.wrapping_add(factor as u64), &job.seed_name(), index);
@@ -199,7 +215,23 @@ mod tests {
         for seed in [0, u64::MAX] {
             let settings = Settings { seed, ..Settings::brief(vec![path.clone()]) };
             let pool = Pool::draw(&settings, (&[], &UnitCosts::SOFTWARE), &threads).unwrap();
+            // 6³ voxels are too few for the largest enlargement.
             assert_eq!(pool.candidates.len() as u64, 2 * PER_VOLUME);
+        }
+    }
+
+    #[test]
+    fn some_volumes_are_also_rendered_larger_than_a_cache() {
+        let cases: [(usize, u64, &[usize]); 6] = [
+            (0, 96 * 96 * 96, &[2, 1, 4]),
+            (1, 96 * 96 * 96, &[2, 1]),
+            (3, 192 * 192 * 192, &[1]),
+            (4, 192 * 192 * 192, &[1, 2]),
+            (8, 512 * 512 * 512, &[1]),
+            (0, 6 * 6 * 6, &[2, 1]),
+        ];
+        for (index, voxels, expected) in cases {
+            assert_eq!(factors(index, voxels), expected, "{index}, {voxels}");
         }
     }
 }
