@@ -53,8 +53,8 @@ impl UnitCosts {
     /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs.
     /// Only the ratios of the costs matter, since the first observed frames set their scale.
     pub const SOFTWARE: Self = Self([
-        1.3e-4, 8.0e-8, 1.3e-8, 5.5e-9, 2.2e-9, 1.2e-9, 2.5e-8, 1.9e-8, 4.2e-10, 1.2e-9, 5.3e-11, 2.7e-9,
-        2.1e-8, 7.7e-9, 1.2e-7, 5.3e-8, 2.3e-8, 9.1e-9, 1.1e-8, 1.2e-8, 2.1e-8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+        3.2e-4, 7.8e-8, 7.8e-9, 4.2e-9, 2.2e-9, 4.9e-9, 1.8e-8, 1.8e-8, 3.9e-10, 8.1e-10, 5.8e-11, 5.2e-9,
+        7.4e-8, 2.5e-8, 1.1e-7, 5.0e-8, 6.1e-8, 4.3e-8, 5.9e-9, 7.6e-9, 4.6e-8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0,
     ]);
 
@@ -84,9 +84,9 @@ impl UnitCosts {
     /// over processors, plus the longest chain of dependent operations). Geometric means of the costs measured
     /// with each shading mode on an NVIDIA H100.
     pub const GPU: Self = Self([
-        6.0e-6, 1.1e-12, 6.5e-13, 2.2e-12, 1.8e-12, 5.6e-13, 3.1e-12, 1.1e-12, 9.1e-12, 3.6e-12, 6.1e-13,
-        2.2e-12, 1.3e-10, 3.4e-12, 2.3e-10, 5.8e-12, 6.8e-12, 1.0e-10, 3.9e-12, 5.4e-12, 6.8e-12, 0.0,
-        6.8e-7, 1.3e-6, 4.8e-8, 2.3e-7, 3.6e-6, 9.9e-8,
+        5.6e-6, 3.3e-12, 6.2e-13, 6.2e-12, 1.4e-12, 3.9e-13, 2.0e-12, 5.5e-13, 1.5e-11, 1.1e-12, 7.7e-13,
+        3.4e-12, 1.4e-10, 2.3e-12, 3.8e-10, 5.4e-12, 5.4e-12, 2.1e-10, 3.0e-12, 4.5e-12, 6.1e-12, 0.0,
+        7.2e-7, 1.4e-6, 4.3e-8, 4.1e-7, 8.5e-6, 4.5e-7,
     ]);
 
     /// Each unit cost with its name: `frame`, then the quantities' names.

@@ -123,6 +123,8 @@ pub(crate) struct Work {
     pub(crate) longest_shadow_samples: f64,
     /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
     pub(crate) ray_spacing: f64,
+    /// Share of the unshared reads that wait for memory, 0…1; see [`CACHED_VOXELS`].
+    pub(crate) uncached: f64,
 }
 
 impl Work {
@@ -134,13 +136,17 @@ impl Work {
     }
 }
 
-/// Size of a volume of which the cache holds half, in voxels.
+/// Number of voxels that a frame reads if half of its unshared reads wait for memory.
 ///
 /// The far share is the share of the reads that wait for memory: the share of reads that no neighboring ray
-/// shares, times the share of the volume outside the cache. This constant and [`UNSHARED_SPACING`] minimize
-/// the cross-validated error over the tables of four machines; see "Memory" on the book's page of
-/// measurements.
-pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
+/// shares, times w / (w + [`CACHED_VOXELS`]), where w is the number of voxels that the frame reads. This
+/// number is at most that of the volume's voxels n, and at most [`VOXELS_PER_READ`] per unshared read r:
+/// w = 1 / (1 / n + 1 / ([`VOXELS_PER_READ`] r)). These constants and [`UNSHARED_SPACING`] minimize the
+/// cross-validated error over the tables of four machines; see "Memory" on the book's page of measurements.
+pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
+
+/// Number of voxels that an unshared read brings into the cache: four cache lines of 16 packed voxels.
+pub(crate) const VOXELS_PER_READ: f64 = 64.0;
 
 /// Ray spacing at which half of a sample's reads are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SPACING: f64 = 2.0;
@@ -319,9 +325,16 @@ impl FrameFeatures {
             longest_segments: if skipping { f64::from(longest_segments) } else { 0.0 },
             longest_shadow_samples: f64::from(longest_shadow),
             ray_spacing: f64::from(p.spread / setting.height as f32),
+            uncached: 0.0,
         };
         // Adjacent rays less than about two voxels apart shade at the same time, so they hardly wait.
         work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared(UNSHARED_SPACING) * (waiting - 1.0));
+        let local = if setting.shading == Shading::Local { work.shaded } else { 0.0 };
+        let reads = work.samples * work.unshared(UNSHARED_SPACING)
+            + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
+        let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
+        let touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
+        work.uncached = touched / (touched + CACHED_VOXELS);
         work
     }
 
@@ -339,7 +352,7 @@ impl FrameFeatures {
         let p = &self.probe;
         let per_pixel = |v: f64| v / work.pixels.max(1.0);
         let only = |shading: Shading, v: f64| if setting.shading == shading { v } else { 0.0 };
-        let far = |spacing: f64| work.unshared(spacing) * self.uncached();
+        let far = |spacing: f64| work.unshared(spacing) * work.uncached;
         match quantity {
             Q::Pixels => work.pixels,
             Q::Rays => work.rays,
@@ -389,11 +402,5 @@ impl FrameFeatures {
             Q::FarLongestSegments => work.longest_segments * far(UNSHARED_SPACING),
             Q::FarLongestShadowSamples => work.longest_shadow_samples * far(UNSHARED_SHADING),
         }
-    }
-
-    /// Share of the volume outside the cache, 0…1: n / (n + [`CACHED_VOXELS`]) for a volume of n voxels.
-    fn uncached(&self) -> f64 {
-        let voxels = f64::from(self.voxels);
-        voxels / (voxels + CACHED_VOXELS)
     }
 }

@@ -88,7 +88,7 @@ quantities! {
          the caches";
     FarSamples, "far_samples", "samples", 1.0, yes, yes,
         "samples whose reads miss the caches: lane samples times the far share";
-    FarRuns, "far_runs", "runs", 1.0, no, yes,
+    FarRuns, "far_runs", "runs", 1.0, yes, yes,
         "runs whose reads miss the caches: runs times the far share";
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
         "reads of the skip map that miss the caches: segments times the far share";

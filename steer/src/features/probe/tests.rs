@@ -1,7 +1,6 @@
 //! Compares packets of rays with single rays, edited summaries with new ones, and parallel rays with closed
 //! forms and with a distant perspective camera.
 
-use crate::features::frame::CACHED_VOXELS;
 use crate::features::tests::{noise, summary, table};
 use crate::features::*;
 use entire_core::kernels::Level;
@@ -221,7 +220,6 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];
-    let uncached = 64f64.powi(3) / (64f64.powi(3) + CACHED_VOXELS);
     for (least, apart) in [(0usize, false), (192, true), (240, true)] {
         let s = summary(&noise(64 * 64 * 64, 7), dims, 4);
         let mut transfer =
@@ -245,7 +243,7 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
             let value = |q| features.quantity_of(q, &setting, &work);
             let [lanes, spread] =
                 [SceneQuantity::LaneShadowSamples, SceneQuantity::FarShadowSamples].map(value);
-            let far = spread / work.shadow_samples / (square / (square + 64.0)) / uncached;
+            let far = spread / work.shadow_samples / (square / (square + 64.0)) / work.uncached;
             assert_eq!(value(SceneQuantity::FarLocalSamples), 0.0);
             (lanes / work.shadow_samples, far)
         };
@@ -259,6 +257,43 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
         let work = features.work(&local);
         let square = work.ray_spacing * work.ray_spacing;
         let spread = features.quantity_of(SceneQuantity::FarLocalSamples, &local, &work);
-        assert!((spread / work.shaded - uncached * square / (square + 64.0)).abs() < 1e-6, "{spread}");
+        assert!((spread / work.shaded - work.uncached * square / (square + 64.0)).abs() < 1e-6, "{spread}");
+    }
+}
+
+/// Compares the share of unshared reads that wait for memory with its definition, in each shading mode. A frame
+/// touches at most the voxels of the volume. The share never falls for a larger image or a finer step.
+#[test]
+fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
+    let n = 64 * 64 * 64;
+    let s = summary(&noise(n, 3), [64, 64, 64], 8);
+    let mut transfer = TransferSummary::new(&s, &table(|i| if i >= 128 { 2.0e-3 } else { 0.0 })).unwrap();
+    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 50.0, dz: 2.0 }).unwrap();
+    for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+        let frame = Frame { shading, ..Frame::new(camera, 256, 256).unwrap() };
+        let mut features = FrameFeatures::default();
+        features.measure(&s, &mut transfer, &frame).unwrap();
+        let share = |size: u32, step: f32| {
+            let setting = Setting { width: size, height: size, step, ..Setting::from(&frame) };
+            let work = features.work(&setting);
+            let value = |q| features.quantity_of(q, &setting, &work);
+            let square = work.ray_spacing * work.ray_spacing;
+            let near = square / (square + 4.0);
+            let shading =
+                (value(SceneQuantity::LocalSamples) + work.parted_shadow_samples) * square / (square + 64.0);
+            let touched = 1.0 / (1.0 / n as f64 + 1.0 / (64.0 * (work.samples * near + shading)));
+            let expected = touched / (touched + 8.0e6);
+            assert!((work.uncached - expected).abs() < 1e-9 * expected, "{} of {expected}", work.uncached);
+            let far = value(SceneQuantity::FarSamples);
+            assert!((far - work.lane_samples * near * expected).abs() < 1e-6 * far, "{far}");
+            work.uncached
+        };
+        let most = n as f64 / (n as f64 + 8.0e6);
+        assert!(share(2, 1.0) < 0.9 * most);
+        assert!(share(4096, 0.1) > 0.9 * most);
+        for sizes in [[2, 8], [8, 64], [64, 512], [512, 4096]] {
+            assert!(share(sizes[0], 1.0) < share(sizes[1], 1.0), "{sizes:?}");
+        }
+        assert!(share(64, 2.0) < share(64, 0.5));
     }
 }

@@ -1,0 +1,108 @@
+"""Compares formulas for the share of work that waits for memory, by cross-validated errors of unit costs.
+
+Usage: python3 lab/scripts/memory.py [TABLE.csv …]
+
+Reads the training tables in data/timings (ensemble members are held out), and tables given as arguments, all as one
+(volumes are held out). Their features must lie beside them (`entire features`). Unit costs are fitted by non-negative
+least squares of the relative error. Needs numpy and scipy.
+"""
+
+import csv
+import gzip
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import nnls
+
+TRAINING = ["none-train", "none-epyc-train", "none-xeon-train", "local-train", "scatter-train"]
+NEAR = "pixels rays skips samples lane_samples runs segments local_samples scatter_samples shadow_samples lane_shadow_samples".split()
+FAR = "far_skips far_samples far_runs far_segments far_local_samples far_shadow_samples far_x far_y far_z".split()
+CACHED, READ = 8.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/features/frame.rs
+
+
+def lines(path):
+    opened = gzip.open(path, "rt") if path.name.endswith(".gz") else open(path, encoding="utf-8")
+    with opened:
+        return [line for line in opened if not line.startswith("#")]
+
+
+def read(path, by_volume):
+    """Median processor time, features and group of each frame."""
+    path = Path(path)
+    features = path.parent / (path.name.removesuffix(".gz").removesuffix(".csv") + ".features.csv.gz")
+    seconds, group = {}, {}
+    for row in csv.DictReader(lines(path)):
+        seconds.setdefault(row["frame"], []).append(float(row["seconds_cpu"]))
+        volume = row["volume"] + row["dims_x"] if by_volume else row["volume"].rsplit("/", 1)[0]
+        group[row["frame"]] = volume
+    rows = {row["frame"]: row for row in csv.DictReader(lines(features))}
+    found = {name: np.array([float(rows[k][name]) for k in seconds]) for name in [*NEAR, *FAR, "voxels", "ray_spacing"]}
+    return np.array([np.median(v) for v in seconds.values()]), found, np.array([group[k] for k in seconds])
+
+
+def work(f, law):
+    """Amounts of work, one column per unit cost; `law` gives the share of unshared reads that wait."""
+    columns = [np.ones_like(f["pixels"]), *(f[name] for name in NEAR)]
+    if law:
+        square = f["ray_spacing"] ** 2
+        near = square / (square + 4.0)
+        share = np.clip(f["far_samples"] / np.maximum(f["lane_samples"] * near, 1e-9), 1e-12, 0.999)
+        reads = f["samples"] * near + (f["far_shadow_samples"] + f["far_local_samples"]) / share
+        columns += [f[name] / share * law(f["voxels"], reads) for name in FAR]
+    columns = np.stack(columns, 1)
+    return columns[:, columns.max(0) > 0]
+
+
+def fit(x, seconds):
+    weight, scale = np.ones(len(seconds)), x.max(0)
+    scale[scale == 0] = 1
+    for _ in range(12):
+        costs, _ = nnls(x / scale / seconds[:, None] * weight[:, None], weight, maxiter=10000)
+        weight = 1 / np.sqrt(np.maximum(np.abs(x / scale @ costs / seconds - 1), 0.03))
+    return costs / scale
+
+
+def held_out(x, seconds, group):
+    fold = {name: i % 7 for i, name in enumerate(np.unique(group))}
+    fold = np.array([fold[name] for name in group])
+    predicted = np.zeros(len(seconds))
+    for i in np.unique(fold):
+        predicted[fold == i] = x[fold == i] @ fit(x[fold != i], seconds[fold != i])
+    return np.median(np.abs(predicted / seconds - 1)), np.sqrt(np.mean((predicted - seconds) ** 2)) / seconds.std()
+
+
+def touched(cached=CACHED, read=READ):
+    return lambda n, r: 1 / (1 + cached * (1 / n + 1 / (read * np.maximum(r, 1e-3))))
+
+
+LAWS = {
+    "no share": None,
+    "n / (n + 2 million)": lambda n, _: n / (n + 2.0e6),
+    "w / (w + 8 million)": touched(),
+    "w / (w + 4 million)": touched(cached=4.0e6),
+    "w / (w + 16 million)": touched(cached=16.0e6),
+    "w with 32 voxels per read": touched(read=32.0),
+    "w with 128 voxels per read": touched(read=128.0),
+}
+
+
+def main():
+    tables = [read(f"data/timings/{name}.csv.gz", by_volume=False) for name in TRAINING]
+    given = [read(path, by_volume=True) for path in sys.argv[1:]]
+    if given:
+        names = given[0][1]
+        joined = {name: np.concatenate([g[1][name] for g in given]) for name in names}
+        given = [(np.concatenate([g[0] for g in given]), joined, np.concatenate([g[2] for g in given]))]
+    print(f"{'share of unshared reads':28}  training tables (geometric mean)" + ("  tables given" if given else ""))
+    for name, law in LAWS.items():
+        means = [
+            np.exp(np.mean(np.log([held_out(work(f, law), t, g) for t, f, g in part]), axis=0))
+            for part in (tables, given)
+            if part
+        ]
+        print(f"{name:28}  " + "  ".join(f"{100 * m:5.2f} %, RMSE/SD {r:.4f}" for m, r in means), flush=True)
+
+
+if __name__ == "__main__":
+    main()
