@@ -6,7 +6,6 @@ use anyhow::{Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_io::dataset::{Scene, Table, TimedFrame};
-use entire_io::enlarge::MAX_FACTOR;
 use entire_io::files::open_volume;
 use entire_io::identity::{self, Identity};
 use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
@@ -35,6 +34,9 @@ pub(crate) const SMALL_VOLUME: u64 = 160 * 160 * 160;
 /// Number of voxels of the largest enlargement: more than the caches of processors and GPUs hold.
 const LARGE_VOLUME: u64 = 300 * 300 * 300;
 
+/// Largest enlargement factor: volumes enlarged further are unlike real ones.
+const LARGEST_FACTOR: usize = 4;
+
 /// Interval between volumes that are also rendered with at least [`LARGE_VOLUME`] voxels, in volumes.
 const LARGE_EVERY: usize = 4;
 
@@ -43,7 +45,7 @@ fn factors(index: usize, voxels: u64) -> Vec<usize> {
     let mut out = if voxels < SMALL_VOLUME { vec![2, 1] } else { vec![1] };
     let large = |factor: &usize| voxels * (*factor as u64).pow(3) >= LARGE_VOLUME;
     if index.is_multiple_of(LARGE_EVERY) {
-        out.extend((1..=MAX_FACTOR).find(large).filter(|factor| !out.contains(factor)));
+        out.extend((1..=LARGEST_FACTOR).find(large).filter(|factor| !out.contains(factor)));
     }
     out
 }
@@ -228,7 +230,7 @@ mod tests {
             (3, 192 * 192 * 192, &[1]),
             (4, 192 * 192 * 192, &[1, 2]),
             (8, 512 * 512 * 512, &[1]),
-            (0, 6 * 6 * 6, &[2, 1]),
+            (0, 72 * 72 * 72, &[2, 1]),
         ];
         for (index, voxels, expected) in cases {
             assert_eq!(factors(index, voxels), expected, "{index}, {voxels}");
