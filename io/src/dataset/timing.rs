@@ -125,14 +125,15 @@ impl TimedFrame {
         median(&mut seconds)
     }
 
-    /// Estimated seconds of the frame without disturbance by other programs. Other programs lengthen wall
-    /// time and never shorten it, so the estimate by wall time is the lower quartile of the repeats; by other
-    /// clocks, it is [`TimedFrame::seconds`].
+    /// Estimated seconds of the frame without disturbance. Other programs lengthen wall time, and a GPU that saves power
+    /// lengthens device time; neither shortens it. So the estimate by these clocks is the lower quartile of the repeats;
+    /// by processor time, it is [`TimedFrame::seconds`].
     pub fn undisturbed(&self, clock: Clock) -> Option<f64> {
-        if clock != Clock::Wall {
+        if clock == Clock::Cpu {
             return self.seconds(clock);
         }
-        let mut seconds: Vec<f64> = self.repeats.iter().filter_map(|r| r.wall).filter(|&t| t > 0.0).collect();
+        let mut seconds: Vec<f64> =
+            self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
         seconds.sort_by(f64::total_cmp);
         (!seconds.is_empty()).then(|| percentile(&seconds, 0.25))
     }
