@@ -126,11 +126,17 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             front.push(p);
         }
     }
-    // Only predictors on the frontier and the paper's networks are labeled: other points are too close to
-    // each other.
+    // Only predictors on the frontier, the selected one and the paper's networks are labeled: other points are too
+    // close to each other.
+    let selected = found.selected.get(set);
     let named = |p: &(f64, f64, f64, String)| {
         let name = front.iter().any(|f| f.3 == p.3) || [PAPER, DISTILLED].contains(&p.3.as_str());
-        (p.0, p.2, if name { p.3.clone() } else { String::new() })
+        let text = match () {
+            () if selected == Some(&p.3) => format!("{} (selected)", p.3),
+            () if name => p.3.clone(),
+            () => String::new(),
+        };
+        (p.0, p.2, text)
     };
     let mut chart = Chart::new(
         format!("{set}, split by {split}"),

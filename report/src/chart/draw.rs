@@ -326,9 +326,7 @@ impl Chart {
                 draw_line(&mut plot, &clip(points, x, y), stroke(color, 1.8))?;
             }
             Mark::Steps(points) => {
-                let corners = points.windows(2).flat_map(|w| [w[0], (w[1].0, w[0].1)]);
-                let corners: Vec<_> = corners.chain(points.last().copied()).collect();
-                draw_line(&mut plot, &clip(&corners, x, y), stroke(color, 1.8))?;
+                draw_line(&mut plot, &clip(&steps(points), x, y), stroke(color, 1.8))?;
             }
             Mark::Points(points) => {
                 let radius = units(if points.len() > 60 { 2.2 } else { 4.0 });
@@ -389,23 +387,43 @@ impl Chart {
         y: &Span,
     ) -> Drawn {
         let frame = Rect { left: layout.left, top: layout.top, right: layout.right, bottom: layout.bottom };
+        let pixels = |at: &(f64, f64)| {
+            let (h, v) = plot.plotting_area().map_coordinate(at);
+            (f64::from(h) / UNITS, f64::from(v) / UNITS)
+        };
         let mut texts = Vec::new();
+        let mut taken = Vec::new();
         for series in &self.series {
-            let Mark::Points(points) = &series.mark else { continue };
-            for (px, py, text) in points {
-                if !text.is_empty() && x.shows(*px) && y.shows(*py) {
-                    let (h, v) = plot.plotting_area().map_coordinate(&(*px, *py));
-                    texts.push((f64::from(h) / UNITS, f64::from(v) / UNITS, text));
+            match &series.mark {
+                Mark::Points(points) => {
+                    for (px, py, text) in points.iter().filter(|p| x.shows(p.0) && y.shows(p.1)) {
+                        let (h, v) = pixels(&(*px, *py));
+                        taken.push(Rect::around(h, v, 4.0));
+                        if !text.is_empty() {
+                            texts.push((h, v, text));
+                        }
+                    }
                 }
+                Mark::Steps(points) => {
+                    for ends in steps(points).windows(2) {
+                        taken.push(Rect::between(pixels(&ends[0]), pixels(&ends[1])));
+                    }
+                }
+                _ => {}
             }
         }
         // Texts are placed from top to bottom. The stable sort keeps the order of coinciding points.
         texts.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
-        let mut taken: Vec<Rect> = texts.iter().map(|(h, v, _)| Rect::around(*h, *v, 4.0)).collect();
         for (h, v, text) in texts {
             let Place { leftward, x, baseline } = place(h, v, text_width(text, 12.0), &frame, &mut taken);
+            let middle = baseline - 4.5;
+            if (middle - v).abs() > 16.0 {
+                let end = if leftward { x + 4.0 } else { x - 4.0 };
+                let ends = [(h, v), (end, middle)].map(|(h, v)| (units(h), units(v)));
+                area.draw(&PathElement::new(ends, stroke(DIM, 0.7)))?;
+            }
             let side = if leftward { HPos::Right } else { HPos::Left };
-            let at = (units(x), units(baseline - 4.5));
+            let at = (units(x), units(middle));
             area.draw_text(text, &text_style(12.0, DIM, side, VPos::Center), at)?;
         }
         Ok(())
@@ -439,4 +457,10 @@ impl Chart {
         }
         Ok(())
     }
+}
+
+/// Returns the corners of a line of steps through points.
+fn steps(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let corners = points.windows(2).flat_map(|w| [w[0], (w[1].0, w[0].1)]);
+    corners.chain(points.last().copied()).collect()
 }

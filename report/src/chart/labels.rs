@@ -16,6 +16,16 @@ impl Rect {
         Self { left: x - half, top: y - half, right: x + half, bottom: y + half }
     }
 
+    /// Returns the rectangle around a line between two points, a pixel wider on each side.
+    pub(super) fn between(a: (f64, f64), b: (f64, f64)) -> Self {
+        Self {
+            left: a.0.min(b.0) - 1.0,
+            top: a.1.min(b.1) - 1.0,
+            right: a.0.max(b.0) + 1.0,
+            bottom: a.1.max(b.1) + 1.0,
+        }
+    }
+
     fn holds(&self, other: &Self) -> bool {
         other.left >= self.left
             && other.right <= self.right
@@ -61,7 +71,7 @@ pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Re
         let left = if leftward { x - GAP - width } else { x + GAP };
         Rect { left, top: y + down - 11.0, right: left + width, bottom: y + down + 2.0 }
     };
-    let places = [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0]
+    let places = [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0, -47.0, -61.0, -75.0, -89.0]
         .into_iter()
         .flat_map(|down| [(false, down), (true, down)]);
     let clear = |rect: &Rect| frame.holds(rect) && !taken.iter().any(|t| t.meets(rect));
