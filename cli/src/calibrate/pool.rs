@@ -31,7 +31,7 @@ const RANDOM_EVERY: u64 = 3;
 /// depends on the share of the volume that fits in the caches.
 pub(crate) const SMALL_VOLUME: u64 = 160 * 160 * 160;
 
-/// Number of voxels of the largest enlargement: more than the caches of processors and GPUs hold.
+/// Smallest number of voxels of the largest enlargement: more than most caches hold.
 const LARGE_VOLUME: u64 = 300 * 300 * 300;
 
 /// Largest enlargement factor: volumes enlarged further are unlike real ones.

@@ -136,13 +136,13 @@ impl Work {
     }
 }
 
-/// Number of voxels that a frame reads if half of its unshared reads wait for memory.
+/// Number of touched voxels at which half of a frame's unshared reads wait for memory.
 ///
 /// The far share is the share of the reads that wait for memory: the share of reads that no neighboring ray
-/// shares, times w / (w + [`CACHED_VOXELS`]), where w is the number of voxels that the frame reads. This
-/// number is at most that of the volume's voxels n, and at most [`VOXELS_PER_READ`] per unshared read r:
-/// w = 1 / (1 / n + 1 / ([`VOXELS_PER_READ`] r)). These constants and [`UNSHARED_SPACING`] minimize the
-/// cross-validated error over the tables of four machines; see "Memory" on the book's page of measurements.
+/// shares, times w / (w + [`CACHED_VOXELS`]), where w is the number of voxels that the frame touches. This
+/// number is below the volume's number of voxels n, and below [`VOXELS_PER_READ`] times the number r of
+/// unshared reads: w = 1 / (1 / n + 1 / ([`VOXELS_PER_READ`] r)). "Memory" on the book's page of measurements
+/// compares other constants by their errors.
 pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
 
 /// Number of voxels that an unshared read brings into the cache: four cache lines of 16 packed voxels.
