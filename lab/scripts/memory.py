@@ -1,3 +1,5 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
 """Compares formulas for the share of work that waits for memory, by cross-validated errors of unit costs.
 
 Usage: python3 lab/scripts/memory.py [TABLE.csv …]
@@ -16,7 +18,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 TRAINING = ["none-train", "none-epyc-train", "none-xeon-train", "local-train", "scatter-train"]
-NEAR = "pixels rays skips samples lane_samples runs segments local_samples scatter_samples shadow_samples lane_shadow_samples".split()
+NEAR = """pixels rays skips samples lane_samples runs segments local_samples scatter_samples shadow_samples
+lane_shadow_samples""".split()
 FAR = "far_skips far_samples far_runs far_segments far_local_samples far_shadow_samples far_x far_y far_z".split()
 CACHED, READ = 8.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/features/frame.rs
 

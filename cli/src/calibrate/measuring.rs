@@ -229,13 +229,11 @@ impl<'a> Measuring<'a> {
                 bail!("{} changed during the calibration: {what}; calibrate again", path.display());
             }
             let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
-            let bytes = |v: &Volume| {
-                let scalar = match v.data() {
-                    VolumeData::U8(_) => 1,
-                    VolumeData::U16(_) | VolumeData::I16(_) => 2,
-                    VolumeData::F32(_) => 4,
-                };
-                v.dims().iter().product::<usize>() * scalar
+            let bytes = |v: &Volume| match v.data() {
+                VolumeData::U8(voxels) => size_of_val(&voxels[..]),
+                VolumeData::U16(voxels) => size_of_val(&voxels[..]),
+                VolumeData::I16(voxels) => size_of_val(&voxels[..]),
+                VolumeData::F32(voxels) => size_of_val(&voxels[..]),
             };
             if self.volumes.values().map(bytes).sum::<usize>() + bytes(&opened) > KEPT_BYTES {
                 self.volumes.clear();

@@ -120,9 +120,12 @@ impl TimedFrame {
     /// Median seconds by a clock (mean of the middle two for an even number), over the repeats with a
     /// positive time by this clock; `None` if there is no such repeat.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {
-        let mut seconds: Vec<f64> =
-            self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
-        median(&mut seconds)
+        median(&mut self.times(clock))
+    }
+
+    /// The positive times of the repeats by a clock, seconds.
+    fn times(&self, clock: Clock) -> Vec<f64> {
+        self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect()
     }
 
     /// Estimated seconds of the frame without disturbance. Other programs lengthen wall time, and a GPU that saves power
@@ -132,8 +135,7 @@ impl TimedFrame {
         if clock == Clock::Cpu {
             return self.seconds(clock);
         }
-        let mut seconds: Vec<f64> =
-            self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
+        let mut seconds = self.times(clock);
         seconds.sort_by(f64::total_cmp);
         (!seconds.is_empty()).then(|| percentile(&seconds, 0.25))
     }

@@ -34,16 +34,19 @@ use std::time::Duration;
 use upload::Brick;
 
 /// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink from the next frame on. Tiles on
-/// software devices do not shrink unless the options set their size: such a device gives each thread an equal part of the dispatch's workgroups,
-/// in order, so a tile with all its work in one half occupies half of the threads.
+/// software devices do not shrink unless the options set their size: such a device gives each thread an equal part of
+/// the dispatch's workgroups, in order, so a tile with all its work in one half occupies half of the threads.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
 /// Largest number of loop iterations of an invocation on a software device. llvmpipe ends loops after 65535
 /// iterations, so longer rays are cast in several dispatches.
 const LOOP_LIMIT: f64 = 60_000.0;
 
-/// Largest edge of tiles, in pixels, on GPUs and on software devices.
-const LARGEST_TILE: [u32; 2] = [1024, 4096];
+/// Largest edge of tiles on a GPU, in pixels.
+const LARGEST_TILE: u32 = 1024;
+
+/// Largest edge of tiles on a software device, in pixels.
+const LARGEST_TILE_SOFTWARE: u32 = 4096;
 
 /// Smallest edge of tiles that shrink, in pixels.
 const SMALLEST_TILE: u32 = 64;
@@ -73,8 +76,7 @@ pub struct VulkanOptions {
     /// True to count rays, samples, skips and shaded samples, by a variant of the shader; frames take a
     /// little longer.
     pub count_work: bool,
-    /// Edge of the tiles that large images are cut into, in pixels. `None` is 1024, on
-    /// software devices 4096.
+    /// Edge of the tiles that large images are cut into, in pixels. `None` is 1024, on software devices 4096.
     pub tile: Option<u32>,
     /// Maximum number of voxels along an axis of one texture; larger volumes are cut into bricks. `None` is
     /// the device's limit.
@@ -228,7 +230,7 @@ impl VulkanRaycaster {
         let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
         let largest = (groups[0].min(groups[1]).saturating_mul(recording::GROUP_EDGE))
             .min(pixels.isqrt().try_into().unwrap_or(u32::MAX));
-        let default = LARGEST_TILE[usize::from(gpu.is_cpu)];
+        let default = if gpu.is_cpu { LARGEST_TILE_SOFTWARE } else { LARGEST_TILE };
         let edge = options.tile.unwrap_or(default).clamp(recording::GROUP_EDGE, largest);
         Ok(Self {
             engine: Engine::new(gpu)?,
