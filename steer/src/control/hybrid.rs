@@ -106,6 +106,8 @@ impl HybridOptions {
 ///   disturbed frames too.
 /// * A new scene: nothing is damped, the scene's own correction is dropped, and the margin is that of new
 ///   scenes.
+/// * Unreachable target: if no step is expected to meet the target, the finest step is chosen that takes at most
+///   1 % longer than the coarsest one.
 /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
 ///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
@@ -157,7 +159,8 @@ const WORTH: f64 = 2.0;
 /// on the training paths, but does not keep a miss rate.
 const MARGIN_PACE: f32 = 0.05;
 /// Relative change of the step, and relative difference of the expected time from the target, below which the
-/// step is kept; too small to be visible.
+/// step is kept; too small to be visible. A smaller saving of time than this does not justify a coarser step
+/// if no step meets the target.
 const DEAD_BAND: f64 = 0.01;
 /// Difference of two targets, in ln, below which they count as equal.
 const SAME_TARGET: f64 = 0.02;
@@ -367,9 +370,12 @@ impl Controller for Hybrid {
             // finest of these steps and the coarsest step is chosen.
             None => match Self::finest(limits, last, |step| libm::log(judge(step).choice / target)) {
                 Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
+                // Where coarser steps hardly shorten the frame, they would only make the picture worse.
                 None => {
                     reason = Reason::TargetUnreachable;
-                    limits.coarsest
+                    let longest = judge(limits.coarsest).choice * (1.0 + DEAD_BAND);
+                    Self::finest(limits, None, |step| libm::log(judge(step).choice / longest))
+                        .unwrap_or(limits.coarsest)
                 }
             },
         };
