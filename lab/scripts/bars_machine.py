@@ -213,6 +213,21 @@ def found(machine, test):
     yield "shipped/predictions-not-positive", invalid(machine, test), None
 
 
+def noise(machine, split, mode):
+    """Yields, for processor and wall time, the median and the ninth decile of max / min - 1 over the passes of each
+    frame."""
+    path = machine.out / f"{split}-{mode}.csv"
+    if not path.exists():
+        return
+    for clock in ("cpu", "wall"):
+        seconds = {}
+        with open(path, newline="") as file:
+            for row in csv.DictReader(file):
+                seconds.setdefault(row["frame"], []).append(float(row[f"seconds_{clock}"]))
+        apart = sorted(max(s) / min(s) - 1 for s in seconds.values())
+        yield clock, apart[len(apart) // 2], apart[len(apart) * 9 // 10]
+
+
 def invalid(machine, test):
     """Returns the number of predictions that are not positive, over all shipped models, tables and random inputs. A
     test counts them; None if it could not, or if `test` is false and no count is kept."""
@@ -271,6 +286,9 @@ def main():
                 bars.found(name, value)
             if interval:
                 print(f"interval {name} {interval[0]:.4g} {interval[1]:.4g}", flush=True)
+        for mode in MODES:
+            for clock, median, decile in noise(machine, "members", mode):
+                print(f"passes {mode}/members {clock} differ by {median:.1%} (median), {decile:.1%} (ninth decile)")
         undone = [name for name, (stamp, _) in steps.items() if not (machine.out / stamp).exists()]
         why = f"steps are not done: {', '.join(undone)}" if undone else "a test or an evaluation gave no value"
         bars.lacking(f"{why}; run the same command again to continue")
