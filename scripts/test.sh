@@ -166,6 +166,7 @@ if [[ $gate == nightly ]]; then
         skip "licenses and sources of crates" "cargo-deny is not installed (cargo install --locked cargo-deny)"
     fi
     step "core and steer with alloc only" "$cargo" test --quiet --package entire-core --package entire-steer --no-default-features
+    step "calibration with alloc only" "$cargo" test --quiet --package entire-steer --no-default-features --features calibrate
     step "oldest Rust" oldest_rust
     step "SELU on every float" "$cargo" test --quiet "${everything[@]}" --lib -- --ignored selu_keeps_its_bound_on_every_float
     step "C library as it is released" env -u ENTIRE_SDK tests/c/run.sh

@@ -75,6 +75,7 @@
 extern crate alloc;
 
 mod adapt;
+#[cfg(feature = "calibrate")]
 pub mod calibrate;
 pub mod control;
 pub mod features;

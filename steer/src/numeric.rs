@@ -69,6 +69,7 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// RMSE of (predicted, measured) pairs, divided by the standard deviation of the measured values; `None`
 /// without pairs.
+#[cfg(feature = "calibrate")]
 pub(crate) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.is_empty() {
         return None;

@@ -2,8 +2,11 @@
 
 mod ladder;
 mod pictures;
+#[cfg(feature = "calibrate")]
 mod recording;
 mod state;
+#[cfg(not(feature = "calibrate"))]
+mod unrecorded;
 
 use super::coarsening::Coarsening;
 use super::{
@@ -19,6 +22,10 @@ use entire_core::bail;
 use entire_core::memory::{copied, reserve};
 use entire_core::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use entire_core::{Error, ErrorKind, Result};
+#[cfg(feature = "calibrate")]
+use recording::Recording;
+#[cfg(not(feature = "calibrate"))]
+use unrecorded::Recording;
 
 /// Largest number of plans that wait for their observation; older plans are forgotten.
 pub const PENDING_PLANS: usize = 64;
@@ -90,7 +97,7 @@ pub struct Session {
     timing: [String; 2],
     /// True if the clock of observed times is known not to be that of predicted times.
     converted: bool,
-    recording: Option<recording::Recording>,
+    recording: Option<Recording>,
     /// Picture quality law set by the caller; `None` if the model's law is used.
     quality: Option<Quality>,
 }
@@ -232,6 +239,46 @@ impl Session {
             recording.set_transfer(table);
         }
         self.changes.transfer = true;
+        Ok(())
+    }
+
+    /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
+    /// limits and recorded frames stay. VolumeNet's output stays too; for a predictor with another encoder,
+    /// set the volume again with the output of that encoder ([`Session::set_volume`]).
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] if frames are being recorded with another probe than the
+    /// predictor's.
+    pub fn set_predictor(
+        &mut self,
+        predictor: Box<dyn Predictor + Send>,
+        options: HybridOptions,
+    ) -> Result<()> {
+        let side = match predictor.probe_side() {
+            _ if predictor.any_probe_side() => self.features.probe_side(),
+            0 => FrameFeatures::default().probe_side(),
+            side => side,
+        };
+        let recorded = self.recording.as_ref().map(Recording::probe_side);
+        if let Some(recorded) = recorded.filter(|recorded| ![0, side].contains(recorded)) {
+            bail!(
+                InvalidArgument,
+                "frames are being recorded with a probe of {recorded} rays along each side, the new model's probe has \
+                 {side}; take a model with the same probe"
+            );
+        }
+        if side != self.features.probe_side() {
+            self.features = FrameFeatures::with_probe_side(side);
+        }
+        if !predictor.any_probe_side() {
+            self.ladder = None;
+        }
+        self.controller = controller_for(&*predictor, options);
+        self.predictor = predictor;
+        self.weigh_pictures();
+        self.converted = false;
+        self.reconcile_clocks();
+        self.reset();
         Ok(())
     }
 
@@ -383,6 +430,14 @@ impl Session {
         let plan = self.note(frame, target, changes, terms, decision, drawn);
         self.record_plan(plan.id, changes, settings[index]);
         Ok((index, plan))
+    }
+
+    /// Adds a plan to the recording, if there is one.
+    fn record_plan(&mut self, id: u64, changes: Changes, setting: Setting) {
+        if let Some(recording) = &mut self.recording {
+            let (features, lobes) = (&self.features, &self.lobes);
+            recording.plan(id, &inputs_of(features, setting, changes, &self.volume_features, lobes));
+        }
     }
 
     /// Reports the time of a planned frame.

@@ -48,6 +48,7 @@ impl Quality {
 
     /// Returns a law from values in the order of the fields, each clamped to the bounds of
     /// [`Quality::check`].
+    #[cfg(feature = "calibrate")]
     pub(crate) fn within(numbers: [f64; 4]) -> Self {
         let [image_weight, step_exponent, image_exponent, ray_share] = core::array::from_fn(|i| {
             let (_, low, high) = BOUNDS[i];

@@ -1,7 +1,6 @@
 //! Settings of a session for picture quality: smaller images, and the picture quality law.
 
 use super::Session;
-use crate::calibrate::Picture;
 use crate::predict::Quality;
 use entire_core::Result;
 use entire_core::bail;
@@ -55,23 +54,6 @@ impl Session {
     pub(super) fn weigh_pictures(&mut self) {
         self.coarsening.set_quality(self.quality());
     }
-
-    /// Records a picture that was compared with the same view at full quality, for [`Session::calibrate`],
-    /// which then stores this renderer's picture quality law in the model
-    /// ([`crate::calibrate::fit_quality`]). Draw each scene at the same settings, full quality among them.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before [`Session::record`], [`crate::ErrorKind::OutOfMemory`], and as
-    /// [`Picture::check`].
-    pub fn record_picture(&mut self, picture: Picture) -> Result<()> {
-        let Some(recording) = &mut self.recording else {
-            bail!(
-                NotReady,
-                "nothing is recorded; call record before the pictures from which the law is to be fitted"
-            );
-        };
-        recording.add_picture(picture)
-    }
 }
 
 #[cfg(test)]
@@ -81,8 +63,6 @@ mod tests {
     use crate::predict::AnalyticModel;
     use crate::predict::load;
     use alloc::boxed::Box;
-    use entire_core::ErrorKind;
-    use entire_core::kernels::Executor;
 
     const SOME: Quality =
         Quality { image_weight: 4.0, step_exponent: 1.3, image_exponent: 0.8, ray_share: 0.25 };
@@ -108,17 +88,5 @@ mod tests {
         assert_eq!((session.quality(), path(&session)), (Some(SOME), by_model));
         session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
         assert!(session.quality().is_none() && path(&session) != by_model);
-    }
-
-    #[test]
-    fn pictures_are_kept_once_frames_are() {
-        let mut session = Session::untrained();
-        let picture = Picture { scene: 1, step: 1.0, distance: 1.0, seconds: 0.1, error: 0.0 };
-        assert_eq!(session.record_picture(picture).unwrap_err().kind(), ErrorKind::NotReady);
-        session.record(None, 8).unwrap();
-        session.record_picture(picture).unwrap();
-        let broken = Picture { seconds: f64::NAN, ..picture };
-        assert_eq!(session.record_picture(broken).unwrap_err().kind(), ErrorKind::InvalidArgument);
-        assert_eq!(session.calibrate(Executor::Serial).unwrap_err().kind(), ErrorKind::NotReady);
     }
 }

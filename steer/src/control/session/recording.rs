@@ -2,8 +2,8 @@
 
 use super::{PENDING_PLANS, Session};
 use crate::calibrate::{Calibrated, Calibration, Picture, Shown};
-use crate::features::{Changes, FrameFeatures, Setting, VolumeSummary};
-use crate::predict::{COSTS, Inputs, Measurement, Predictor};
+use crate::features::VolumeSummary;
+use crate::predict::{COSTS, Inputs, Measurement};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use entire_core::Result;
@@ -33,10 +33,6 @@ pub(super) struct Recording {
 }
 
 impl Recording {
-    pub(super) fn add_picture(&mut self, picture: Picture) -> Result<()> {
-        self.calibration.add_picture(picture)
-    }
-
     fn place(id: u64) -> usize {
         (id % PENDING_PLANS as u64) as usize
     }
@@ -51,9 +47,14 @@ impl Recording {
         self.shown.transfer = table.fingerprint();
     }
 
+    /// Number of rays along each side of the prior's probe; 0 if it has none.
+    pub(super) fn probe_side(&self) -> usize {
+        self.calibration.prior().probe_side()
+    }
+
     /// Stores the work of a planned frame at the inputs' setting. Frames that lack an input of the prior, and
     /// the first frames of the session and of a volume, are not stored.
-    fn plan(&mut self, id: u64, inputs: &Inputs<'_>) {
+    pub(super) fn plan(&mut self, id: u64, inputs: &Inputs<'_>) {
         let prior = self.calibration.prior();
         let (at, width) = (Self::place(id), prior.width());
         // The first frame of a session and of a volume includes uploads.
@@ -127,6 +128,23 @@ impl Session {
         self.recording.as_ref().map(|r| r.calibration.frames())
     }
 
+    /// Records a picture that was compared with the same view at full quality, for [`Session::calibrate`],
+    /// which then stores this renderer's picture quality law in the model
+    /// ([`crate::calibrate::fit_quality`]). Draw each scene at the same settings, full quality among them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] before [`Session::record`], [`crate::ErrorKind::OutOfMemory`], and as
+    /// [`Picture::check`].
+    pub fn record_picture(&mut self, picture: Picture) -> Result<()> {
+        let Some(recording) = &mut self.recording else {
+            bail!(
+                NotReady,
+                "nothing is recorded; call record before the pictures from which the law is to be fitted"
+            );
+        };
+        recording.calibration.add_picture(picture)
+    }
+
     /// Fits a model to the recorded frames; 500 of them take a second or less on one thread. The session is
     /// unchanged and keeps recording; [`Session::set_predictor`] installs the model.
     ///
@@ -143,54 +161,6 @@ impl Session {
         let [renderer, clock] = &self.timing;
         recording.calibration.fit([renderer, clock], executor)
     }
-
-    /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
-    /// limits and recorded frames stay. VolumeNet's output stays too; for a predictor with another encoder,
-    /// set the volume again with the output of that encoder ([`Session::set_volume`]).
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] if frames are being recorded with another probe than the
-    /// predictor's.
-    pub fn set_predictor(
-        &mut self,
-        predictor: Box<dyn Predictor + Send>,
-        options: super::HybridOptions,
-    ) -> Result<()> {
-        let side = match predictor.probe_side() {
-            _ if predictor.any_probe_side() => self.features.probe_side(),
-            0 => FrameFeatures::default().probe_side(),
-            side => side,
-        };
-        let recorded = self.recording.as_ref().map(|recording| recording.calibration.prior().probe_side());
-        if let Some(recorded) = recorded.filter(|recorded| ![0, side].contains(recorded)) {
-            bail!(
-                InvalidArgument,
-                "frames are being recorded with a probe of {recorded} rays along each side, the new model's probe has \
-                 {side}; take a model with the same probe"
-            );
-        }
-        if side != self.features.probe_side() {
-            self.features = FrameFeatures::with_probe_side(side);
-        }
-        if !predictor.any_probe_side() {
-            self.ladder = None;
-        }
-        self.controller = super::controller_for(&*predictor, options);
-        self.predictor = predictor;
-        self.weigh_pictures();
-        self.converted = false;
-        self.reconcile_clocks();
-        self.reset();
-        Ok(())
-    }
-
-    /// Adds a plan to the recording, if there is one.
-    pub(super) fn record_plan(&mut self, id: u64, changes: Changes, setting: Setting) {
-        if let Some(recording) = &mut self.recording {
-            let (features, lobes) = (&self.features, &self.lobes);
-            recording.plan(id, &super::inputs_of(features, setting, changes, &self.volume_features, lobes));
-        }
-    }
 }
 
 #[cfg(test)]
@@ -200,6 +170,7 @@ mod tests {
     use crate::calibrate::HeldOut;
     use crate::calibrate::tests::unit_factor;
     use crate::control::HybridOptions;
+    use crate::features::Setting;
     use crate::predict::{UnitCosts, load};
     use alloc::vec;
     use entire_core::ErrorKind;
@@ -313,5 +284,17 @@ mod tests {
         let same = load(&prior.to_model().unwrap()).unwrap();
         session.set_predictor(same, HybridOptions::default()).unwrap();
         assert_eq!(session.features().probe_side(), 5);
+    }
+
+    #[test]
+    fn pictures_are_kept_once_frames_are() {
+        let mut session = Session::untrained();
+        let picture = Picture { scene: 1, step: 1.0, distance: 1.0, seconds: 0.1, error: 0.0 };
+        assert_eq!(session.record_picture(picture).unwrap_err().kind(), ErrorKind::NotReady);
+        session.record(None, 8).unwrap();
+        session.record_picture(picture).unwrap();
+        let broken = Picture { seconds: f64::NAN, ..picture };
+        assert_eq!(session.record_picture(broken).unwrap_err().kind(), ErrorKind::InvalidArgument);
+        assert_eq!(session.calibrate(Executor::Serial).unwrap_err().kind(), ErrorKind::NotReady);
     }
 }

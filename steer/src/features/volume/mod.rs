@@ -14,7 +14,7 @@ use super::classify::Blocks;
 use alloc::vec::Vec;
 use entire_core::bail;
 use entire_core::kernels::Executor;
-use entire_core::memory::{copied, filled, mixed};
+use entire_core::memory::{copied, filled};
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeView};
 use entire_core::{Error, ErrorKind, Result};
 use scan::Grid;
@@ -103,10 +103,11 @@ impl VolumeSummary {
     }
 
     /// Hash of the summary's sizes and histogram; volumes that differ in either are very unlikely to collide.
+    #[cfg(feature = "calibrate")]
     pub(crate) fn fingerprint(&self) -> u64 {
         let sizes = self.shape.dims.iter().map(|&n| n as u64);
         let shares = self.histogram.iter().map(|h| u64::from(h.to_bits()));
-        sizes.chain(shares).fold(0, mixed)
+        sizes.chain(shares).fold(0, entire_core::memory::mixed)
     }
 
     /// Makes a summary from bounds that the renderer already has: one (low, high) pair of normalized scalars

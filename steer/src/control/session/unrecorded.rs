@@ -1,0 +1,30 @@
+//! The recording of a session without the feature `calibrate`: there is none.
+
+use crate::features::VolumeSummary;
+use crate::predict::Inputs;
+use entire_core::scene::TransferTable;
+
+/// Has no value, so that its methods are never called.
+pub(super) enum Recording {}
+
+impl Recording {
+    pub(super) fn probe_side(&self) -> usize {
+        match *self {}
+    }
+
+    pub(super) fn set_volume(&mut self, _: &VolumeSummary) {
+        match *self {}
+    }
+
+    pub(super) fn set_transfer(&mut self, _: &TransferTable) {
+        match *self {}
+    }
+
+    pub(super) fn plan(&mut self, _: u64, _: &Inputs<'_>) {
+        match *self {}
+    }
+
+    pub(super) fn observe(&mut self, _: u64, _: f32) {
+        match *self {}
+    }
+}
