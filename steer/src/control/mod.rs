@@ -85,8 +85,8 @@ pub enum Reason {
     Held = 3,
     /// The finest allowed step fits.
     FinestAllowed = 4,
-    /// No allowed step is expected to fit. The step is the finest one that takes at most 1 % longer than the
-    /// coarsest one.
+    /// No allowed step is expected to fit. The step is the coarsest one, or a much finer one that takes at most
+    /// 1 % longer.
     TargetUnreachable = 5,
     /// The step was chosen from recent frame times, since the prediction is out of range or was recently
     /// wrong.
