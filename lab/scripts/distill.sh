@@ -38,7 +38,7 @@ for set in ${*:-unshaded local scatter}; do
     if [[ -n $start ]]; then
         network=(--fine-tune "$start/$set-distilled.safetensors" --learning-rate 2e-4 --epochs "${EPOCHS:-6}")
     else
-        network=(--preset 12C256 --inputs volume_features,camera,resolution,transfer_function --sorted-lobes --target seconds
+        network=(--preset 12C256 --inputs volume_features,camera,resolution,transfer_function --sorted-lobes
             --volumenet "$root/models/volumenet-128f2.safetensors" --learning-rate 7e-4 --epochs "$epochs")
     fi
     "$entire" train --data "$out/$set.csv" --out "$out/$set-distilled.safetensors" --dtype f16 --clock cpu \

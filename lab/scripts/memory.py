@@ -20,7 +20,7 @@ from scipy.optimize import nnls
 TRAINING = ["none-train", "none-epyc-train", "none-xeon-train", "local-train", "scatter-train"]
 NEAR = """pixels rays skips samples lane_samples runs segments local_samples scatter_samples shadow_samples
 lane_shadow_samples""".split()
-FAR = "far_skips far_samples far_runs far_segments far_local_samples far_shadow_samples far_x far_y far_z".split()
+FAR = "far_skips far_samples far_segments far_local_samples far_shadow_samples far_x far_y far_z".split()
 CACHED, READ = 8.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/features/frame.rs
 
 
@@ -44,8 +44,9 @@ def read(path, by_volume):
     return np.array([np.median(v) for v in seconds.values()]), found, np.array([group[k] for k in seconds])
 
 
-def work(f, law):
-    """Amounts of work, one column per unit cost; `law` gives the share of unshared reads that wait."""
+def work(f, law, counted):
+    """Amounts of work, one column per unit cost; `law` gives the share of unshared reads that wait. If `counted`, each
+    touched voxel has a cost too."""
     columns = [np.ones_like(f["pixels"]), *(f[name] for name in NEAR)]
     if law:
         square = f["ray_spacing"] ** 2
@@ -53,6 +54,8 @@ def work(f, law):
         share = np.clip(f["far_samples"] / np.maximum(f["lane_samples"] * near, 1e-9), 1e-12, 0.999)
         reads = f["samples"] * near + (f["far_shadow_samples"] + f["far_local_samples"]) / share
         columns += [f[name] / share * law(f["voxels"], reads) for name in FAR]
+        if counted:
+            columns.append(voxels(f["voxels"], reads))
     columns = np.stack(columns, 1)
     return columns[:, columns.max(0) > 0]
 
@@ -75,18 +78,28 @@ def held_out(x, seconds, group):
     return np.median(np.abs(predicted / seconds - 1)), np.sqrt(np.mean((predicted - seconds) ** 2)) / seconds.std()
 
 
+def voxels(n, reads, read=READ):
+    """Number of touched voxels."""
+    return 1 / (1 / n + 1 / (read * np.maximum(reads, 1e-3)))
+
+
 def touched(cached=CACHED, read=READ):
-    return lambda n, r: 1 / (1 + cached * (1 / n + 1 / (read * np.maximum(r, 1e-3))))
+    def law(n, reads):
+        w = voxels(n, reads, read)
+        return w / (w + cached)
+
+    return law
 
 
 LAWS = {
-    "no share": None,
-    "n / (n + 2 million)": lambda n, _: n / (n + 2.0e6),
-    "w / (w + 8 million)": touched(),
-    "w / (w + 4 million)": touched(cached=4.0e6),
-    "w / (w + 16 million)": touched(cached=16.0e6),
-    "w with 32 voxels per read": touched(read=32.0),
-    "w with 128 voxels per read": touched(read=128.0),
+    "no share": (None, False),
+    "n / (n + 2 million)": (lambda n, _: n / (n + 2.0e6), False),
+    "w / (w + 8 million)": (touched(), False),
+    "... and a cost of each touched voxel": (touched(), True),
+    "... w / (w + 4 million)": (touched(cached=4.0e6), True),
+    "... w / (w + 16 million)": (touched(cached=16.0e6), True),
+    "... 32 voxels per read": (touched(read=32.0), True),
+    "... 128 voxels per read": (touched(read=128.0), True),
 }
 
 
@@ -97,14 +110,14 @@ def main():
         names = given[0][1]
         joined = {name: np.concatenate([g[1][name] for g in given]) for name in names}
         given = [(np.concatenate([g[0] for g in given]), joined, np.concatenate([g[2] for g in given]))]
-    print(f"{'share of unshared reads':28}  training tables (geometric mean)" + ("  tables given" if given else ""))
-    for name, law in LAWS.items():
+    print(f"{'share of unshared reads':36}  training tables (geometric mean)" + ("  tables given" if given else ""))
+    for name, (law, counted) in LAWS.items():
         means = [
-            np.exp(np.mean(np.log([held_out(work(f, law), t, g) for t, f, g in part]), axis=0))
+            np.exp(np.mean(np.log([held_out(work(f, law, counted), t, g) for t, f, g in part]), axis=0))
             for part in (tables, given)
             if part
         ]
-        print(f"{name:28}  " + "  ".join(f"{100 * m:5.2f} %, RMSE/SD {r:.4f}" for m, r in means), flush=True)
+        print(f"{name:36}  " + "  ".join(f"{100 * m:5.2f} %, RMSE/SD {r:.4f}" for m, r in means), flush=True)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ fn file_name(path: &Path) -> String {
 /// Writes every predictor that the study ships into a folder, each with its card; returns the files.
 ///
 /// # Errors
-/// When a predictor was not made, a table cannot be read, or a file cannot be written.
+/// When the rule selects no predictor, a table cannot be read, or a file cannot be written.
 pub(crate) fn ship(
     folder: &Path,
     study: &Study,
@@ -44,11 +44,10 @@ pub(crate) fn ship(
         for ship in &study.ship {
             let predictor = shipped(study, found, &set.name, &ship.predictor)
                 .with_context(|| format!("the rule selects nothing for {}", set.name))?;
-            let made = found
-                .files
-                .iter()
-                .find(|f| f.0 == set.name && f.1 == predictor)
-                .with_context(|| format!("{predictor} was not made for {}", set.name))?;
+            // Only some sets have a distilled network.
+            let Some(made) = found.files.iter().find(|f| f.0 == set.name && f.1 == predictor) else {
+                continue;
+            };
             let (mut file, model) = read_model_file(&made.2)?;
             let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;

@@ -21,7 +21,7 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::LaneShadowSamples,
     SceneQuantity::FarSkips,
     SceneQuantity::FarSamples,
-    SceneQuantity::FarRuns,
+    SceneQuantity::TouchedVoxels,
     SceneQuantity::FarSegments,
     SceneQuantity::FarLocalSamples,
     SceneQuantity::FarShadowSamples,
@@ -53,9 +53,9 @@ impl UnitCosts {
     /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs.
     /// Only the ratios of the costs matter, since the first observed frames set their scale.
     pub const SOFTWARE: Self = Self([
-        3.2e-4, 7.8e-8, 7.8e-9, 4.2e-9, 2.2e-9, 4.9e-9, 1.8e-8, 1.8e-8, 3.9e-10, 8.1e-10, 5.8e-11, 5.2e-9,
-        7.4e-8, 2.5e-8, 1.1e-7, 5.0e-8, 6.1e-8, 4.3e-8, 5.9e-9, 7.6e-9, 4.6e-8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-        0.0,
+        2.1e-4, 7.9e-8, 5.4e-9, 4.4e-9, 2.9e-9, 5.5e-9, 1.5e-8, 1.8e-8, 2.7e-10, 4.4e-10, 4.2e-11, 5.5e-9,
+        8.8e-8, 1.7e-8, 1.1e-10, 7.6e-8, 7.4e-8, 3.9e-8, 4.3e-9, 7.0e-9, 5.0e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
+        0.0, 0.0,
     ]);
 
     /// As [`UnitCosts::SOFTWARE`], with a cost for the conversion of stored values: for renderers that look
@@ -84,9 +84,9 @@ impl UnitCosts {
     /// over processors, plus the longest chain of dependent operations). Geometric means of the costs measured
     /// with each shading mode on an NVIDIA H100.
     pub const GPU: Self = Self([
-        5.6e-6, 3.3e-12, 6.2e-13, 6.2e-12, 1.4e-12, 3.9e-13, 2.0e-12, 5.5e-13, 1.5e-11, 1.1e-12, 7.7e-13,
-        3.4e-12, 1.4e-10, 2.3e-12, 3.8e-10, 5.4e-12, 5.4e-12, 2.1e-10, 3.0e-12, 4.5e-12, 6.1e-12, 0.0,
-        7.2e-7, 1.4e-6, 4.3e-8, 4.1e-7, 8.5e-6, 4.5e-7,
+        5.1e-6, 9.6e-12, 4.5e-13, 6.2e-12, 1.1e-12, 2.4e-13, 1.2e-12, 2.9e-13, 1.5e-11, 5.7e-13, 7.1e-13,
+        3.6e-12, 1.4e-10, 1.4e-12, 6.8e-14, 4.0e-12, 3.4e-12, 2.2e-10, 2.0e-12, 3.1e-12, 4.4e-12, 0.0,
+        7.3e-7, 1.5e-6, 3.8e-8, 4.5e-7, 8.5e-6, 4.4e-7,
     ]);
 
     /// Each unit cost with its name: `frame`, then the quantities' names.

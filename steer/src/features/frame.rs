@@ -123,6 +123,8 @@ pub(crate) struct Work {
     pub(crate) longest_shadow_samples: f64,
     /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
     pub(crate) ray_spacing: f64,
+    /// Number of voxels that the frame touches; see [`CACHED_VOXELS`].
+    pub(crate) touched: f64,
     /// Share of the unshared reads that wait for memory, 0…1; see [`CACHED_VOXELS`].
     pub(crate) uncached: f64,
 }
@@ -325,6 +327,7 @@ impl FrameFeatures {
             longest_segments: if skipping { f64::from(longest_segments) } else { 0.0 },
             longest_shadow_samples: f64::from(longest_shadow),
             ray_spacing: f64::from(p.spread / setting.height as f32),
+            touched: 0.0,
             uncached: 0.0,
         };
         // Adjacent rays less than about two voxels apart shade at the same time, so they hardly wait.
@@ -333,8 +336,8 @@ impl FrameFeatures {
         let reads = work.samples * work.unshared(UNSHARED_SPACING)
             + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
         let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
-        let touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
-        work.uncached = touched / (touched + CACHED_VOXELS);
+        work.touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
+        work.uncached = work.touched / (work.touched + CACHED_VOXELS);
         work
     }
 
@@ -367,7 +370,7 @@ impl FrameFeatures {
             Q::LaneShadowSamples => work.lane_shadow_samples,
             Q::FarSkips => work.skips * far(UNSHARED_SPACING),
             Q::FarSamples => work.lane_samples * far(UNSHARED_SPACING),
-            Q::FarRuns => work.runs * far(UNSHARED_SPACING),
+            Q::TouchedVoxels => work.touched,
             Q::FarSegments => work.segments * far(UNSHARED_SPACING),
             Q::FarLocalSamples => only(Shading::Local, work.shaded) * far(UNSHARED_SHADING),
             Q::FarShadowSamples => work.parted_shadow_samples * far(UNSHARED_SHADING),

@@ -24,7 +24,7 @@ pub const TERMS: usize = 9;
 
 /// Term of each unit cost; costs that scale together on every machine share a term.
 const PART_OF: [usize; COSTS] =
-    [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 3, 3, 6, 8, 5, 5, 5, 4, 4, 3, 8, 4, 3, 8];
+    [0, 1, 2, 3, 4, 5, 3, 3, 6, 7, 8, 8, 3, 5, 5, 3, 6, 8, 5, 5, 5, 4, 4, 3, 8, 4, 3, 8];
 
 impl UnitCosts {
     /// Returns the first cost that is negative or not finite, with its name.
