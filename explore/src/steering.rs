@@ -290,7 +290,9 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         }
         Reason::FinestAllowed => format!("full quality fits {target}"),
         Reason::TargetUnreachable => {
-            format!("no setting is expected to fit {target}; a coarser one than this would save no time")
+            format!(
+                "no setting is expected to fit {target}; a coarser one would save no time or is not allowed"
+            )
         }
         Reason::History => "the prediction was not trusted (out of range, or large recent errors), so \
                             recent frame times were used"
