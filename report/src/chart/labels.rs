@@ -71,9 +71,10 @@ pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Re
         let left = if leftward { x - GAP - width } else { x + GAP };
         Rect { left, top: y + down - 11.0, right: left + width, bottom: y + down + 2.0 }
     };
-    let places = [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0, -47.0, -61.0, -75.0, -89.0]
-        .into_iter()
-        .flat_map(|down| [(false, down), (true, down)]);
+    let places =
+        [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0, -47.0, -61.0, -75.0, -89.0, -103.0, -117.0, -131.0]
+            .into_iter()
+            .flat_map(|down| [(false, down), (true, down)]);
     let clear = |rect: &Rect| frame.holds(rect) && !taken.iter().any(|t| t.meets(rect));
     let covered =
         |rect: &Rect| rect.area() - rect.shared(frame) + taken.iter().map(|t| t.shared(rect)).sum::<f64>();
