@@ -290,9 +290,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         }
         Reason::FinestAllowed => format!("full quality fits {target}"),
         Reason::TargetUnreachable => {
-            format!(
-                "no setting is expected to fit {target}; a coarser one would save no time or is not allowed"
-            )
+            format!("the coarsest setting allowed, but even this is not expected to fit {target}")
         }
         Reason::History => "the prediction was not trusted (out of range, or large recent errors), so \
                             recent frame times were used"

@@ -706,7 +706,7 @@ typedef struct entire_plan {
 #define ENTIRE_REASON_FINEST_ALLOWED 4
 
 /**
- * No allowed step is expected to fit: the coarsest step, or a much finer one that takes at most 1 % longer.
+ * Even the coarsest allowed step is not expected to fit.
  */
 #define ENTIRE_REASON_TARGET_UNREACHABLE 5
 

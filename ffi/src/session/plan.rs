@@ -21,7 +21,7 @@ pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
 pub const ENTIRE_REASON_HELD: entire_reason = 3;
 /// The finest allowed step fits.
 pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
-/// No allowed step is expected to fit: the coarsest step, or a much finer one that takes at most 1 % longer.
+/// Even the coarsest allowed step is not expected to fit.
 pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;
 /// The prediction is not trusted: recent frames decide.
 pub const ENTIRE_REASON_HISTORY: entire_reason = 6;

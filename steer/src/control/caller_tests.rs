@@ -301,22 +301,3 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");
     }
 }
-
-#[test]
-fn an_impossible_target_costs_no_quality_where_the_step_does_not_matter() {
-    let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
-    // The shares of the frame time that do not depend on the step, and the finest step that takes at most
-    // 1 % longer than the coarsest one: share + (1 - share) / s = 1.01 (share + (1 - share) / 16).
-    // The search ends within half a percent of that time, for 0.9 thus at a step of at most 9.3.
-    for (share, finest) in [(1.0, 1.0), (0.995, 1.0), (0.9, 6.531), (0.0, 16.0)] {
-        let mut hybrid =
-            Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
-        let mut cost =
-            |step: f32| CostTerms::whole(0.016 * (share + (1.0 - share) / step), 0.0, Source::Analytic);
-        let changes = Changes { first: true, ..Changes::default() };
-        let decision = hybrid.plan(&mut PlanRequest { target: 1e-4, limits, changes, cost: &mut cost });
-        assert_eq!(decision.reason, Reason::TargetUnreachable, "{share}");
-        let excess: f32 = decision.step / finest;
-        assert!((0.999..1.5).contains(&excess), "{share}: {} instead of {finest}", decision.step);
-    }
-}

@@ -106,8 +106,6 @@ impl HybridOptions {
 ///   disturbed frames too.
 /// * A new scene: nothing is damped, the scene's own correction is dropped, and the margin is that of new
 ///   scenes.
-/// * Unreachable target: if no step is expected to meet the target, the coarsest one is chosen, or the finest one that
-///   takes at most 1 % longer if that is at least a tenth finer.
 /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
 ///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
@@ -159,12 +157,8 @@ const WORTH: f64 = 2.0;
 /// on the training paths, but does not keep a miss rate.
 const MARGIN_PACE: f32 = 0.05;
 /// Relative change of the step, and relative difference of the expected time from the target, below which the
-/// step is kept; too small to be visible. A smaller saving of time than this does not justify a coarser step
-/// if no step meets the target.
+/// step is kept; too small to be visible.
 const DEAD_BAND: f64 = 0.01;
-/// Largest step, as a share of the coarsest one, that is drawn instead of the coarsest one if no step meets the target
-/// and the coarser one saves too little time.
-const FINER: f32 = 0.9;
 /// Difference of two targets, in ln, below which they count as equal.
 const SAME_TARGET: f64 = 0.02;
 /// Trust in a session's first frame, which may include a compilation or an upload. Its noise is taken to have
@@ -373,13 +367,9 @@ impl Controller for Hybrid {
             // finest of these steps and the coarsest step is chosen.
             None => match Self::finest(limits, last, |step| libm::log(judge(step).choice / target)) {
                 Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
-                // Where coarser steps hardly shorten the frame, they would only make the picture worse.
                 None => {
                     reason = Reason::TargetUnreachable;
-                    let longest = judge(limits.coarsest).choice * (1.0 + DEAD_BAND);
-                    Self::finest(limits, None, |step| libm::log(judge(step).choice / longest))
-                        .filter(|step| *step < FINER * limits.coarsest)
-                        .unwrap_or(limits.coarsest)
+                    limits.coarsest
                 }
             },
         };

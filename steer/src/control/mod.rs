@@ -85,8 +85,7 @@ pub enum Reason {
     Held = 3,
     /// The finest allowed step fits.
     FinestAllowed = 4,
-    /// No allowed step is expected to fit. The step is the coarsest one, or a much finer one that takes at most
-    /// 1 % longer.
+    /// Even the coarsest allowed step is not expected to fit.
     TargetUnreachable = 5,
     /// The step was chosen from recent frame times, since the prediction is out of range or was recently
     /// wrong.
