@@ -219,11 +219,12 @@ def noise(machine, split, mode):
     path = machine.out / f"{split}-{mode}.csv"
     if not path.exists():
         return
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
     for clock in ("cpu", "wall"):
         seconds = {}
-        with open(path, newline="") as file:
-            for row in csv.DictReader(file):
-                seconds.setdefault(row["frame"], []).append(float(row[f"seconds_{clock}"]))
+        for row in rows:
+            seconds.setdefault(row["frame"], []).append(float(row[f"seconds_{clock}"]))
         apart = sorted(max(s) / min(s) - 1 for s in seconds.values())
         yield clock, apart[len(apart) // 2], apart[len(apart) * 9 // 10]
 
@@ -238,7 +239,7 @@ def invalid(machine, test):
             return None
         cargo = os.environ.get("CARGO", "cargo")
         # The test is selected by its name; if no test has this name, the count is missing.
-        test = ["--test", "*", "only_outputs_far_outside_of_the_training_have_to_be_made_positive", "--", "--nocapture"]
+        test = ["--test", "*", "no_more_predictions_than_are_known_had_to_be_made_positive", "--", "--nocapture"]
         done = subprocess.run([cargo, "test", "--quiet", "--package", "entire-cli", *test], cwd=ROOT, stdout=subprocess.PIPE,
                               text=True)
         counts = [int(line.split()[-1]) for line in done.stdout.splitlines() if "predictions not positive:" in line]

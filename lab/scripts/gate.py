@@ -36,7 +36,7 @@ SKIPPING = ("change", "nightly")
 NOISE_SECONDS = 20
 # Renamed tests: old name, new name.
 RENAMED = {
-    "every_prediction_is_a_positive_number_of_seconds": "only_outputs_far_outside_of_the_training_have_to_be_made_positive",
+    "every_prediction_is_a_positive_number_of_seconds": "no_more_predictions_than_are_known_had_to_be_made_positive",
     "rules_can_fail": "every_scene_but_one_fails_for_a_rival",
     "a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest": "a_calibration_finds_another_machines_unit_costs",
     "ten_frames_set_the_speed_and_no_model_but_a_residual_one_is_a_prior": "three_frames_set_the_speed_alone",

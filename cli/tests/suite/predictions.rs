@@ -1,7 +1,7 @@
 //! Predictions of shipped models for every committed table, and for a hundred thousand random inputs,
 //! ordinary and extreme. All predicted seconds are finite and positive. The networks' raw outputs are positive
-//! for every frame of the tables and for ordinary inputs. For extreme inputs some are zero in single precision;
-//! the predictor replaces them.
+//! for every frame of the tables. For random inputs, no more of them than the known number are zero in single
+//! precision; the predictor replaces such outputs.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{Model, ModelFile};
@@ -41,6 +41,21 @@ fn invalid(seconds: f64) -> bool {
     !(seconds.is_finite() && seconds > 0.0)
 }
 
+/// Known numbers of outputs of shipped networks for random inputs that are zero in single precision and have to
+/// be raised to the shortest time: for ordinary inputs, and for all (rounded up to the next thousand, since
+/// processors round differently). A larger number is a bug.
+const KNOWN: [(&str, usize, usize); 5] = [
+    ("local-distilled", 0, 27_000),
+    ("local-selected", 0, 11_000),
+    ("scatter-distilled", 1_000, 26_000),
+    ("scatter-selected", 0, 7_000),
+    ("unshaded-distilled", 1_000, 33_000),
+];
+
+fn known(model: &str) -> (usize, usize) {
+    KNOWN.iter().find(|k| k.0 == model).map_or((0, 0), |k| (k.1, k.2))
+}
+
 /// True if the predicted seconds are the shortest time, which replaces outputs that are zero, negative or
 /// shorter.
 fn brought_up(seconds: f64) -> bool {
@@ -48,7 +63,7 @@ fn brought_up(seconds: f64) -> bool {
 }
 
 #[test]
-fn only_outputs_far_outside_of_the_training_have_to_be_made_positive() {
+fn no_more_predictions_than_are_known_had_to_be_made_positive() {
     const RANDOM: usize = 100_000;
     /// Reach of inputs about the training range, in standard deviations of the training.
     const ORDINARY: f32 = 3.0;
@@ -142,10 +157,12 @@ fn only_outputs_far_outside_of_the_training_have_to_be_made_positive() {
         RANDOM * models.len()
     );
     println!("predictions not positive: {}", all[0] + all[1]);
-    for ((name, _), (of_tables, ordinary)) in models.iter().zip(of_tables.into_iter().zip(ordinary)) {
+    for ((name, _), of_tables) in models.iter().zip(of_tables) {
         assert_eq!(of_tables, 0, "{name}: of the tables' frames");
-        // The distilled networks, which have no unit costs, extrapolate to times that single precision lacks.
-        assert!(ordinary == 0 || name.ends_with("distilled"), "{name}: {ordinary} of ordinary inputs");
+    }
+    for ((name, _), counts) in models.iter().zip(ordinary.into_iter().zip(of_random)) {
+        let known = known(name);
+        assert!(counts.0 <= known.0 && counts.1 <= known.1, "{name}: {counts:?}, known are {known:?}");
     }
 }
 
