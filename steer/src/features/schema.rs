@@ -89,7 +89,8 @@ quantities! {
     FarSamples, "far_samples", "samples", 1.0, yes, yes,
         "samples whose reads miss the caches: lane samples times the far share";
     TouchedVoxels, "touched_voxels", "voxels", 1.0, yes, yes,
-        "voxels that the frame brings into the caches at least once: 1 / (1 / n + 1 / (64 r)) for n voxels of the          volume and r reads that no neighboring ray shares";
+        "voxels that the frame brings into the caches at least once: 1 / (1 / n + 1 / (64 r)) for n voxels of the \
+         volume and r reads that no neighboring ray shares";
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
         "reads of the skip map that miss the caches: segments times the far share";
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
