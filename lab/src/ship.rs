@@ -31,8 +31,8 @@ fn file_name(path: &Path) -> String {
 /// Writes every predictor that the study ships into a folder, each with its card; returns the files.
 ///
 /// # Errors
-/// When the rule selects no predictor, a predictor to ship was made for no set, a table cannot be read, or a file cannot
-/// be written.
+/// When the selected predictor of a set was not made, another predictor was made for no set, a table cannot be read, or
+/// a file cannot be written.
 pub(crate) fn ship(
     folder: &Path,
     study: &Study,
@@ -40,21 +40,17 @@ pub(crate) fn ship(
     runner: &Runner<'_>,
 ) -> Result<Vec<PathBuf>> {
     make_folder(folder)?;
-    let made_for = |set: &str, predictor: &str| found.files.iter().find(|f| f.0 == set && f.1 == predictor);
-    for ship in &study.ship {
-        let made = |set: &Set| {
-            shipped(study, found, &set.name, &ship.predictor)
-                .is_some_and(|p| made_for(&set.name, p).is_some())
-        };
-        ensure!(study.sets.iter().any(made), "{} was made for no set", ship.predictor);
-    }
     let mut out = Vec::new();
     for set in &study.sets {
         for ship in &study.ship {
             let predictor = shipped(study, found, &set.name, &ship.predictor)
                 .with_context(|| format!("the rule selects nothing for {}", set.name))?;
-            // Only some sets have a distilled network.
-            let Some(made) = made_for(&set.name, predictor) else { continue };
+            let Some(made) = found.files.iter().find(|f| f.0 == set.name && f.1 == predictor) else {
+                // Only some sets have a distilled network.
+                let elsewhere = found.files.iter().any(|f| f.1 == predictor);
+                ensure!(ship.predictor != SELECTED && elsewhere, "{predictor} was not made for {}", set.name);
+                continue;
+            };
             let (mut file, model) = read_model_file(&made.2)?;
             let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;
