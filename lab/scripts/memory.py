@@ -44,18 +44,19 @@ def read(path, by_volume):
     return np.array([np.median(v) for v in seconds.values()]), found, np.array([group[k] for k in seconds])
 
 
-def work(f, law, counted):
-    """Amounts of work, one column per unit cost; `law` gives the share of unshared reads that wait. If `counted`, each
-    touched voxel has a cost too."""
+def work(f, law):
+    """Amounts of work, one column per unit cost; `law` gives the share of unshared reads that wait, and voxels that have
+    a cost each, or None."""
     columns = [np.ones_like(f["pixels"]), *(f[name] for name in NEAR)]
     if law:
         square = f["ray_spacing"] ** 2
         near = square / (square + 4.0)
         share = np.clip(f["far_samples"] / np.maximum(f["lane_samples"] * near, 1e-9), 1e-12, 0.999)
         reads = f["samples"] * near + (f["far_shadow_samples"] + f["far_local_samples"]) / share
-        columns += [f[name] / share * law(f["voxels"], reads) for name in FAR]
-        if counted:
-            columns.append(voxels(f["voxels"], reads))
+        waiting, counted = law(f["voxels"], reads)
+        columns += [f[name] / share * waiting for name in FAR]
+        if counted is not None:
+            columns.append(counted)
     columns = np.stack(columns, 1)
     return columns[:, columns.max(0) > 0]
 
@@ -78,28 +79,23 @@ def held_out(x, seconds, group):
     return np.median(np.abs(predicted / seconds - 1)), np.sqrt(np.mean((predicted - seconds) ** 2)) / seconds.std()
 
 
-def voxels(n, reads, read=READ):
-    """Number of touched voxels."""
-    return 1 / (1 / n + 1 / (read * np.maximum(reads, 1e-3)))
-
-
-def touched(cached=CACHED, read=READ):
+def touched(cached=CACHED, read=READ, counted=True):
     def law(n, reads):
-        w = voxels(n, reads, read)
-        return w / (w + cached)
+        w = 1 / (1 / n + 1 / (read * np.maximum(reads, 1e-3)))
+        return w / (w + cached), w if counted else None
 
     return law
 
 
 LAWS = {
-    "no share": (None, False),
-    "n / (n + 2 million)": (lambda n, _: n / (n + 2.0e6), False),
-    "w / (w + 8 million)": (touched(), False),
-    "... and a cost of each touched voxel": (touched(), True),
-    "... w / (w + 4 million)": (touched(cached=4.0e6), True),
-    "... w / (w + 16 million)": (touched(cached=16.0e6), True),
-    "... 32 voxels per read": (touched(read=32.0), True),
-    "... 128 voxels per read": (touched(read=128.0), True),
+    "no share": None,
+    "n / (n + 2 million)": lambda n, _: (n / (n + 2.0e6), None),
+    "w / (w + 8 million)": touched(counted=False),
+    "... and a cost of each touched voxel": touched(),
+    "... w / (w + 4 million)": touched(cached=4.0e6),
+    "... w / (w + 16 million)": touched(cached=16.0e6),
+    "... 32 voxels per read": touched(read=32.0),
+    "... 128 voxels per read": touched(read=128.0),
 }
 
 
@@ -111,9 +107,9 @@ def main():
         joined = {name: np.concatenate([g[1][name] for g in given]) for name in names}
         given = [(np.concatenate([g[0] for g in given]), joined, np.concatenate([g[2] for g in given]))]
     print(f"{'share of unshared reads':36}  training tables (geometric mean)" + ("  tables given" if given else ""))
-    for name, (law, counted) in LAWS.items():
+    for name, law in LAWS.items():
         means = [
-            np.exp(np.mean(np.log([held_out(work(f, law, counted), t, g) for t, f, g in part]), axis=0))
+            np.exp(np.mean(np.log([held_out(work(f, law), t, g) for t, f, g in part]), axis=0))
             for part in (tables, given)
             if part
         ]
