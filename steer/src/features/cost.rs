@@ -50,8 +50,9 @@ const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 pub struct UnitCosts(pub [f64; COSTS]);
 
 impl UnitCosts {
-    /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs.
-    /// Only the ratios of the costs matter, since the first observed frames set their scale.
+    /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs, as
+    /// `lab/scripts/typical_costs.py` prints them. Only the ratios of the costs matter, since the first observed
+    /// frames set their scale.
     pub const SOFTWARE: Self = Self([
         2.1e-4, 7.9e-8, 5.4e-9, 4.4e-9, 2.9e-9, 5.5e-9, 1.5e-8, 1.8e-8, 2.7e-10, 4.4e-10, 4.2e-11, 5.5e-9,
         8.8e-8, 1.7e-8, 1.1e-10, 7.6e-8, 7.4e-8, 3.9e-8, 4.3e-9, 7.0e-9, 5.0e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -82,7 +83,7 @@ impl UnitCosts {
     /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its
     /// longest ray, plus the work of all rays divided by the throughput (Brent's bound of parallel time: work
     /// over processors, plus the longest chain of dependent operations). Geometric means of the costs measured
-    /// with each shading mode on an NVIDIA H100.
+    /// with each shading mode on an NVIDIA H100, as `lab/scripts/typical_costs.py` prints them.
     pub const GPU: Self = Self([
         5.1e-6, 9.6e-12, 4.5e-13, 6.2e-12, 1.1e-12, 2.4e-13, 1.2e-12, 2.9e-13, 1.5e-11, 5.7e-13, 7.1e-13,
         3.6e-12, 1.4e-10, 1.4e-12, 6.8e-14, 4.0e-12, 3.4e-12, 2.2e-10, 2.0e-12, 3.1e-12, 4.4e-12, 0.0,
