@@ -1,6 +1,6 @@
-//! Runs this crate's inference for `make bars-inference`, which compares it with other libraries. For each
-//! line `NAME BATCH SECONDS` of its input, the program prints one line `@@{json}`, so that calls of this
-//! crate and of other libraries alternate.
+//! Times this crate's inference for `make bars-inference`, which compares it with other libraries. For each
+//! line `NAME BATCH SECONDS` of its input (network, batch size, duration of the measurement), the program
+//! prints one line `@@{json}` with the result. So a script can measure programs of several libraries in turns.
 //!
 //! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
 //!

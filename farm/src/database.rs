@@ -143,12 +143,12 @@ impl<'a> Database<'a> {
         }
         if !gone.is_empty() {
             let why = if known {
-                "belong to no task of the job"
+                "belong to no task of the job; they are left out of the table"
             } else {
-                "have no record of their inputs and are rendered again"
+                "have no record of their inputs; they are left out of the table, and their tasks are rendered again"
             };
             note(&format!(
-                "{} pictures in {} {why}; they are left out of the table",
+                "{} pictures in {} {why}",
                 gone.len(),
                 job.output.join("image").display()
             ));

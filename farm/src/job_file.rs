@@ -80,7 +80,7 @@ pub enum RangeEntry {
 }
 
 impl VolumesEntry {
-    /// Options of reading the files.
+    /// Returns the options with which the files are read: array, fill values and scalar range.
     pub fn reading(&self) -> Reading {
         let range = match self.range {
             Some(RangeEntry::Numbers([low, high])) => Range::Given(low, high),

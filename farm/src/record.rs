@@ -24,7 +24,7 @@ pub struct Order {
     pub volume_name: String,
     /// Time step.
     pub time: u32,
-    /// Options of reading the volume file.
+    /// Options with which the volume file is read.
     #[serde(default)]
     pub reading: Reading,
     /// Rotation about x and y in degrees, distance in bounding-sphere radii.
@@ -163,7 +163,7 @@ pub(crate) enum Entry {
         /// Path of the task's log, relative to the database.
         log: String,
     },
-    /// Estimate of the end, for the report.
+    /// Estimated end of the job, for the report.
     Eta {
         /// Time, seconds since 1970.
         at: f64,

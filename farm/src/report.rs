@@ -224,7 +224,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     for (name, end) in [
         ("lower bound: no order is faster", bound),
         ("queue, longest predicted first", longest),
-        ("queue, random order (mean of 32)", any),
+        ("queue, mean of 32 random orders", any),
         ("assigned beforehand, all tasks assumed equally long", dealt),
         ("this run, with loading, bundles and corrections", took),
     ] {

@@ -44,7 +44,7 @@ impl Follow {
     }
 }
 
-/// Reads the files of running bundles.
+/// Reader of the answers that workers append to the files of running bundles.
 #[derive(Debug)]
 pub(crate) struct Spool {
     folder: PathBuf,

@@ -2,9 +2,9 @@
 //! and fits unit costs to their times, with the shipped models as prior.
 //!
 //! `pool` draws candidate frames and computes their features; `design` chooses among them; `measuring`
-//! renders them, discards warm-ups, repeats in passes and compares pictures; `others` measures the load of
-//! other programs; [`entire_steer::calibrate::PriorModel`] fits the model. [`place`] is the location of the
-//! machine's model.
+//! renders them in several passes, each frame after an untimed warm-up rendering, and compares pictures with
+//! those at full quality; `others` measures the load of other programs;
+//! [`entire_steer::calibrate::PriorModel`] fits the model. [`place`] finds the file of the machine's model.
 
 mod design;
 pub(crate) mod measuring;

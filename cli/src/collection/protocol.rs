@@ -88,7 +88,7 @@ pub struct Protocol {
     pub enlarge: usize,
     /// Voxels per side to which volumes are resampled; `None` for the original volumes.
     pub proxy: Option<usize>,
-    /// Options of reading volume files.
+    /// Options with which volume files are read.
     pub reading: Reading,
 }
 

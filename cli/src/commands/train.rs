@@ -555,8 +555,7 @@ fn card(
         let _ = writeln!(
             md,
             "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \
-             (training frames where \
-             there are none){}.",
+             (training frames if there are none){}.",
             upper.factor().max(1.0),
             covered.map_or(String::new(), |c| format!("; it held for {:.1} % of held-out frames", 100.0 * c))
         );

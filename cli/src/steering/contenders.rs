@@ -67,7 +67,7 @@ impl ControllerKind {
             Self::LargerOfTwo => "larger of 2",
             Self::Pid => "PID",
             Self::Algorithm1 => "Algorithm 1",
-            Self::Hybrid => "hybrid (ours)",
+            Self::Hybrid => "entire",
             Self::VtkGpu => "VTK GPU",
             Self::VtkFixedPoint => "VTK fixed-point",
             Self::VtkJs => "vtk.js",

@@ -31,7 +31,7 @@ fn check_report(out: &Path, controllers: usize, frames: usize) {
         assert!(!html.contains(word), "the report holds {word}");
     }
     for word in
-        ["<svg", "data:image/png;base64,", "switch 1", "hybrid (ours)", "Load average", "logical processor"]
+        ["<svg", "data:image/png;base64,", "switch 1", ">entire<", "Load average", "logical processor"]
     {
         assert!(html.contains(word), "the report lacks {word}");
     }
@@ -162,7 +162,7 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
         "clock      wall",
         "frames of 3 other volumes",
         "which it was not fitted to",
-        "hybrid (ours)",
+        "entire",
         "abrupt switch",
     ] {
         assert!(text.contains(word), "{word}: {text}");

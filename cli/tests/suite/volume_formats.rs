@@ -273,7 +273,7 @@ fn lying_headers_do_not_allocate() {
     check("a.mha", (mha("5 5 2", "ElementNumberOfChannels = 3\n") + &hundred).as_bytes(), "Channels is 3");
     check("a.mha", mha("5 5", "").as_bytes(), "DimSize has 2 entries");
     check("a.mha", mha("5 5 2", "HeaderSize = 1000\n").as_bytes(), "bytes, only 0 are left");
-    let inside = "HeaderSize is 50, the header itself has 109 bytes";
+    let inside = "HeaderSize is 50, but the header alone has 109 bytes";
     check("a.mha", mha("5 5 2", "HeaderSize = 50\n").as_bytes(), inside);
     check("a.mha", b"ObjectType = Scene\n", "ObjectType is \"Scene\"");
     check("a.mha", b"ObjectType = Image\n", "without ElementDataFile");

@@ -1,4 +1,4 @@
-//! The volume of tests that run the commands as processes.
+//! Test volume (a ball) for the tests that run the commands as processes.
 
 use std::path::Path;
 

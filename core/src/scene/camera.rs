@@ -305,8 +305,8 @@ mod tests {
                 assert_eq!(direction, forward);
                 let eye = camera.view().transform_point3(origin);
                 let (u, v) = (x / 32.0 - 1.0, 1.0 - y / 16.0);
-                // The image is twice as wide as high. Rays start in the eye's plane, but at most 2 in front
-                // of the center.
+                // The image is twice as wide as high. Rays start in the eye's plane, or 2 bounding-sphere
+                // radii in front of the center if the eye is farther away.
                 let depth = if dz > PARALLEL_DISTANCE { dz - PARALLEL_DISTANCE } else { 0.0 };
                 assert!((eye.truncate() - glam::Vec2::new(1.6 * u, 0.8 * v)).length() < 1e-5 * dz.max(1.0));
                 assert!((eye.z + depth).abs() < 1e-5 * dz.max(1.0), "{eye} {dz}");

@@ -85,7 +85,7 @@ fn voxels(
     match u64::try_from(header.header_size) {
         Ok(0) => {}
         Ok(size) if size < begin => bail!(
-            "MetaImage HeaderSize is {size}, the header itself has {begin} bytes; state where the voxels begin, or -1"
+            "MetaImage HeaderSize is {size}, but the header alone has {begin} bytes; set it to the byte of the first voxel, or to -1"
         ),
         Ok(size) => stream.skip(size - begin)?,
         // -1: the voxels are the last bytes of the file.

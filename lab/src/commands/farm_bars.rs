@@ -67,7 +67,7 @@ pub(crate) struct SimulateOptions {
     /// Time that the engine needs to dispatch a bundle, seconds; bundles are dispatched one after the other.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub(crate) dispatch: f64,
-    /// Overhead of a bundle that the planner assumes, seconds; default: --latency plus --dispatch.
+    /// Overhead per bundle that the planner assumes, seconds; default: --latency plus --dispatch.
     #[arg(long, value_name = "SECONDS")]
     pub(crate) overhead: Option<f64>,
     /// Send tasks in the order of the list.

@@ -200,8 +200,9 @@ pub(crate) fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<
     );
     if let Some((low, high)) = comparison.noise {
         let text = format!(
-            "Limit by noise: if the medians of all repeats but one serve as the prediction, static longest \
-             first takes at worst {low:.3} to {high:.3} times as long as by the times of the repeat left out."
+            "Effect of noise: tasks are assigned longest first, once by the medians of all repeats but one and once by \
+             the remaining repeat. By the times of this repeat, the first assignment takes at most {low:.3} to \
+             {high:.3} times as long as the second."
         );
         println!("{text}");
         page.paragraph(&text);

@@ -355,7 +355,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         for f in &r.facts {
             let kind = ControllerKind::from_name(&f.name);
             let title = match f.name.as_str() {
-                OURS => "hybrid, fitted to calibration frames (ours)",
+                OURS => "entire, fitted to calibration frames",
                 name if name == ControllerKind::Hybrid.name() => "hybrid, the paper's network",
                 name if name == ControllerKind::Algorithm1.name() => "Algorithm 1, the paper's network",
                 name => kind.map_or(name, |k| k.title()),

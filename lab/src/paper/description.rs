@@ -72,7 +72,7 @@ pub(crate) struct Paper {
     pub(crate) panels: BTreeMap<Panel, Vec<(String, String)>>,
     /// The paper's tables and figures.
     pub(crate) labels: Vec<Label>,
-    /// Limits of the bars.
+    /// Goals that `make bars-paper` checks.
     pub(crate) limits: Limits,
 }
 
@@ -394,7 +394,7 @@ pub(crate) struct Numbers {
     pub(crate) rows: Vec<(String, Vec<Option<f64>>)>,
 }
 
-/// Limits of the bars.
+/// Goals that `make bars-paper` checks.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Limits {

@@ -47,8 +47,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
             s.tables.push((
                 errors_table(r),
                 format!(
-                    "{}: tested on random volumes, a left-out member, and volumes of another kind ({BY_MODALITY}). \
-                     Encoder of the network: {}.",
+                    "{}. The test frames are of random volumes, of a left-out member, or of scans (split \
+                     {BY_MODALITY}). Encoder of the network: {}.",
                     title(paper, r),
                     r.encoder
                 ),

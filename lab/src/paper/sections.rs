@@ -14,7 +14,7 @@ use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;
 use super::volumes::in_words;
 use entire_report::{Axis, Chart, Column, Mark, Series, Table};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Our counterpart of a label, from the available results.
 pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Section {
@@ -51,12 +51,15 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
         s.pictures.push((path.display().to_string(), label.title.clone()));
         s.summary = "a picture".into();
     }
-    let mut devices: Vec<String> =
-        of.iter().filter(|r| !r.device.is_empty()).map(|r| format!("{} ({})", r.device, r.machine)).collect();
-    devices.sort();
-    devices.dedup();
-    if s.there() && !devices.is_empty() {
-        s.notes.push(format!("Measured with {}.", devices.join("; ")));
+    let mut devices: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for r in of.iter().filter(|r| !r.device.is_empty()) {
+        devices.entry(&r.device).or_default().insert(&r.machine);
+    }
+    if s.there() {
+        for (device, machines) in devices {
+            let machines: Vec<_> = machines.into_iter().map(|machine| format!("({machine})")).collect();
+            s.notes.push(format!("Measured with {device} on {}.", machines.join(" and ")));
+        }
     }
     s
 }

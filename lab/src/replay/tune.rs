@@ -159,11 +159,11 @@ impl Law {
 
 /// A recorded path with its predictor and trials.
 pub(crate) struct Course<'a> {
-    /// The path on each renderer of [`Law::ALL`].
+    /// The path with the frame times of each [`Law`].
     recorded: &'a [Replayable; 3],
     /// Predictor fitted to other volumes than those of the path.
     calibrated: &'a Calibrated,
-    /// Trials on each renderer.
+    /// Trials with the frame times of each [`Law`].
     trials: [Vec<Trial>; 3],
     limits: StepLimits,
 }

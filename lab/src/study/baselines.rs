@@ -104,8 +104,8 @@ fn file_name(table: &Table) -> String {
     table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Reads the table at `path`, which holds a table's frames at low resolution, and adds their seconds to `low`, by the
-/// full-resolution table's index and the frame's number.
+/// Reads the low-resolution table at `path` and adds the seconds of its frames to `low`. The key is the index of the
+/// full-resolution table and the frame's number, which is the same in both tables.
 ///
 /// # Errors
 /// When the table at `path` cannot be read, or frames with the same number have different scenes.

@@ -75,7 +75,7 @@ pub(crate) struct Set {
     /// errors on all sets of the group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) group: Option<String>,
-    /// Limits of the bars; a missing limit means no bar.
+    /// Goals that `make bars-accuracy` checks; a missing limit means no goal.
     #[serde(default)]
     pub(crate) limits: Limits,
 }
@@ -88,12 +88,12 @@ pub(crate) struct SplitTables {
     pub(crate) name: String,
     /// Tables of the split.
     pub(crate) tables: Vec<PathBuf>,
-    /// True if the main bars are about this split.
+    /// True if the main goals are about this split.
     #[serde(default)]
     pub(crate) main: bool,
 }
 
-/// Limits of the bars.
+/// Goals that `make bars-accuracy` checks.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Limits {

@@ -12,9 +12,9 @@ use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 const WORTH: f64 = 0.95;
 
 /// The rule in a sentence.
-pub(crate) const SENTENCE: &str = "Selected: the predictor with the fewest fitted numbers (of as many, the one with the fewest \
-     rays) that no other one beats by more than 5 % on every machine's tables, by the geometric mean of median error and \
-     RMSE/SD in cross-validation by ensemble member; no test frame has a say.";
+pub(crate) const SENTENCE: &str = "Selected: the predictor with the fewest fitted numbers (if several have the same number, the \
+     one with the fewest rays) that no other one beats by more than 5 % on every machine's tables, by the geometric mean \
+     of median error and RMSE/SD in cross-validation by ensemble member. Test frames are not used.";
 
 /// A predictor with the data that the rule uses.
 #[derive(Clone, Debug)]

@@ -33,8 +33,8 @@ impl Margin {
         self.z
     }
 
-    /// Adjusts the multiple after a frame with the given error, in units of the expected error; positive if
-    /// the frame was slower than predicted.
+    /// Adjusts the multiple after a frame. `normalized_error` is the frame's error divided by the expected
+    /// error; it is positive if the frame was slower than predicted.
     pub(crate) fn observe(&mut self, normalized_error: f64) {
         if normalized_error.is_nan() {
             return;

@@ -9,7 +9,7 @@ use entire_core::scene::{Arcball, GaussianLobe};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u32)]
 pub enum Source {
-    /// The linear cost model on estimated work.
+    /// Unit costs times the estimated work.
     Analytic = 1,
     /// A network from a model file.
     Network = 2,

@@ -17,7 +17,7 @@ thread_local! {
 }
 
 fn count() {
-    // A thread that is being torn down has no counter, and no test counts on such a thread.
+    // A thread that is being destroyed has no counter any more; no test counts allocations there.
     let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
 }
 

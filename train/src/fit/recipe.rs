@@ -229,7 +229,7 @@ impl Recipe {
             let (file, _) = read_model_file(path)?;
             return Ok(FittedModel {
                 file,
-                what: "A model file as it is".into(),
+                what: "An existing model file, unchanged".into(),
                 settings: json!({ "file": path.file_name().map(|n| n.to_string_lossy()) }),
                 history: Vec::new(),
                 outcome: "nothing was fitted".into(),

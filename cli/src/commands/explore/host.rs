@@ -30,7 +30,7 @@ const FIXED_SHARE: f32 = 0.1;
 pub(super) struct ExplorerHost {
     /// The model of `--model`, with the file's name.
     pub(super) model: Option<(String, Model)>,
-    /// Options of reading volumes.
+    /// Options with which volume files are read.
     pub(super) reading: Reading,
 }
 

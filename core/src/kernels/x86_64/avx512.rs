@@ -386,8 +386,8 @@ unsafe fn add_bits(a: __m512i, b: __m512i, c: __m512i) -> (__m512i, __m512i) {
     unsafe { (_mm512_ternarylogic_epi32::<0x96>(a, b, c), _mm512_ternarylogic_epi32::<0xe8>(a, b, c)) }
 }
 
-/// Adds the one-hot codes ([`bits_of`]) of eight vectors to the sums of weight one, two and four. Returns
-/// the sums and the carry of weight eight.
+/// Carry-save adder: adds the one-hot codes ([`bits_of`]) of eight vectors to the bit planes of weight one,
+/// two and four. Returns these planes, and the carry plane of weight eight.
 ///
 /// # Safety
 /// As [`bits_of`], of 512 bytes.
