@@ -67,17 +67,15 @@ pub(crate) enum Axis {
 impl Axis {
     pub(crate) const ALL: [Self; 6] =
         [Self::Front, Self::Right, Self::Top, Self::Back, Self::Left, Self::Bottom];
+}
 
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Front => "front",
-            Self::Right => "right",
-            Self::Top => "top",
-            Self::Back => "back",
-            Self::Left => "left",
-            Self::Bottom => "bottom",
-        }
-    }
+entire_core::names! { Axis:
+    Front "front",
+    Right "right",
+    Top "top",
+    Back "back",
+    Left "left",
+    Bottom "bottom",
 }
 
 impl Viewpoint {

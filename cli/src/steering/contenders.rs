@@ -39,25 +39,22 @@ pub enum ControllerKind {
     Filament,
 }
 
-impl ControllerKind {
-    /// The name used in options and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Fixed => "fixed",
-            Self::Olp => "olp",
-            Self::Last => "last",
-            Self::LargerOfTwo => "larger-of-two",
-            Self::Pid => "pid",
-            Self::Algorithm1 => "algorithm1",
-            Self::Hybrid => "hybrid",
-            Self::VtkGpu => "vtk-gpu",
-            Self::VtkFixedPoint => "vtk-fixed-point",
-            Self::VtkJs => "vtk-js",
-            Self::Unreal => "unreal",
-            Self::Filament => "filament",
-        }
-    }
+entire_core::names! { ControllerKind:
+    Fixed "fixed",
+    Olp "olp",
+    Last "last",
+    LargerOfTwo "larger-of-two",
+    Pid "pid",
+    Algorithm1 "algorithm1",
+    Hybrid "hybrid",
+    VtkGpu "vtk-gpu",
+    VtkFixedPoint "vtk-fixed-point",
+    VtkJs "vtk-js",
+    Unreal "unreal",
+    Filament "filament",
+}
 
+impl ControllerKind {
     /// The title in charts and tables.
     pub const fn title(self) -> &'static str {
         match self {

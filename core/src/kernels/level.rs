@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::error::bail;
+use crate::names::names;
 use core::fmt;
 use core::str::FromStr;
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -27,15 +28,12 @@ pub enum Isa {
 impl Isa {
     /// Every instruction set with kernels, lowest first.
     pub const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
+}
 
-    /// Name of the instruction set in [`LEVEL_VARIABLE`] and in reports.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Isa::Scalar => "scalar",
-            Isa::Avx2 => "avx2",
-            Isa::Avx512 => "avx512",
-        }
-    }
+names! { Isa:
+    Scalar "scalar",
+    Avx2 "avx2",
+    Avx512 "avx512",
 }
 
 impl FromStr for Isa {
@@ -55,12 +53,6 @@ impl FromStr for Isa {
                  unset)"
             ),
         }
-    }
-}
-
-impl fmt::Display for Isa {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
     }
 }
 

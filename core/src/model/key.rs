@@ -4,7 +4,6 @@ use crate::Result;
 use crate::error::bail;
 use crate::names::names;
 use alloc::string::String;
-use core::fmt;
 use core::str::FromStr;
 
 /// The format version that this crate reads and writes.
@@ -57,33 +56,22 @@ pub enum Key {
     Quality,
 }
 
-impl Key {
-    /// Name of the entry in a model file.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Format => "entire.format",
-            Self::Inputs => "entire.inputs",
-            Self::Target => "entire.target",
-            Self::VolumeNet => "entire.volumenet",
-            Self::SceneFeatures => "entire.scene_features",
-            Self::Renderer => "entire.renderer",
-            Self::Device => "entire.device",
-            Self::Clock => "entire.clock",
-            Self::StepReference => "entire.step_reference",
-            Self::Provenance => "entire.provenance",
-            Self::Calibration => "entire.calibration",
-            Self::UnitCosts => "entire.unit_costs",
-            Self::ProbeSide => "entire.probe_side",
-            Self::LobeOrder => "entire.lobe_order",
-            Self::Quality => "entire.quality",
-        }
-    }
-}
-
-impl fmt::Display for Key {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
+names! { Key:
+    Format "entire.format",
+    Inputs "entire.inputs",
+    Target "entire.target",
+    VolumeNet "entire.volumenet",
+    SceneFeatures "entire.scene_features",
+    Renderer "entire.renderer",
+    Device "entire.device",
+    Clock "entire.clock",
+    StepReference "entire.step_reference",
+    Provenance "entire.provenance",
+    Calibration "entire.calibration",
+    UnitCosts "entire.unit_costs",
+    ProbeSide "entire.probe_side",
+    LobeOrder "entire.lobe_order",
+    Quality "entire.quality",
 }
 
 impl From<Key> for String {

@@ -41,14 +41,9 @@ pub enum Target {
     LogSeconds,
 }
 
-impl Target {
-    /// Name of the quantity in the model file's metadata.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Target::Seconds => "seconds",
-            Target::LogSeconds => "log_seconds",
-        }
-    }
+names! { Target:
+    Seconds "seconds",
+    LogSeconds "log_seconds",
 }
 
 /// One dense layer: y = W·x + b.

@@ -49,17 +49,12 @@ pub enum Method {
     Affinity,
 }
 
-impl Method {
-    /// The name used in options and files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Static => "static",
-            Self::Longest => "longest",
-            Self::Queue => "queue",
-            Self::Arrival => "arrival",
-            Self::Affinity => "affinity",
-        }
-    }
+entire_core::names! { Method:
+    Static "static",
+    Longest "longest",
+    Queue "queue",
+    Arrival "arrival",
+    Affinity "affinity",
 }
 
 /// Task times that a schedule uses.

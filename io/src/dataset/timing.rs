@@ -70,16 +70,11 @@ pub enum Clock {
     Cpu,
 }
 
-impl Clock {
-    /// The name used in options and metadata.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Device => "device",
-            Self::Wall => "wall",
-            Self::Cpu => "cpu",
-        }
-    }
+entire_core::names! { Clock:
+    Auto "auto",
+    Device "device",
+    Wall "wall",
+    Cpu "cpu",
 }
 
 /// A frame with all its repeats.

@@ -19,18 +19,15 @@ pub enum Generated {
     Cuts,
 }
 
-impl Generated {
-    /// Returns the name used in options and path files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Switches => "switches",
-            Self::Orbit => "orbit",
-            Self::Drag => "drag",
-            Self::FlyIn => "fly-in",
-            Self::Cuts => "cuts",
-        }
-    }
+entire_core::names! { Generated:
+    Switches "switches",
+    Orbit "orbit",
+    Drag "drag",
+    FlyIn "fly-in",
+    Cuts "cuts",
+}
 
+impl Generated {
     /// Returns the path, `frames` long, with transfer functions set by the volume's value distribution. Every
     /// transfer function has three lobes.
     ///

@@ -27,18 +27,15 @@ pub(crate) enum State {
     LeftOut,
 }
 
-impl State {
-    /// Name of the state in reports.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Done => "done",
-            Self::CutShort => "cut short",
-            Self::Unfinished => "unfinished",
-            Self::Failed => "failed",
-            Self::LeftOut => "left out",
-        }
-    }
+entire_core::names! { State:
+    Done "done",
+    CutShort "cut short",
+    Unfinished "unfinished",
+    Failed "failed",
+    LeftOut "left out",
+}
 
+impl State {
     /// True if the step need not run again.
     pub(crate) fn is_over(self) -> bool {
         matches!(self, Self::Done | Self::CutShort)

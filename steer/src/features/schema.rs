@@ -5,6 +5,7 @@ use core::fmt;
 use core::str::FromStr;
 use entire_core::Result;
 use entire_core::bail;
+use entire_core::names;
 
 /// Converts an entry of the two yes/no columns in the table of quantities to a `bool`.
 macro_rules! flag {
@@ -34,14 +35,11 @@ macro_rules! quantities {
             $(#[doc = $doc] $variant,)*
         }
 
+        names! { SceneQuantity: $($variant $name,)* }
+
         impl SceneQuantity {
             /// Every quantity, in the order of the table.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
-
-            /// Name in model files, as written by `Display`.
-            pub(crate) const fn name(self) -> &'static str {
-                match self { $(Self::$variant => $name,)* }
-            }
 
             /// Offset of the log variant, `floor` in ln(value + floor), in the quantity's unit.
             pub(crate) const fn log_floor(self) -> f64 {
@@ -140,18 +138,6 @@ quantities! {
         "longest segments times the far share";
     FarLongestShadowSamples, "far_longest_shadow_samples", "samples", 1.0, yes, yes,
         "longest shadow samples times the far share of shading";
-}
-
-impl fmt::Display for SceneQuantity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl From<SceneQuantity> for &'static str {
-    fn from(quantity: SceneQuantity) -> Self {
-        quantity.name()
-    }
 }
 
 impl SceneQuantity {

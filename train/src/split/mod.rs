@@ -24,15 +24,12 @@ pub enum GroupBy {
     Volume,
 }
 
-impl GroupBy {
-    /// The name used in options and metadata.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Member => "member",
-            Self::Volume => "volume",
-        }
-    }
+entire_core::names! { GroupBy:
+    Member "member",
+    Volume "volume",
+}
 
+impl GroupBy {
     /// Returns the group of a frame. A member's name includes the name of the folder above its own folder,
     /// since ensembles often have the same member numbers: `castro_blast/m01`.
     pub fn group(self, scene: &Scene) -> String {
@@ -152,16 +149,11 @@ pub enum Part {
     Unknown,
 }
 
-impl Part {
-    /// Name of the part in reports.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Training => "training",
-            Self::Validation => "validation",
-            Self::Test => "test",
-            Self::Unknown => "other",
-        }
-    }
+entire_core::names! { Part:
+    Training "training",
+    Validation "validation",
+    Test "test",
+    Unknown "other",
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::memory::resize;
+use crate::names::names;
 use alloc::vec::Vec;
 use bytemuck::{Pod, Zeroable};
 
@@ -24,21 +25,13 @@ pub enum Storage {
 impl Storage {
     /// Every format, widest first.
     pub const ALL: [Storage; 4] = [Storage::F32, Storage::F16, Storage::Bf16, Storage::Int8];
-
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Storage::F32 => "f32",
-            Storage::F16 => "f16",
-            Storage::Bf16 => "bf16",
-            Storage::Int8 => "int8",
-        }
-    }
 }
 
-impl core::fmt::Display for Storage {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(self.name())
-    }
+names! { Storage:
+    F32 "f32",
+    F16 "f16",
+    Bf16 "bf16",
+    Int8 "int8",
 }
 
 /// One cache line.
