@@ -11,7 +11,7 @@ pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
 
 /// Computes the upper bound from predictions of held-out frames, to which no weight was fitted.
 pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
-    UpperBound::from_residuals(&mut log_residuals(predicted, measured))
+    UpperBound::from_groups(log_residuals(predicted, measured).into_iter().map(|r| (r, ())))
 }
 
 /// As [`from_predictions`], for frames in groups (ensemble members), if new frames will belong to new groups:

@@ -215,9 +215,8 @@ impl AnalyticModel {
         self.costs = costs;
         self.fitted = true;
         (self.clock, self.quality) = (None, None);
-        let mut logs: Vec<f64> =
-            usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30))).collect();
-        self.calibration = UpperBound::from_residuals(&mut logs);
+        let logs = usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30)));
+        self.calibration = UpperBound::from_groups(logs.map(|log| (log, ())));
         let rows: Vec<RangePoint> = usable.iter().map(|m| range_point(&m.work)).collect();
         self.range = FeatureRange::from_rows(&rows);
         let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();

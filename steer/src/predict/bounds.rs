@@ -25,28 +25,13 @@ impl Default for UpperBound {
 }
 
 impl UpperBound {
-    /// Returns the bound from n held-out residuals ln(measured / predicted). Residuals of fitted frames may
-    /// be used if there are so many that holding out makes no difference. The bound is the
-    /// ⌈(n + 1)·[`UPPER_LEVEL`]⌉-th smallest residual, or the largest if there are fewer. Sorts the slice;
-    /// NaN residuals count as infinite.
-    pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
-        if log_residuals.is_empty() {
-            return Self::default();
-        }
-        for r in log_residuals.iter_mut() {
-            if r.is_nan() {
-                *r = f64::INFINITY;
-            }
-        }
-        log_residuals.sort_unstable_by(f64::total_cmp);
-        let n = log_residuals.len();
-        let rank = libm::ceil((n as f64 + 1.0) * UPPER_LEVEL) as usize;
-        Self { log_factor: log_residuals[rank.clamp(1, n) - 1] as f32 }
-    }
-
-    /// Returns the bound from frames in groups (volumes), for new frames that belong to new groups.
-    /// `residuals` are pairs of residual and group. As [`UpperBound::from_residuals`], but all groups have
-    /// the same weight, regardless of their numbers of frames.
+    /// Returns the bound from held-out residuals ln(measured / predicted) of frames in groups (volumes), for
+    /// new frames that belong to new groups. `residuals` are pairs of residual and group; all groups have the
+    /// same weight, regardless of their numbers of frames. Residuals of fitted frames may be used if there
+    /// are so many that holding out makes no difference. NaN residuals count as infinite.
+    ///
+    /// The bound of n frames of one group is the ⌈(n + 1)·[`UPPER_LEVEL`]⌉-th smallest residual, or the
+    /// largest if there are fewer.
     pub fn from_groups<G: Ord>(residuals: impl IntoIterator<Item = (f64, G)>) -> Self {
         let mut sorted: Vec<(f64, G)> =
             residuals.into_iter().map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, g)).collect();
