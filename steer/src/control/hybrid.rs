@@ -110,8 +110,8 @@ impl HybridOptions {
 ///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
 /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
-///   replaces the prediction if the prediction is out of range or was recently clearly worse than the
-///   forecast. If neither is available, the coarsest step is chosen.
+///   replaces the prediction if the prediction is out of range at the step that it would choose, or was
+///   recently clearly worse than the forecast. If neither is available, the coarsest step is chosen.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,
@@ -313,47 +313,26 @@ impl Hybrid {
         }
         Some(best)
     }
-}
 
-impl Controller for Hybrid {
-    fn name(&self) -> &'static str {
-        "hybrid"
+    /// Returns the corrected prediction for the present frame at `step`, where the cost has these `terms`, or
+    /// the forecast from recent frames.
+    fn expected(&self, terms: &CostTerms, step: f32, by_history: bool) -> Expected {
+        if by_history {
+            let (seconds, upper) = self.history.forecast(step, self.calm.multiple());
+            Expected { seconds, upper, choice: seconds, choice_upper: upper }
+        } else {
+            self.judge_at(terms, f64::from(step))
+        }
     }
 
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+    /// Returns the step for the present frame, with the reason for it, by the prediction or by the forecast
+    /// from recent frames.
+    fn choose(&self, request: &mut PlanRequest<'_>, by_history: bool) -> (f32, Reason) {
         let limits = request.limits;
         let c = self.options.constants;
-        self.enter(request.changes, request.cost);
         let target = f64::from(request.target);
         let ceiling = target * (1.0 + f64::from(self.options.tolerance.max(0.0)));
-        let changes = request.changes;
-        let first = (request.cost)(limits.coarsest);
-        let known = first.seconds().is_finite() && first.seconds() > 0.0;
-        let out_of_range = first.out_of_range;
-        let distrusted = !known || out_of_range > self.options.trust_limit || self.history.leads();
-        // Frames before a change of scene do not predict the frame after it.
-        let by_history = distrusted && !self.history.is_empty() && !(changes.any() && self.scene.first);
-        if !known && !by_history {
-            self.last = Some(Last { step: limits.coarsest, target: request.target, terms: first });
-            return Decision {
-                step: limits.coarsest,
-                seconds: f32::NAN,
-                upper: f32::NAN,
-                out_of_range,
-                reason: Reason::NoInformation,
-            };
-        }
-        let history = self.history;
-        let margin = self.calm.multiple();
-        let this = &*self;
-        let mut judge = |step: f32| -> Expected {
-            if by_history {
-                let (seconds, upper) = history.forecast(step, margin);
-                Expected { seconds, upper, choice: seconds, choice_upper: upper }
-            } else {
-                this.judge_at(&(request.cost)(step), f64::from(step))
-            }
-        };
+        let mut judge = |step: f32| self.expected(&(request.cost)(step), step, by_history);
         let excess = |step: f32| {
             let Expected { choice, choice_upper, .. } = judge(step);
             let f = libm::log(f64::max(choice / target, choice_upper / ceiling));
@@ -399,23 +378,63 @@ impl Controller for Hybrid {
                     reason = Reason::Held;
                 }
             } else if delta > c.damping
-                && this.correction.settled()
+                && self.correction.settled()
                 && judge(limits.clamp(last.step * libm::exp(c.damping) as f32)).choice <= target
             {
                 step = limits.clamp(last.step * libm::exp(c.damping) as f32);
                 if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
-            } else if delta < -c.damping && reason != Reason::FinestAllowed && this.correction.settled() {
+            } else if delta < -c.damping && reason != Reason::FinestAllowed && self.correction.settled() {
                 step = limits.clamp(last.step * libm::exp(-c.damping) as f32);
                 if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
             }
         }
-        let Expected { seconds, upper, .. } = judge(step);
-        self.last = Some(Last { step, target: request.target, terms: (request.cost)(step) });
-        Decision { step, seconds: seconds as f32, upper: upper as f32, out_of_range, reason }
+        (step, reason)
+    }
+}
+
+impl Controller for Hybrid {
+    fn name(&self) -> &'static str {
+        "hybrid"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let (limits, changes) = (request.limits, request.changes);
+        self.enter(changes, request.cost);
+        let coarsest = (request.cost)(limits.coarsest);
+        let known = coarsest.seconds().is_finite() && coarsest.seconds() > 0.0;
+        // Frames before a change of scene do not predict the frame after it.
+        let recent = !self.history.is_empty() && !(changes.any() && self.scene.first);
+        let mut by_history = recent && (!known || self.history.leads());
+        if !known && !by_history {
+            self.last = Some(Last { step: limits.coarsest, target: request.target, terms: coarsest });
+            return Decision {
+                step: limits.coarsest,
+                seconds: f32::NAN,
+                upper: f32::NAN,
+                out_of_range: coarsest.out_of_range,
+                reason: Reason::NoInformation,
+            };
+        }
+        let (mut step, mut reason) = self.choose(request, by_history);
+        let mut terms = (request.cost)(step);
+        if recent && !by_history && terms.out_of_range > self.options.trust_limit {
+            by_history = true;
+            (step, reason) = self.choose(request, by_history);
+            terms = (request.cost)(step);
+        }
+        let Expected { seconds, upper, .. } = self.expected(&terms, step, by_history);
+        self.last = Some(Last { step, target: request.target, terms });
+        Decision {
+            step,
+            seconds: seconds as f32,
+            upper: upper as f32,
+            out_of_range: terms.out_of_range,
+            reason,
+        }
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {

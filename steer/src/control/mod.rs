@@ -87,8 +87,8 @@ pub enum Reason {
     FinestAllowed = 4,
     /// Even the coarsest allowed step is not expected to fit.
     TargetUnreachable = 5,
-    /// The step was chosen from recent frame times, since the prediction is out of range or was recently
-    /// wrong.
+    /// The step was chosen from recent frame times, since the prediction is out of range at the step that it
+    /// would choose, or was recently wrong.
     History = 6,
     /// The coarsest allowed step, since there is neither a prediction nor an observed time.
     NoInformation = 7,
@@ -131,7 +131,7 @@ pub struct Decision {
     pub seconds: f32,
     /// Upper bound in seconds; NaN where there is none.
     pub upper: f32,
-    /// As [`Prediction::out_of_range`]; NaN where unknown.
+    /// [`Prediction::out_of_range`] at `step`; NaN where unknown.
     pub out_of_range: f32,
     /// Reason for the step.
     pub reason: Reason,

@@ -105,36 +105,6 @@ fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
 }
 
 #[test]
-fn the_controller_survives_any_observation() {
-    let mut controller = Hybrid::new(HybridOptions::default());
-    let mut noise = Noise(3);
-    for i in 0..3000 {
-        let target = [1e-3, 0.03, 5.0][i / 7 % 3];
-        let base = (noise.normal() * 2.0).exp() as f32 * 0.02;
-        let mut cost = |step: f32| CostTerms::whole(base / step, 0.0, Source::Analytic);
-        let changes = Changes { transfer: i % 50 == 0, first: i == 0, ..Changes::default() };
-        let limits = StepLimits { finest: 0.5, coarsest: 20.0 };
-        let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
-        assert!((0.5..=20.0).contains(&decision.step), "{i} {decision:?}");
-        let seconds = match i % 11 {
-            3 => 1e-9,
-            7 => 9_999.0,
-            _ => base / decision.step,
-        };
-        let terms = cost(decision.step);
-        controller.observe(&Observed {
-            seconds,
-            step: decision.step,
-            target,
-            changes,
-            terms,
-            scene: controller.scene(),
-            unusual: i % 97 == 0,
-        });
-    }
-}
-
-#[test]
 fn an_impossible_target_is_said_and_leaves_nothing_behind() {
     let mut hybrid =
         Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
@@ -204,6 +174,34 @@ fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
         });
     }
     assert!(history > 280 && misses < 15, "{history} {misses}");
+}
+
+#[test]
+fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
+    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
+    // The model was fitted to steps up to 4. It chooses step 3 in the first case and step 12 in the second.
+    for (seconds, trusted) in [(0.06f32, true), (0.24, false)] {
+        let mut hybrid =
+            Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.1 }, ..HybridOptions::default() });
+        let score = |step: f32| if step > 4.0 { 3.0 } else { 0.0 };
+        let mut cost = |step: f32| CostTerms::whole(seconds / step, score(step), Source::Analytic);
+        for i in 0..20 {
+            let changes = Changes { first: i == 0, ..Changes::default() };
+            let d = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+            assert_eq!(d.reason != Reason::History, trusted || i == 0, "{seconds} s, frame {i}: {d:?}");
+            assert_eq!(d.out_of_range, score(d.step));
+            let terms = cost(d.step);
+            hybrid.observe(&Observed {
+                seconds: seconds / d.step,
+                step: d.step,
+                target: 0.02,
+                changes,
+                terms,
+                scene: hybrid.scene(),
+                unusual: false,
+            });
+        }
+    }
 }
 
 #[test]
