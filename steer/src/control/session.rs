@@ -83,6 +83,8 @@ pub struct Session {
     volume_features: Option<Vec<f32>>,
     lobes: Option<Vec<GaussianLobe>>,
     pub(super) features: FrameFeatures,
+    /// Probe that the caller asked for: rays along each side, and the tolerance of a refinement.
+    asked_probe: Option<(usize, Option<f32>)>,
     /// Refinement of the probe; `None` where every plan casts the same number of rays.
     ladder: Option<ladder::Ladder>,
     /// View for which the probe's rays were last cast; `None` without refinement.
@@ -136,6 +138,7 @@ impl Session {
             volume_features: None,
             lobes: None,
             features,
+            asked_probe: None,
             ladder: None,
             cast_for: None,
             coarsening: Coarsening::of_step(StepLimits::default()),

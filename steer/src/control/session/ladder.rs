@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::features::{FrameFeatures, MAX_PROBE_SIDE, Setting};
-use crate::predict::Prediction;
+use crate::predict::{Prediction, Predictor};
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::scene::Frame;
@@ -99,11 +99,29 @@ impl Session {
                 "the probe's tolerance is {share}; a share of the frame's time from 0 to 1 is accepted"
             );
         }
-        if self.predictor.any_probe_side() {
-            self.features = FrameFeatures::with_probe_side(side);
-            self.ladder = tolerance.map(|tolerance| Ladder { finest: side, tolerance });
-        }
+        self.asked_probe = Some((side, tolerance));
+        self.set_probe();
         Ok(self)
+    }
+
+    /// Sets the probe for the present predictor: that which the caller asked for, or the predictor's own.
+    pub(super) fn set_probe(&mut self) {
+        let side = self.side_for(&*self.predictor);
+        let asked = self.asked_probe.filter(|_| self.predictor.any_probe_side());
+        self.ladder = asked.and_then(|(finest, tolerance)| Some(Ladder { finest, tolerance: tolerance? }));
+        if side != self.features.probe_side() {
+            self.features = FrameFeatures::with_probe_side(side);
+        }
+    }
+
+    /// Number of rays along each side of the finest probe for a predictor.
+    pub(super) fn side_for(&self, predictor: &dyn Predictor) -> usize {
+        match (predictor.probe_side(), self.asked_probe) {
+            (_, Some((side, _))) if predictor.any_probe_side() => side,
+            // Predictions without a probe are scaled by the analytic model, which needs a probe.
+            (0, _) => FrameFeatures::default().probe_side(),
+            (side, _) => side,
+        }
     }
 
     /// Stores the view for which rays were cast, if the probe is refined.

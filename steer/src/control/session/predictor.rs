@@ -1,7 +1,6 @@
 //! Replaces a session's predictor.
 
 use super::{HybridOptions, Recording, Session, controller_for};
-use crate::features::FrameFeatures;
 use crate::predict::Predictor;
 use alloc::boxed::Box;
 use entire_core::Result;
@@ -9,7 +8,7 @@ use entire_core::bail;
 
 impl Session {
     /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
-    /// limits and recorded frames stay. VolumeNet's output stays too; for a predictor with another encoder,
+    /// limits, recorded frames and the probe of [`Session::with_probe`] stay. VolumeNet's output stays too; for a predictor with another encoder,
     /// set the volume again with the output of that encoder ([`Session::set_volume`]).
     ///
     /// # Errors
@@ -20,11 +19,7 @@ impl Session {
         predictor: Box<dyn Predictor + Send>,
         options: HybridOptions,
     ) -> Result<()> {
-        let side = match predictor.probe_side() {
-            _ if predictor.any_probe_side() => self.features.probe_side(),
-            0 => FrameFeatures::default().probe_side(),
-            side => side,
-        };
+        let side = self.side_for(&*predictor);
         let recorded = self.recording.as_ref().map(Recording::probe_side);
         if let Some(recorded) = recorded.filter(|recorded| ![0, side].contains(recorded)) {
             bail!(
@@ -33,14 +28,9 @@ impl Session {
                  {side}; take a model with the same probe"
             );
         }
-        if side != self.features.probe_side() {
-            self.features = FrameFeatures::with_probe_side(side);
-        }
-        if !predictor.any_probe_side() {
-            self.ladder = None;
-        }
         self.controller = controller_for(&*predictor, options);
         self.predictor = predictor;
+        self.set_probe();
         self.weigh_pictures();
         self.converted = false;
         self.reconcile_clocks();

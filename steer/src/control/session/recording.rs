@@ -99,7 +99,7 @@ impl Session {
     /// probe, [`crate::ErrorKind::Unsupported`] for a prior of another kind,
     /// [`crate::ErrorKind::OutOfMemory`].
     pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
-        let side = self.features.probe_side();
+        let side = self.side_for(&*self.predictor);
         let calibration = Calibration::new(prior, frames)?;
         let wanted = calibration.prior().probe_side();
         if ![0, side].contains(&wanted) {
