@@ -47,6 +47,8 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 #[derive(Clone, Debug)]
 pub struct PriorModel {
     costs: [f64; COSTS],
+    /// True for costs that the prior's models have; the others are guesses.
+    known: [bool; COSTS],
     factor: Option<Factor>,
 }
 
@@ -173,7 +175,7 @@ impl Factor {
 impl Default for PriorModel {
     /// The unit costs of a software renderer.
     fn default() -> Self {
-        Self { costs: UnitCosts::SOFTWARE.0, factor: None }
+        Self::typical(&UnitCosts::SOFTWARE)
     }
 }
 
@@ -186,23 +188,30 @@ impl PriorModel {
     /// [`crate::ErrorKind::Unsupported`] for other models.
     pub fn new(files: &[ModelFile], typical: &UnitCosts) -> Result<Self> {
         if files.is_empty() {
-            return Ok(Self { costs: typical.0, factor: None });
+            return Ok(Self::typical(typical));
         }
-        let mut logs = [0.0; COSTS];
+        let (mut logs, mut known) = ([0.0; COSTS], [true; COSTS]);
         for file in files {
             let Some(model) = AnalyticModel::from_model(&file.to_model()?)? else {
                 if files.len() > 1 {
                     bail!(Unsupported, "{NOT_A_PRIOR}");
                 }
                 let (factor, costs) = Factor::new(file)?;
-                return Ok(Self { costs, factor: Some(factor) });
+                return Ok(Self { known: costs.map(|c| c > 0.0), costs, factor: Some(factor) });
             };
-            let UnitCosts(costs) = with_unknown(&model.costs(), typical);
-            for (log, cost) in logs.iter_mut().zip(costs) {
-                *log += libm::log(cost) / files.len() as f64;
+            let own = model.costs();
+            let UnitCosts(costs) = with_unknown(&own, typical);
+            for i in 0..COSTS {
+                logs[i] += libm::log(costs[i]) / files.len() as f64;
+                known[i] &= own.0[i] > 0.0;
             }
         }
-        Ok(Self { costs: logs.map(libm::exp), factor: None })
+        Ok(Self { costs: logs.map(libm::exp), known, factor: None })
+    }
+
+    /// The typical costs of a kind of renderer as a prior.
+    fn typical(costs: &UnitCosts) -> Self {
+        Self { costs: costs.0, known: costs.0.map(|c| c > 0.0), factor: None }
     }
 
     /// Unit costs of the prior, in seconds; 0 for work whose cost the prior lacks.
@@ -244,8 +253,7 @@ impl PriorModel {
             Some(f) => (&f.weights, FACTOR_SD * f.root_mean_square),
             None => (&[], 1.0),
         };
-        let known = |i: usize| self.costs[i] > 0.0;
-        let cost_sd = core::array::from_fn(|i| if known(i) { COST_SD } else { UNKNOWN_SD });
+        let cost_sd = self.known.map(|known| if known { COST_SD } else { UNKNOWN_SD });
         CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
     }
 
