@@ -6,8 +6,11 @@ use std::panic::UnwindSafe;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 
+/// Texts of the error of writing into a closed pipe; the codes are those of Windows.
+const CLOSED: [&str; 3] = ["Broken pipe", "(os error 109)", "(os error 232)"];
+
 /// Runs a command. Exit status: 0, or 1 for an error or a panic (one line on standard error with cause and
-/// remedy). A closed output is no error.
+/// remedy). An output that its reader has closed is no error.
 pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> ExitCode {
     // The hook only stores the place of a panic: the error is printed below, in one line.
     let location = Arc::new(Mutex::new(None));
@@ -29,8 +32,13 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
                 .map(String::as_str)
                 .or_else(|| panic.downcast_ref::<&str>().copied())
                 .unwrap_or("unknown");
-            if text.starts_with("failed printing to std") {
-                return ExitCode::SUCCESS;
+            // The panic of `println!` holds no error value, only its text.
+            if let Some(why) = text.strip_prefix("failed printing to ") {
+                if CLOSED.iter().any(|closed| why.contains(closed)) {
+                    return ExitCode::SUCCESS;
+                }
+                let _ = writeln!(std::io::stderr().lock(), "{name}: cannot write to {why}");
+                return ExitCode::from(1);
             }
             let at = location.lock().ok().and_then(|at| at.clone()).unwrap_or_default();
             format!("internal error ({text}, {at}); please report it with the command that you ran")

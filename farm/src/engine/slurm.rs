@@ -80,7 +80,8 @@ fn ask(program: &str, arguments: &[String], input: Option<&str>) -> Result<Strin
             )
         })?;
     if let (Some(text), Some(mut pipe)) = (input, child.stdin.take()) {
-        pipe.write_all(text.as_bytes()).with_context(|| format!("cannot write to {program}"))?;
+        // If the program has ended before it read everything, its status and its own message say why.
+        let _ = pipe.write_all(text.as_bytes());
     }
     let output = child.wait_with_output()?;
     let error = String::from_utf8_lossy(&output.stderr);
