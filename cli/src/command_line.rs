@@ -56,14 +56,15 @@ enum Command {
     Doctor(commands::doctor::Options),
 }
 
-/// Runs the command line `args`: the program's name, then its arguments. Ends the process with status 2 for
-/// wrong usage.
-pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+/// Runs the command line `args`: the program's name, then its arguments. `program` is the command line that
+/// starts this program, an executable file and its first arguments; workers of a farm are started with it.
+/// Ends the process with status 2 for wrong usage.
+pub fn main_with_args(args: impl IntoIterator<Item = OsString>, program: Vec<String>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
     program::run("entire", move || {
         let cli = Cli::parse_from(args);
         entire_core::kernels::Level::check_override()?;
-        cli.run()
+        cli.run(&program)
     })
 }
 
@@ -73,7 +74,7 @@ pub fn command() -> clap::Command {
 }
 
 impl Cli {
-    fn run(&self) -> anyhow::Result<()> {
+    fn run(&self, program: &[String]) -> anyhow::Result<()> {
         quiet::keep_quiet(self.quiet);
         match &self.command {
             Command::Collect(options) => commands::collect::run(options),
@@ -88,7 +89,7 @@ impl Cli {
             Command::Steer(options) => commands::steer::run(options),
             Command::Explore(options) => commands::explore::run(options),
             Command::Schedule(options) => commands::schedule::run(options),
-            Command::Farm(options) => commands::farm::run(options),
+            Command::Farm(options) => commands::farm::run(options, program),
             Command::FarmWorker(options) => commands::farm::work(options),
             Command::Demo(options) => commands::demo::run(options),
             Command::Doctor(options) => commands::doctor::run(options),

@@ -4,5 +4,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    entire_cli::main_with_args(std::env::args_os())
+    let program = std::env::current_exe().unwrap_or_else(|_| "entire".into());
+    entire_cli::main_with_args(std::env::args_os(), vec![program.display().to_string()])
 }

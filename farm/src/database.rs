@@ -147,11 +147,7 @@ impl<'a> Database<'a> {
             } else {
                 "have no record of their inputs; they are left out of the table, and their tasks are rendered again"
             };
-            note(&format!(
-                "{} pictures in {} {why}",
-                gone.len(),
-                job.output.join("image").display()
-            ));
+            note(&format!("{} pictures in {} {why}", gone.len(), job.output.join("image").display()));
         }
         self.journal.add(&Entry::Inputs { files: now });
         self.journal.flush()

@@ -62,6 +62,10 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
     if let Ok(below) = std::fs::canonicalize(&places.state)?.strip_prefix(&folder) {
         state["default"] = text(below)?.into();
     }
+    let (program, arguments) = places.program.split_first().context("no program")?;
+    let mut arguments = arguments.to_vec();
+    arguments
+        .extend(["farm-worker", "{{Param.State}}", "--bundle", "{{Task.Param.Bundle}}"].map(String::from));
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name,
@@ -69,7 +73,7 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
             state,
             {
                 "name": "Entire", "type": "STRING", "description": "The program `entire`.",
-                "default": text(&places.program)?,
+                "default": program,
             },
         ],
         "steps": [{
@@ -81,7 +85,7 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
             },
             "script": { "actions": { "onRun": {
                 "command": "{{Param.Entire}}",
-                "args": ["farm-worker", "{{Param.State}}", "--bundle", "{{Task.Param.Bundle}}"],
+                "args": arguments,
                 "timeout": longest,
             } } },
         }],

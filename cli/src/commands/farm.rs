@@ -1,6 +1,6 @@
 //! `entire farm`: render an image database by local processes, HyperQueue or Slurm.
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use entire_farm::database::{self, Database};
 use entire_farm::dispatch::Order;
 use entire_farm::drive;
@@ -10,7 +10,7 @@ use entire_farm::planner::{Planner, Sent, Setting, State};
 use entire_farm::show::{duration, parse_duration};
 use entire_farm::worker::Worker;
 use entire_farm::{openjd, predict, report, survey};
-use entire_io::files::write_whole;
+use entire_io::files::{make_folder_of, write_whole};
 use entire_io::machine;
 use std::path::PathBuf;
 
@@ -136,7 +136,7 @@ pub struct WorkerOptions {
 ///
 /// # Errors
 /// A bad job file, a missing engine, tasks that were given up.
-pub fn run(options: &Options) -> Result<()> {
+pub fn run(options: &Options, program: &[String]) -> Result<()> {
     let job = Job::open(&options.job)?;
     ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");
     ensure!(
@@ -166,9 +166,11 @@ pub fn run(options: &Options) -> Result<()> {
         uniform: options.order == OrderOption::Uniform,
         overhead: options.overhead,
     };
+    for file in [&options.openjd, &options.save_tasks, &options.report].into_iter().flatten() {
+        make_folder_of(file)?;
+    }
     let mut database = Database::open(&job, &driving)?;
-    let program = std::env::current_exe().context("cannot find this program's own file")?;
-    let places = Places { state: job.state(), program };
+    let places = Places { state: job.state(), program: program.to_vec() };
     if let Some(file) = &options.openjd {
         return export(&job, &database, base, &places, options, file);
     }

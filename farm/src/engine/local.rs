@@ -61,8 +61,10 @@ impl Local {
         let log = File::create(self.log(slot))
             .with_context(|| format!("cannot write {}", self.log(slot).display()))?;
         let threads = (machine::cores() / slots).max(1).to_string();
-        let mut command = Command::new(&self.places.program);
+        let (program, arguments) = self.places.program.split_first().context("no program")?;
+        let mut command = Command::new(program);
         command
+            .args(arguments)
             .arg("farm-worker")
             .arg(&self.places.state)
             .args(["--node", &format!("local-{slot}")])
@@ -78,9 +80,7 @@ impl Local {
         // A separate process group: Ctrl-C goes to the driver only, which lets workers finish their tasks.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        let mut child = command
-            .spawn()
-            .with_context(|| format!("cannot start the worker {}", self.places.program.display()))?;
+        let mut child = command.spawn().with_context(|| format!("cannot start the worker {program}"))?;
         let out = child.stdout.take().context("the worker has no standard output")?;
         let input = child.stdin.take();
         let send = self.send.clone();

@@ -96,8 +96,9 @@ pub trait Engine {
 pub struct Places {
     /// Folder of the database in which the planner and the workers keep their journals, orders and results.
     pub state: PathBuf,
-    /// Executable file that runs the worker, as its command `farm-worker`.
-    pub program: PathBuf,
+    /// Command line of this program: an executable file, then arguments. Its command `farm-worker` runs the
+    /// worker.
+    pub program: Vec<String>,
 }
 
 impl Places {
@@ -107,16 +108,10 @@ impl Places {
     /// When a path is not UTF-8.
     pub(crate) fn worker(&self, bundle: u64) -> Result<Vec<String>> {
         use anyhow::Context;
-        let text = |p: &PathBuf| {
-            p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()))
-        };
-        Ok(vec![
-            text(&self.program)?,
-            "farm-worker".into(),
-            text(&self.state)?,
-            "--bundle".into(),
-            bundle.to_string(),
-        ])
+        let state = self.state.to_str().with_context(|| format!("{} is not UTF-8", self.state.display()))?;
+        let mut line = self.program.clone();
+        line.extend(["farm-worker".into(), state.into(), "--bundle".into(), bundle.to_string()]);
+        Ok(line)
     }
 
     /// Writes the file `orders/NUMBER.json`, from which the bundle's worker reads its tasks.

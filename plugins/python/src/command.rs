@@ -18,6 +18,8 @@ use std::process::ExitCode;
 ///     Exit status: 0, or 1 after an error, which is written to standard error. Wrong usage ends the process
 ///     with status 2.
 #[pyfunction]
-pub(crate) fn command(py: Python<'_>, args: Vec<OsString>) -> i32 {
-    i32::from(detached(py, || entire_cli::main_with_args(args)) != ExitCode::SUCCESS)
+pub(crate) fn command(py: Python<'_>, args: Vec<OsString>) -> PyResult<i32> {
+    let python: Option<String> = py.import("sys")?.getattr("executable")?.extract()?;
+    let program = vec![python.unwrap_or_else(|| "python3".into()), "-m".into(), "entire".into()];
+    Ok(i32::from(detached(py, || entire_cli::main_with_args(args, program)) != ExitCode::SUCCESS))
 }
