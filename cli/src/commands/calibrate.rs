@@ -191,7 +191,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.device)?;
     let clock = entire_io::clock::waited_for(options.clock, renderer.as_ref());
     say_prior_clock(options, clock)?;
-    let mut table = options.table.as_deref().map(Writer::create).transpose()?;
+    let begin = |file: &PathBuf| make_folder_of(file).and_then(|()| Writer::create(file));
+    let mut table = options.table.as_ref().map(begin).transpose()?;
     let mut written = 0;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     for (&shading, out) in options.shade.modes().iter().zip(&outs) {

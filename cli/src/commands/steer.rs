@@ -9,7 +9,7 @@ use entire_core::scene::VolumeView;
 use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::device;
 use entire_io::enlarge::enlarge;
-use entire_io::files::{note, open_model, open_volume, write_json};
+use entire_io::files::{make_folder_of, note, open_model, open_volume, write_json};
 use entire_io::interrupt;
 use entire_io::machine::Provenance;
 use entire_io::options::{
@@ -238,6 +238,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for &frame in &options.pictures {
         ensure!(frame < frames, "--pictures names frame {frame}; the path has frames 0 to {}", frames - 1);
     }
+    let mut timings = options.table.as_ref().map(|file| begin_table(file, &path)).transpose()?;
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let mut keep = path.switches();
     keep.extend(&options.pictures);
@@ -269,8 +270,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         provenance: Provenance::of(renderer.device()),
     };
     let metrics = write(&options.out, &story, &draw, &playback)?;
-    if let Some(file) = &options.table {
-        write_table(file, options, &volumes, &path, &draw, &playback)?;
+    if let (Some(timings), Some(file)) = (&mut timings, &options.table) {
+        let written = write_table(timings, options, &volumes, &path, &draw, &playback)?;
+        println!("table      {}: {written} frames", file.display());
     }
     println!("{}", table(&playback, &metrics).to_text());
     println!("steered by {}", prepared.predictor.sentence());
@@ -279,28 +281,37 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Writes a timing table with every frame that each controller drew.
+/// Begins a timing table for the frames of a path.
+///
+/// # Errors
+/// When a table cannot hold the path's frames, or the file exists or cannot be written.
+fn begin_table(file: &Path, path: &FlightPath) -> Result<Writer> {
+    for (i, at) in path.frames.iter().enumerate() {
+        ensure!(
+            at.transfer.lobes().is_some(),
+            "--table needs transfer functions made of lobes; frame {i} has control points, which timing \
+             tables do not hold"
+        );
+        ensure!(
+            at.parallel_scale.is_none(),
+            "--table needs perspective cameras; frame {i} has a parallel one, which timing tables do not hold"
+        );
+    }
+    make_folder_of(file)?;
+    Writer::create(file)
+}
+
+/// Writes every frame that each controller drew to a timing table; returns their number.
 fn write_table(
-    file: &Path,
+    table: &mut Writer,
     options: &Options,
     volumes: &[Volume],
     path: &FlightPath,
     draw: &DrawSettings,
     playback: &Playback,
-) -> Result<()> {
-    let mut table = Writer::create(file)?;
+) -> Result<u64> {
     let mut number = 0;
     for (i, at) in path.frames.iter().enumerate() {
-        let Some(lobes) = at.transfer.lobes() else {
-            bail!(
-                "--table needs transfer functions made of lobes; frame {i} has control points, which timing \
-                 tables do not hold"
-            )
-        };
-        ensure!(
-            at.parallel_scale.is_none(),
-            "--table needs perspective cameras; frame {i} has a parallel one, which timing tables do not hold"
-        );
         let volume = playback.volumes[i];
         for records in &playback.records {
             let r = &records[i];
@@ -317,14 +328,13 @@ fn write_table(
                 shading: draw.shading,
                 skipping: draw.skipping,
                 termination: draw.termination,
-                lobes: lobes.clone(),
+                lobes: at.transfer.lobes().unwrap_or_default(),
             };
             table.append(number, &scene, &[r.measured])?;
             number += 1;
         }
     }
-    println!("table      {}: {number} frames", file.display());
-    Ok(())
+    Ok(number)
 }
 
 /// Returns the description of a volume: file, size in voxels, enlargement.

@@ -320,6 +320,9 @@ fn a_table_is_fresh_until_its_first_row() {
         assert!(Writer::is_fresh(&path).unwrap(), "{cut}");
         drop(Writer::resume(&path, 1).unwrap());
         assert_eq!(std::fs::read(&path).unwrap(), header, "{cut}");
+        std::fs::write(&path, &header[..cut]).unwrap();
+        drop(Writer::create(&path).unwrap());
+        assert_eq!(std::fs::read(&path).unwrap(), header, "{cut}");
     }
     std::fs::write(&path, [&header[..], b"0"].concat()).unwrap();
     assert!(!Writer::is_fresh(&path).unwrap());

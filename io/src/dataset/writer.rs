@@ -20,11 +20,14 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Starts a new table.
+    /// Starts a new table, also in a file that holds a table without frames.
     ///
     /// # Errors
     /// When the file exists already (resume it or remove it) or cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
+        if path.is_file() && Self::is_fresh(path)? {
+            return Self::resume(path, 1);
+        }
         let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| {
             if e.kind() == std::io::ErrorKind::AlreadyExists {
                 anyhow!("{} exists already; resume it, remove it or choose another name", path.display())
