@@ -307,6 +307,10 @@ pub fn run(options: &Options) -> Result<()> {
     });
     trained.fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
     entire_io::clock::set(&mut trained.fitted.file, clock);
+    // A law or a name that a fine-tuned model brings along is of the renderer that it was trained on before.
+    for key in [Key::Quality, Key::Renderer, Key::Device, Key::StepReference] {
+        trained.fitted.file.metadata.remove(key.name());
+    }
     if let Some(fitted) = &pictures {
         fitted.quality.store(&mut trained.fitted.file)?;
     }

@@ -25,17 +25,23 @@ impl SteeringModel {
     /// # Errors
     /// When the model holds no predictor, or the volume cannot be encoded.
     pub fn new(title: String, model: Model, volume: &VolumeView<'_>) -> Result<Self> {
-        let mut volume_features = None;
-        if model.input_size(GroupKind::VolumeFeatures).is_some()
-            && let Some(parts) = model.volumenet()
-        {
-            let net = VolumeNet::new(parts)?;
-            let mut out = vec![0.0; net.feature_len()];
-            net.encode(volume, &mut net.scratch(), Executor::Serial, &mut out)?;
-            volume_features = Some(out);
-        }
         load(&model)?;
-        Ok(Self { title, model: Arc::new(model), volume_features })
+        let mut made = Self { title, model: Arc::new(model), volume_features: None };
+        made.volume_features = made.encode(volume)?;
+        Ok(made)
+    }
+
+    /// Returns VolumeNet's output for a volume, if the model uses it.
+    ///
+    /// # Errors
+    /// When the volume cannot be encoded.
+    pub(crate) fn encode(&self, volume: &VolumeView<'_>) -> Result<Option<Vec<f32>>> {
+        let parts = self.model.input_size(GroupKind::VolumeFeatures).and(self.model.volumenet());
+        let Some(parts) = parts else { return Ok(None) };
+        let net = VolumeNet::new(parts)?;
+        let mut out = vec![0.0; net.feature_len()];
+        net.encode(volume, &mut net.scratch(), Executor::Serial, &mut out)?;
+        Ok(Some(out))
     }
 
     /// A new predictor.

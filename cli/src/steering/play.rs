@@ -219,6 +219,8 @@ pub(crate) struct Shown<'a> {
     pub(crate) view: &'a VolumeView<'a>,
     /// Summary of the volume.
     pub(crate) summary: &'a VolumeSummary,
+    /// VolumeNet's output for the volume, if a model uses it.
+    pub(crate) volume_features: Option<&'a [f32]>,
 }
 
 /// A path to play, with its volumes, targets and limits.
@@ -228,8 +230,6 @@ pub(crate) struct Task<'a> {
     pub(crate) volumes: &'a [Shown<'a>],
     /// Frames per volume of a series; 0 for a single volume.
     pub(crate) hold: u32,
-    /// VolumeNet's output for the volume, if a model uses it.
-    pub(crate) volume_features: Option<&'a [f32]>,
     /// The path.
     pub(crate) path: &'a FlightPath,
     /// Target, seconds.
@@ -317,7 +317,7 @@ pub(crate) fn play(
             for contender in contenders.iter_mut() {
                 contender
                     .session
-                    .set_volume(volume.summary.clone(), task.volume_features.map(<[f32]>::to_vec));
+                    .set_volume(volume.summary.clone(), volume.volume_features.map(<[f32]>::to_vec));
             }
         }
         if at.transfer_changed || swapped {
@@ -476,11 +476,10 @@ mod tests {
             clock: Clock::Auto,
         };
         let path = path();
-        let shown = [Shown { view: &view, summary: &summary }];
+        let shown = [Shown { view: &view, summary: &summary, volume_features: None }];
         let task = Task {
             volumes: &shown,
             hold: 0,
-            volume_features: None,
             path: &path,
             target: 1.4e-3,
             retargets: &[],

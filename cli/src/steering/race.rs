@@ -259,12 +259,20 @@ pub(crate) fn run(
         .collect::<Result<_>>()?;
     let summaries: Vec<VolumeSummary> =
         race.series.iter().map(|v| Ok(VolumeSummary::new(v)?)).collect::<Result<_>>()?;
-    let mut shown = vec![Shown { view: race.volume, summary: &prepared.summary }];
-    shown.extend(race.series.iter().zip(&summaries).map(|(view, summary)| Shown { view, summary }));
+    let features: Vec<Option<Vec<f32>>> =
+        race.series.iter().map(|v| race.model.encode(v)).collect::<Result<_>>()?;
+    let volume_features = race.model.volume_features();
+    let mut shown = vec![Shown { view: race.volume, summary: &prepared.summary, volume_features }];
+    shown.extend(
+        race.series.iter().zip(&summaries).zip(&features).map(|((view, summary), features)| Shown {
+            view,
+            summary,
+            volume_features: features.as_deref(),
+        }),
+    );
     let task = Task {
         volumes: &shown,
         hold: race.hold,
-        volume_features: race.model.volume_features(),
         path,
         target: prepared.target,
         retargets: race.retargets,
