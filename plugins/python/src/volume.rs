@@ -212,12 +212,14 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// A copy of an array in which voxels under a mask, and those with a value of `values`, have the minimum of
-/// all other voxels; and the number of these voxels.
+/// A copy of an array in which voxels under a mask, and those with a value of `values`, have the low end of the
+/// range; and the number of these voxels. `low` is the low end of a given range; without it, the low end is 0
+/// for bytes, and for other types the minimum of all other voxels.
 fn hide<'py>(
     array: &Bound<'py, PyAny>,
     mask: Option<&Bound<'py, PyAny>>,
     values: &[f32],
+    low: Option<f32>,
 ) -> PyResult<(Bound<'py, PyAny>, usize)> {
     let py = array.py();
     let numpy = py.import("numpy")?;
@@ -238,7 +240,19 @@ fn hide<'py>(
                 "every voxel is hidden by a mask or a fill value; nothing is left to draw",
             ));
         }
-        copy.set_item(&hidden, others.call_method0("min")?)?;
+        let dtype = copy.getattr("dtype")?;
+        let kind: String = dtype.getattr("kind")?.extract()?;
+        let byte = kind == "b" || (kind == "u" && dtype.getattr("itemsize")?.extract::<usize>()? == 1);
+        match low.or(byte.then_some(0.0)) {
+            Some(low) if kind == "i" || kind == "u" => {
+                let limits = numpy.call_method1("iinfo", (dtype,))?;
+                let low = numpy.call_method1("floor", (low,))?;
+                let least = (limits.getattr("min")?, limits.getattr("max")?);
+                copy.set_item(&hidden, numpy.call_method1("clip", (low, least.0, least.1))?)?;
+            }
+            Some(low) => copy.set_item(&hidden, low)?,
+            None => copy.set_item(&hidden, others.call_method0("min")?)?,
+        }
         Ok((copy, count))
     })
 }
@@ -277,7 +291,7 @@ impl Volume {
             Fill::Auto => (Vec::new(), false),
         };
         if mask.is_some() || asked {
-            let (hidden, count) = hide(array, mask.as_ref(), &kept_fill)?;
+            let (hidden, count) = hide(array, mask.as_ref(), &kept_fill, range.map(|(low, _)| low))?;
             if count > 0 && !matches!(fill, Fill::Known(_)) {
                 warn(
                     py,
@@ -364,7 +378,7 @@ impl Volume {
             )?;
             // Fill values below the range need no copy, since they are clamped to its low end.
             if found.iter().any(|f| *f > high) {
-                let (hidden, _) = hide(array, None, &found)?;
+                let (hidden, _) = hide(array, None, &found, Some(low))?;
                 let none = Fill::Values(Vec::new());
                 let mut data = Self::look_at(py, &hidden, spacing, origin, order, Some((low, high)), &none)?;
                 (data.copied, data.fill) = (true, found);

@@ -86,6 +86,7 @@ class Holder:
         self.own: float = visual.relative_step_size
         self._data: Any = None
         self._key: Any = None
+        self._tf: TransferFunction | None = None
         self._plan: Plan | None = None
         self._explained: Plan | None = None
         self._camera: Camera | None = None
@@ -161,19 +162,17 @@ class Holder:
             )
             self.session.set_volume(self._volume)
             self._data, self._key = data, None
-        tf = None
         key = (method, limits)
         if key != self._key:
             # A substitute for the method's own opacities: with early termination, opacity grows with the value;
             # otherwise every sample is taken, so all are nearly transparent.
             most = 0.2 if method in _STOPPING else 1e-3
-            tf = TransferFunction.points([(0, 1e-3), (1, most)])
-            self._key = key
+            self._key, self._tf = key, TransferFunction.points([(0, 1e-3), (1, most)])
         # In the visual's coordinates the first voxel spans 0 to 1, so its center, the origin of Volume's coordinates,
         # is at 0.5.
         half = np.eye(4)
         half[:3, 3] = 0.5
-        return Camera.projection(self._volume, _matrix(visual) @ half), tf, _STOPPING.get(method, 1.0)
+        return Camera.projection(self._volume, _matrix(visual) @ half), self._tf, _STOPPING.get(method, 1.0)
 
     def _choose(self) -> None:
         camera, tf, end = self._scene()
