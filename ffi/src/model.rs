@@ -458,7 +458,10 @@ pub unsafe extern "C" fn entire_model_input_group(
             let (Some(found), Some(name)) = (groups.get(index), loaded.groups.get(index)) else {
                 return Err(Failure::new(
                     ENTIRE_INVALID_ARGUMENT,
-                    format!("input group {index} does not exist; the model has {} (numbered from 0)", groups.len()),
+                    format!(
+                        "input group {index} does not exist; the model has {} (numbered from 0)",
+                        groups.len()
+                    ),
                 ));
             };
             let out = entire_input_group {

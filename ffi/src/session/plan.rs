@@ -263,8 +263,9 @@ pub unsafe extern "C" fn entire_session_plan(
 /// Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
 /// that are expected to meet the target, with an upper bound of at most the target plus the session's
 /// tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
-/// receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The step,
-/// size and modes in the frame itself are ignored. Does not allocate.
+/// receives the index of the chosen settings, and `plan` their plan, to be observed like any other. Of the
+/// frame itself, the step is ignored; its width and height give the aspect ratio of all settings, and a
+/// change of its size or modes counts as a change of the scene. Does not allocate.
 ///
 /// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
 /// range, and with ENTIRE_SIZE_MISMATCH for too many.

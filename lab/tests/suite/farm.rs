@@ -47,7 +47,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         "ms per task",
         "static with exchanges, predicted",
         "queue, any order (mean of 200)",
-        "Limit by noise",
+        "Effect of noise",
     ] {
         assert!(text.contains(word), "{word}: {text}");
     }
