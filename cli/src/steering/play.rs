@@ -364,7 +364,8 @@ pub(crate) fn play(
                 resized(&rendered.image, frame.width, frame.height).context("an image without pixels")?;
             let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
-            session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
+            // A coarse clock may count no time for a short frame.
+            session.observe(plan.id, (seconds as f32).max(1e-9), ObserveFlags::default())?;
             playback.records[c].push(Record {
                 step,
                 image_sample_distance,

@@ -300,6 +300,15 @@ fn a_closed_pipe_is_no_error() {
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn output_that_cannot_be_written_is_an_error() {
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_entire")).arg("doctor").stdout(full).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("cannot write to stdout: No space"), "{}", stderr(&output));
+}
+
+#[test]
 fn wrong_usage_exits_with_2_and_help_shows_examples() {
     let folder = workshop();
     let camera =

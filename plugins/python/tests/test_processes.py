@@ -115,3 +115,23 @@ def test_python_m_entire_and_the_command_are_one():
     )
     assert wrong.returncode in (1, 2)
     assert wrong.stderr
+
+
+def test_a_farm_starts_its_workers(voxels, tmp_path):
+    voxels.tofile(tmp_path / "v.raw")
+    sizes = " ".join(str(n) for n in voxels.shape[::-1])
+    kind = {"uint8": "uchar", "uint16": "ushort", "float32": "float"}[voxels.dtype.name]
+    (tmp_path / "v.nhdr").write_text(
+        f"NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {sizes}\nencoding: raw\nendian: little\ndata file: v.raw\n"
+    )
+    (tmp_path / "job.toml").write_text(
+        'name = "db"\nsizes = ["16x16"]\n[[volumes]]\nfiles = ["v.nhdr"]\n'
+        '[[cameras]]\nkind = "orbit"\nviews = 2\nelevation_deg = 15.0\ndistances_radii = [2.5]\n'
+        '[[transfer]]\nname = "one"\nlobes = [[0.5, 0.05, 0.4]]\n[renderer]\nkind = "entire"\ndevice = "cpu"\n'
+    )
+    run = subprocess.run(
+        [sys.executable, "-m", "entire", "farm", "job.toml", "--slots", "1", "--quiet"],
+        capture_output=True, text=True, timeout=60, cwd=tmp_path,
+    )
+    assert run.returncode == 0, run.stderr
+    assert "2 of 2 images" in run.stdout

@@ -218,6 +218,15 @@ def test_masked_arrays_hide_their_voxels():
         entire.Volume(np.ma.masked_all((4, 4, 4)))
 
 
+@pytest.mark.parametrize(("dtype", "bounds", "low"), [("uint8", None, 0), ("int16", (-50.5, 400), -51), ("float32", (-2, 9), -2)])
+@pytest.mark.filterwarnings("ignore:.*hidden by a mask")
+def test_hidden_voxels_have_the_low_end_of_the_range(dtype, bounds, low):
+    array = np.linspace(100, 250, 1000).astype(dtype).reshape(10, 10, 10)
+    volume = entire.Volume(np.ma.masked_less(array, 150), range=bounds)
+    assert volume.array[0, 0, 0] == low
+    assert volume.array.max() == array.max()
+
+
 def test_nan_is_said_once_and_decides_nothing():
     array = _values()
     array[0] = np.nan

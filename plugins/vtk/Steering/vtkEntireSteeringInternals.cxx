@@ -555,12 +555,12 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
   if (!this->State.empty())
   {
     auto loaded = made->load_state(this->State);
-    if (!loaded)
+    if (!loaded && !leaf.RefusedState)
     {
-      // The frame is drawn without the state: it belongs to another mapper, model or clock.
+      // This mapper is drawn without the state, which stays for the others.
       this->Warn("LoadState(): " + loaded.message());
-      this->State.clear();
     }
+    leaf.RefusedState = !loaded;
   }
   this->NoteClocks(*made);
   leaf.Session = std::make_shared<entire::session>(std::move(*made));

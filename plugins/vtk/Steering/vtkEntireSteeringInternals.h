@@ -268,6 +268,8 @@ public:
     vtkEntire::MapperSettings Written;
     vtkEntire::SmartSettings OwnOuter;
     vtkEntire::SmartSettings WrittenOuter;
+    // True if the state of LoadState() belongs to another mapper, model or clock.
+    bool RefusedState = false;
     bool Ready = false;
     bool Drawing = false;
     bool Steered = false;

@@ -135,7 +135,9 @@ class Holder:
         yt.visualization.image_handling.ImageArray
             The picture, of :attr:`resolution`.
         """
-        settings = [(1.0 / n, self.full) for n in range(self.most, 0, -1)]
+        # Steps below 1/64 cannot be predicted; more samples are predicted as 64.
+        counts = list(range(self.most, 0, -1))
+        settings = [(max(1 / 64, 1 / n), self.full) for n in counts]
         scale = 1.0
         while scale > self.smallest:
             scale = max(self.smallest, scale / 1.25)
@@ -149,8 +151,7 @@ class Holder:
             skipping="none",
             termination=1.0,
         )
-        step, self.resolution = settings[index]
-        self.samples = round(1.0 / step)
+        self.samples, self.resolution = counts[min(index, self.most - 1)], settings[index][1]
         self.predicted, self._plan = plan.seconds, plan
         camera = self.scene.camera
         self.source.num_samples, camera.resolution = self.samples, self.resolution

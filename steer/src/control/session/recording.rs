@@ -171,7 +171,7 @@ mod tests {
     use crate::calibrate::tests::unit_factor;
     use crate::control::HybridOptions;
     use crate::features::Setting;
-    use crate::predict::{UnitCosts, load};
+    use crate::predict::{AnalyticModel, UnitCosts, load};
     use alloc::vec;
     use entire_core::ErrorKind;
     use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
@@ -284,6 +284,22 @@ mod tests {
         let same = load(&prior.to_model().unwrap()).unwrap();
         session.set_predictor(same, HybridOptions::default()).unwrap();
         assert_eq!(session.features().probe_side(), 5);
+    }
+
+    #[test]
+    fn the_asked_probe_returns_with_unit_costs() {
+        let mut session = Session::untrained().with_probe(24, Some(0.2)).unwrap();
+        let network = load(&unit_factor(5).to_model().unwrap()).unwrap();
+        session.set_predictor(network, HybridOptions::default()).unwrap();
+        assert_eq!((session.features().probe_side(), session.ladder.is_some()), (5, false));
+        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
+        assert_eq!((session.features().probe_side(), session.ladder.is_some()), (24, true));
+        // After a plan with fewer rays, a prior with the finest probe is still accepted.
+        session.set_volume(summary(24), None);
+        session.set_transfer(&table(0.3), None).unwrap();
+        session.plan(&frame(1), 1e3).unwrap();
+        assert!(session.features().probe_side() < 24);
+        session.record(Some(&unit_factor(24)), 100).unwrap();
     }
 
     #[test]

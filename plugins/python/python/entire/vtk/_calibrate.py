@@ -26,6 +26,10 @@ log = logging.getLogger("entire.vtk")
 _STEPS = (1.0, 1.5, 2.2, 3.3)
 _IMAGES = (1.0, 1.3, 1.7)
 
+# Image sample distances of the frames to which costs are fitted, and number of consecutive frames with each.
+_SIZES = (1.0, 2.0, 1.0, 4.0)
+_FRAMES_PER_SIZE = 6
+
 
 def rmse(picture: np.ndarray, full: np.ndarray) -> float:
     """Root mean square difference of two pictures' colors."""
@@ -153,7 +157,9 @@ class _Calibrator:
             if steering is not None:
                 # Hides the overlay and turns steering off.
                 quiet.enter_context(steering.still())
-            if pictures and self.gpu and renderer.GetOrigin() != (0, 0):
+            # Elsewhere in the window, the GPU mapper draws nothing with a larger image sample distance.
+            shrinks = not self.gpu or renderer.GetOrigin() == (0, 0)
+            if pictures and not shrinks:
                 log.warning(
                     "pictures are not compared: the GPU mapper draws smaller images only in renderers at the window's "
                     "lower left corner"
@@ -175,6 +181,11 @@ class _Calibrator:
                 prop.SetScalarOpacityUnitDistance(0, unit * 2 ** draw.uniform(-3, 3))
                 step = base * (max(coarsest, base) / base) ** draw.random()
                 mapper.SetSampleDistance(step * grid.reference)
+                if i % _FRAMES_PER_SIZE == 0:
+                    # Steering draws smaller images too. The first frame of a size creates buffers and is not timed.
+                    image = _SIZES[i // _FRAMES_PER_SIZE % len(_SIZES)] if shrinks else 1.0
+                    mapper.SetImageSampleDistance(image)
+                    window.Render()
                 window.Render()
                 if i == 0:
                     continue  # The first frame includes one-time work.
@@ -183,7 +194,7 @@ class _Calibrator:
                     grid.volume,
                     _scene.camera(renderer, placed, grid),
                     _scene.transfer_function(_scene.transfer_nodes(prop, grid.range)),
-                    renderer.GetSize(),
+                    tuple(max(1, int(side / image)) for side in renderer.GetSize()),
                     self.seconds,
                     step=step,
                     shading="local" if look[0] else "none",
@@ -217,11 +228,13 @@ class _Calibrator:
         error: Callable[[np.ndarray, np.ndarray], float],
     ) -> None:
         """Draws the view at every pair of step and image sample distance, and compares it with full quality."""
+        # Under automatic adjustment, the mapper's own image sample distance is that of its last frame.
+        base = 1.0 if own.adjust else own.image
         full = None
         for image in _IMAGES:
             for step in _STEPS:
                 self.mapper.SetSampleDistance(step * finest)
-                self.mapper.SetImageSampleDistance(own.image * image)
+                self.mapper.SetImageSampleDistance(base * image)
                 # Twice, since the first frame creates buffers and tables.
                 self.window.Render()
                 self.window.Render()
