@@ -483,7 +483,7 @@ fn main() {
                 let net = PredNet::with(&parts, level, storage).expect("a network");
                 let setup = start.elapsed().as_nanos() as f64;
                 let peak = if storage == Storage::Int8 { peak_int8 } else { peak };
-                let bytes = net.bytes();
+                let bytes = net.memory().len();
                 let bandwidth = limits::bandwidth(level, bytes);
                 let mut normal = Normal(7);
                 let rows = 384;

@@ -37,32 +37,6 @@ pub fn chunks<const N: usize, T: bytemuck::Pod>(all: &[T]) -> (&[[T; N]], &[T]) 
     (bytemuck::cast_slice(whole), rest)
 }
 
-/// As [`chunks`], for writing.
-#[inline(always)]
-pub fn chunks_mut<const N: usize, T: bytemuck::Pod>(all: &mut [T]) -> (&mut [[T; N]], &mut [T]) {
-    let (whole, rest) = all.split_at_mut(all.len() - all.len() % N);
-    (bytemuck::cast_slice_mut(whole), rest)
-}
-
-/// A vector of `len` zeros from zeroed pages: untouched pages take no memory.
-pub(crate) fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
-    bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())
-}
-
-/// Returns a new vector of `len` zeros if the capacity of `vector` is below `len`, otherwise `None`.
-/// Untouched pages of the new vector take no memory.
-pub fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
-    if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
-}
-
-/// Replaces `vector` by `longer` if `longer` is `Some`; otherwise resizes `vector` to `len`.
-pub fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
-    match longer {
-        Some(longer) => *vector = longer,
-        None => vector.resize(len, T::zeroed()),
-    }
-}
-
 /// Reserves capacity for `len` elements in total. May reserve more, so that a vector that grows step by step
 /// is reallocated only a few times.
 pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
@@ -97,15 +71,6 @@ pub fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>
 /// failure of one of them would abort the process.
 pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
-}
-
-/// Returns `fingerprint` with `number` mixed in. Different sequences of numbers are very unlikely to give the
-/// same fingerprint.
-pub fn mixed(fingerprint: u64, number: u64) -> u64 {
-    let mut z = (fingerprint ^ number).wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 #[cfg(test)]

@@ -426,7 +426,7 @@ pub unsafe extern "C" fn entire_model_describe(
                 input_count: loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs()),
                 group_count: model.inputs().len(),
                 feature_count: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.feature_len()),
-                encoder_edge: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.input_size()),
+                encoder_edge: model.volumenet().map_or(0, |parts| parts.input),
                 scene_feature_count: model.scene_features().len(),
                 target: match model.prednet().map(|net| net.target) {
                     None => ENTIRE_TARGET_NONE,

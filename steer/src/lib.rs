@@ -79,6 +79,7 @@ mod adapt;
 pub mod calibrate;
 pub mod control;
 pub mod features;
+mod memory;
 pub mod numeric;
 pub mod predict;
 pub mod schedule;

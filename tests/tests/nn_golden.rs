@@ -2,7 +2,7 @@
 //! every level. A level that this CPU lacks is reported as ignored.
 
 use entire_core::kernels::{Executor, Storage};
-use entire_core::kernels::{Isa, Level};
+use entire_core::kernels::Level;
 use entire_core::model::Model;
 use entire_core::nn::{Dtype, PredNet};
 use entire_tests::levels::on_every_level;
@@ -190,6 +190,6 @@ fn main() {
         storage_follows_the_file();
         Ok(())
     }));
-    assert!(trials.len() >= Isa::ALL.len());
+    assert!(trials.len() >= 3);
     libtest_mimic::run(&arguments, trials).exit();
 }

@@ -13,7 +13,6 @@ mod executor;
 pub(crate) mod helper;
 mod level;
 pub(crate) mod mlp;
-mod plain;
 pub(crate) mod resample;
 mod scalar;
 mod simd;

@@ -115,11 +115,6 @@ impl PredNet {
         self.mlp.inputs()
     }
 
-    /// Bytes of weights that one prediction reads.
-    pub fn bytes(&self) -> usize {
-        self.mlp.bytes()
-    }
-
     /// The packed weights, for benchmarks that evict them from the caches.
     pub fn memory(&self) -> &[u8] {
         self.mlp.memory()

@@ -88,11 +88,6 @@ impl VolumeNet {
         Ok(Self { input: parts.input, features: parts.fc.outputs, level, encoder })
     }
 
-    /// Edge of the cubic input, in voxels.
-    pub fn input_size(&self) -> usize {
-        self.input
-    }
-
     /// Number of features.
     pub fn feature_len(&self) -> usize {
         self.features
@@ -388,7 +383,7 @@ mod tests {
             let expected = exact(&parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
             for level in Level::available() {
                 let net = VolumeNet::with(&parts, level).unwrap();
-                assert_eq!((net.input_size(), net.feature_len(), net.level), (input, 3, level));
+                assert_eq!((net.input, net.feature_len(), net.level), (input, 3, level));
                 assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
             }
         }
@@ -562,7 +557,7 @@ mod tests {
         let bytes: Vec<u8> = (0..70 * 70 * 70).map(|i| (i * 31 % 255) as u8).collect();
         let mut shared = nets[0].scratch();
         for net in nets.iter().chain(nets.iter().rev()) {
-            let view = VolumeView::new(Scalars::U8(&bytes), [net.input_size(); 3]).unwrap();
+            let view = VolumeView::new(Scalars::U8(&bytes), [net.input; 3]).unwrap();
             let mut features = [0.0; 2];
             net.encode(&view, &mut shared, Executor::Serial, &mut features).unwrap();
             assert_eq!(features.as_slice(), encode(net, &view));

@@ -4,7 +4,7 @@
 use super::Nodes;
 use crate::Result;
 use crate::error::bail;
-use crate::memory::{collected, mixed};
+use crate::memory::collected;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 
@@ -107,13 +107,6 @@ pub struct TransferTable {
 }
 
 impl TransferTable {
-    /// Hash of the table; different tables are very unlikely to collide.
-    pub fn fingerprint(&self) -> u64 {
-        let unit = u64::from(self.unit_distance.to_bits());
-        let pairs = self.rgba.iter().flat_map(|[r, g, b, a]| [(r, g), (b, a)]);
-        pairs.fold(unit, |sum, (a, b)| mixed(sum, u64::from(a.to_bits()) << 32 | u64::from(b.to_bits())))
-    }
-
     /// A table from its entries, with a unit distance of one reference step.
     ///
     /// # Errors

@@ -15,6 +15,7 @@ pub use posterior::{Chosen, Observed, PriorModel};
 use crate::features::{
     Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary,
 };
+use crate::memory::mixed;
 use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
 use alloc::string::ToString;
 use alloc::vec::Vec;
@@ -22,7 +23,7 @@ use core::ops::RangeInclusive;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::kernels::Executor;
-use entire_core::memory::{filled, mixed, reserve, room};
+use entire_core::memory::{filled, reserve, room};
 use entire_core::model::{Key, ModelFile};
 use entire_core::names;
 use entire_core::scene::{Frame, Skipping, TransferTable};
@@ -50,8 +51,15 @@ impl Shown {
     /// Returns hashes of a volume's sizes and histogram and of a transfer function; equal hashes of different
     /// scenes are very unlikely.
     fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
-        Self { volume: volume.fingerprint(), transfer: transfer.fingerprint() }
+        Self { volume: volume.fingerprint(), transfer: table_fingerprint(transfer) }
     }
+}
+
+/// Hash of a transfer table; different tables are very unlikely to collide.
+pub(crate) fn table_fingerprint(table: &TransferTable) -> u64 {
+    let unit = u64::from(table.unit_distance().to_bits());
+    let pairs = table.rgba().iter().flat_map(|[r, g, b, a]| [(r, g), (b, a)]);
+    pairs.fold(unit, |sum, (a, b)| mixed(sum, u64::from(a.to_bits()) << 32 | u64::from(b.to_bits())))
 }
 
 /// Kind of the groups of frames that are held out together in cross-validation.

@@ -1,9 +1,9 @@
 //! Classes of cells by their distance to the nearest empty cell. A renderer whose skip map holds this
 //! distance looks the map up less often far from empty cells.
 
+use crate::memory::{fit, longer};
 use alloc::vec::Vec;
 use entire_core::Result;
-use entire_core::memory::{fit, longer};
 
 /// Smallest distance to the nearest empty cell, in cells, for each of the classes 1, 2 and 3. In class c, a
 /// renderer reads its skip map once per 2^c cells.

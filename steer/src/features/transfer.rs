@@ -3,9 +3,9 @@
 use super::VolumeSummary;
 use super::classify::{Visible, classify, classify_blocks};
 use super::interior::Interior;
+use crate::memory::{fit, longer};
 use alloc::vec::Vec;
 use entire_core::Result;
-use entire_core::memory::{fit, longer};
 use entire_core::scene::{TABLE_LEN, TransferTable};
 
 /// Length over which values along a ray are fully correlated, in reference steps. A cell's extinction is

@@ -5,13 +5,14 @@ use super::{
     AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, InputRange, Inputs, Prediction, Predictor,
     Quality, Source, UpperBound, checked_seconds,
 };
+use crate::memory::chunks_mut;
 use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::sync::Arc;
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
-use entire_core::memory::{chunks_mut, filled};
+use entire_core::memory::filled;
 use entire_core::model::{Key, Model};
 use entire_core::nn::{PredNet, PredScratch};
 use serde::{Deserialize, Serialize};

@@ -47,7 +47,7 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
         let net = VolumeNet::with(volumenet, level).map_err(text)?;
         let mut scratch = net.scratch();
         let mut features = vec![0.0f32; net.feature_len()];
-        let n = net.input_size();
+        let n = volumenet.input;
         // Resampling from the same size, from larger ones by whole and by fractional factors, and from a
         // smaller one.
         for dims in [[n; 3], [2 * n; 3], [n + 3, 2 * n - 1, n + 1], [1, n / 2, 3]] {

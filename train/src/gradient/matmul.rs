@@ -1,6 +1,6 @@
 //! Matrix products over slices, and plain loops compiled for this CPU.
 
-use entire_core::kernels::Level;
+use entire_core::kernels::{Kernel, Level, Simd};
 use ndarray::{ArrayView2, ArrayViewMut2, LinalgScalar, linalg::general_mat_mul};
 use std::sync::OnceLock;
 
@@ -10,10 +10,22 @@ pub(super) fn level() -> Level {
     *LEVEL.get_or_init(Level::detect)
 }
 
-/// Runs a small closure of plain loops (see [`Level::vectorize`]).
+struct Plain<F>(F);
+
+impl<R, F: FnOnce() -> R> Kernel for Plain<F> {
+    type Output = R;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> R {
+        (self.0)()
+    }
+}
+
+/// Runs a closure of plain loops, compiled with the instructions of this CPU. Additions and multiplications are
+/// never fused, so the results do not depend on the CPU.
 #[inline(always)]
 pub(super) fn vectorized<R>(loops: impl FnOnce() -> R) -> R {
-    level().vectorize(loops)
+    level().run(Plain(loops))
 }
 
 /// Returns a slice as a matrix of `rows` × `columns`, stored row by row.

@@ -140,11 +140,6 @@ impl Mlp {
         self.inputs
     }
 
-    /// Number of bytes that one prediction reads.
-    pub(crate) fn bytes(&self) -> usize {
-        (self.data.len() + self.norm.len()) * LINE_BYTES
-    }
-
     /// The packed weights, for benchmarks that evict them from the caches.
     pub(crate) fn memory(&self) -> &[u8] {
         bytemuck::cast_slice(&self.data)

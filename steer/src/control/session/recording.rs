@@ -1,7 +1,7 @@
 //! Records a session's planned and observed frames, to fit a model to them.
 
 use super::{PENDING_PLANS, Session};
-use crate::calibrate::{Calibrated, Calibration, Picture, Shown};
+use crate::calibrate::{Calibrated, Calibration, Picture, Shown, table_fingerprint};
 use crate::features::VolumeSummary;
 use crate::predict::{COSTS, Inputs, Measurement};
 use alloc::boxed::Box;
@@ -44,7 +44,7 @@ impl Recording {
 
     /// Sets the present transfer function.
     pub(super) fn set_transfer(&mut self, table: &TransferTable) {
-        self.shown.transfer = table.fingerprint();
+        self.shown.transfer = table_fingerprint(table);
     }
 
     /// Number of rays along each side of the prior's probe; 0 if it has none.

@@ -8,8 +8,8 @@ use super::march::{
 };
 use super::{MAX_RAYS, SHADOW_DIRECTION};
 use crate::features::transfer::packed;
+use crate::memory::chunks_mut;
 use entire_core::kernels::{Kernel, Level, Simd};
-use entire_core::memory::chunks_mut;
 
 /// Marches the first `count` rays. The length of each array of `rays` must be a multiple of 16.
 pub(super) fn march(level: Level, march: &mut March<'_>, rays: &mut [&mut [f32]; FIELDS], count: usize) {

@@ -3,11 +3,12 @@
 use super::QUANTILES;
 use super::entries::{Map, Voxel};
 use super::scan::{Bounds, Grid, Scratch, Source, Tally, all, bounds_of, deal, nothing};
+use crate::memory::mixed;
 use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
-use entire_core::memory::{chunks, copied, filled, mixed, reserve, room};
+use entire_core::memory::{chunks, copied, filled, reserve, room};
 
 /// One bit per cell of a row along x; a row has at most 128 cells.
 pub(super) type Mask = u128;

@@ -107,7 +107,7 @@ impl VolumeSummary {
     pub(crate) fn fingerprint(&self) -> u64 {
         let sizes = self.shape.dims.iter().map(|&n| n as u64);
         let shares = self.histogram.iter().map(|h| u64::from(h.to_bits()));
-        sizes.chain(shares).fold(0, entire_core::memory::mixed)
+        sizes.chain(shares).fold(0, crate::memory::mixed)
     }
 
     /// Makes a summary from bounds that the renderer already has: one (low, high) pair of normalized scalars
