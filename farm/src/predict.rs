@@ -141,10 +141,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         };
         let mut transfers = Vec::new();
         for named in &job.transfers {
-            let mut transfer = TransferSummary::new(&summary, &named.transfer.function().to_table()?)?;
-            if skip == Skipping::Distance {
-                transfer.prepare_distance();
-            }
+            let transfer = TransferSummary::new(&summary, &named.transfer.function().to_table()?)?;
             transfers.push((transfer, named.transfer.lobes()));
         }
         let seconds: Vec<f32> = (index * per_volume..(index + 1) * per_volume)

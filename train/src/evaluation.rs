@@ -171,9 +171,6 @@ pub fn warm_latency(
         let mut transfer = TransferSummary::new(&summary, &table)?;
         let start = Instant::now();
         transfer.update(&summary, std::hint::black_box(&table))?;
-        if f.scene.skipping == entire_core::scene::Skipping::Distance {
-            transfer.prepare_distance();
-        }
         transfer_times.push(start.elapsed().as_secs_f64());
         let setting = Setting::from(&frame);
         for _ in 0..ROUNDS {

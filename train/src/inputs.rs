@@ -5,7 +5,7 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::kernels::Executor;
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{PredNetParts, VolumeNet, VolumeNetParts};
-use entire_core::scene::{Arcball, GaussianLobe, Skipping};
+use entire_core::scene::{Arcball, GaussianLobe};
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Scene, Table, TimedFrame};
 use entire_io::enlarge::{MAX_FACTOR, enlarge};
@@ -326,9 +326,6 @@ pub fn measure<T: Send>(
                     let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
                     if let Some(summary) = &volume_summary {
                         let mut transfer = TransferSummary::new(summary, &scene.to_table()?)?;
-                        if scene.skipping == Skipping::Distance {
-                            transfer.prepare_distance();
-                        }
                         features.measure(summary, &mut transfer, &frame)?;
                     }
                     let inputs = Inputs {

@@ -1,7 +1,7 @@
 //! A predictor in place of a renderer, for distillation: a frame takes only the time of a prediction.
 
 use entire_core::model::Model;
-use entire_core::scene::{Arcball, Frame, Skipping, TransferTable, VolumeView};
+use entire_core::scene::{Arcball, Frame, TransferTable, VolumeView};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
@@ -62,9 +62,6 @@ impl Renderer for Teacher {
         let (Some(summary), Some(transfer)) = (&self.summary, &mut self.transfer) else {
             return Err(Error::new("volume and transfer function were not set"));
         };
-        if frame.skipping == Skipping::Distance {
-            transfer.prepare_distance();
-        }
         self.features.measure(summary, transfer, frame).map_err(|e| Error::new(e.to_string()))?;
         let inputs = Inputs {
             features: &self.features,

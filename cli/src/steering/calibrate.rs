@@ -91,7 +91,6 @@ pub fn measure(
         let table = TransferFunction::Gaussian(drawn.lobes.clone()).to_table().with_context(place)?;
         renderer.set_transfer(&table).with_context(place)?;
         let mut transfer = TransferSummary::new(summary, &table)?;
-        transfer.prepare_distance();
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
         features.measure(summary, &mut transfer, &frame)?;

@@ -4,7 +4,6 @@ use super::factor::Factor;
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::{Quality, Sample};
-use entire_core::scene::Skipping;
 use entire_farm::Task;
 use entire_io::metrics::median;
 use entire_steer::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
@@ -29,7 +28,6 @@ impl Recorded {
             let volume = trace.volume_at(index);
             let table = at.transfer.function().to_table()?;
             let mut transfer = TransferSummary::new(&summaries[volume], &table)?;
-            transfer.prepare_distance();
             let frame = trace.frame(&path, &draw, index)?;
             features.measure(&summaries[volume], &mut transfer, &frame)?;
             for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
@@ -135,9 +133,6 @@ pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: us
         let volume = trace.volume_at(index);
         let table = at.transfer.function().to_table()?;
         let mut transfer = TransferSummary::new(&summaries[volume], &table)?;
-        if draw.skipping == Skipping::Distance {
-            transfer.prepare_distance();
-        }
         let frame = trace.frame(&path, &draw, index)?;
         let begin = std::time::Instant::now();
         features.measure(&summaries[volume], &mut transfer, &frame)?;

@@ -42,12 +42,6 @@ impl FrameBudget {
     fn end(&mut self, seconds: f32, usual: bool) {
         self.0.end(seconds, usual);
     }
-
-    /// Seconds of a frame outside of the passes: the median of the last five frames.
-    #[getter]
-    fn rest(&self) -> f32 {
-        self.0.rest()
-    }
 }
 
 #[pymethods]

@@ -26,7 +26,7 @@ use entire_core::kernels::Executor;
 use entire_core::memory::{filled, reserve, room};
 use entire_core::model::{Key, ModelFile};
 use entire_core::names;
-use entire_core::scene::{Frame, Skipping, TransferTable};
+use entire_core::scene::{Frame, TransferTable};
 use posterior::FEWEST_GROUPS;
 
 /// Smallest number of frames that a model is fitted to.
@@ -177,9 +177,6 @@ impl Calibration {
         seconds: f64,
     ) -> Result<()> {
         let mut transfer = TransferSummary::new(volume, table)?;
-        if frame.skipping == Skipping::Distance {
-            transfer.prepare_distance();
-        }
         let side = match self.prior.probe_side() {
             0 => PROBE_SIDE,
             side => side,

@@ -268,7 +268,8 @@ fn a_frame_is_measured_with_the_probe_of_the_prior() {
     let table = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.4, width: 0.05, height: 0.2 }]);
     let table = table.to_table().unwrap();
     let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
-    let frame = Frame { skipping: Skipping::Distance, ..Frame::new(camera, 90, 70).unwrap() };
+    let frame =
+        Frame { skipping: entire_core::scene::Skipping::Distance, ..Frame::new(camera, 90, 70).unwrap() };
     let added = |side: usize| {
         let mut calibration = Calibration::new(Some(&unit_factor(side)), 8).unwrap();
         calibration.add(&volume, &table, &frame, 0.02).unwrap();

@@ -128,7 +128,7 @@ impl FrameBudget {
 
     /// Seconds of a frame outside of the passes: the median of the last five frames that counted; 0 before
     /// the second frame.
-    pub fn rest(&self) -> f32 {
+    pub(crate) fn rest(&self) -> f32 {
         let n = (self.count as usize).min(REST_FRAMES);
         if n == 0 {
             return 0.0;

@@ -477,9 +477,6 @@ impl Session {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");
         };
-        if frame.skipping == Skipping::Distance {
-            transfer.prepare_distance();
-        }
         self.features.measure(volume, transfer, frame)?;
         self.note_cast(frame);
         Ok(())

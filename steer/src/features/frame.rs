@@ -202,8 +202,8 @@ impl FrameFeatures {
         }
     }
 
-    /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first;
-    /// otherwise jumps are counted as with [`Skipping::Blocks`].
+    /// Measures a frame. For [`Skipping::Distance`], the first frame of a transfer function also computes its
+    /// distance map.
     ///
     /// # Errors
     /// As [`Frame::checked`].
@@ -214,6 +214,9 @@ impl FrameFeatures {
         frame: &Frame,
     ) -> Result<()> {
         frame.checked()?;
+        if frame.skipping == Skipping::Distance {
+            transfer.prepare_distance();
+        }
         self.probe = Probe::on(self.level, volume, transfer, frame, self.probe_side);
         self.pose = frame.camera.to_arcball();
         self.occupied_share = transfer.occupied_share();

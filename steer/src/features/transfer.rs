@@ -365,7 +365,7 @@ impl TransferSummary {
 
     /// Computes the distance map for [`entire_core::scene::Skipping::Distance`], unless it is up to date.
     /// Never allocates.
-    pub fn prepare_distance(&mut self) {
+    pub(crate) fn prepare_distance(&mut self) {
         if self.distance_ready {
             return;
         }

@@ -209,10 +209,11 @@ const CORE: &Rooms = &[
 
 const STEER: &Rooms = &[
     ("numeric", &[]),
-    ("features", &[]),
-    ("predict", &["features", "numeric"]),
+    ("memory", &[]),
+    ("features", &["memory"]),
+    ("predict", &["features", "memory", "numeric"]),
     ("adapt", &["predict"]),
-    ("calibrate", &["features", "numeric", "predict"]),
+    ("calibrate", &["features", "memory", "numeric", "predict"]),
     ("control", &["adapt", "calibrate", "features", "predict"]),
     ("schedule", &[]),
 ];

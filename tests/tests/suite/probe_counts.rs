@@ -91,7 +91,6 @@ fn estimated_work_is_the_counted_work() {
                 };
                 let counts = renderer.render(&frame).expect("a picture").counts.expect("counts");
                 let mut transfer = TransferSummary::new(&summary, &table).expect("a summary");
-                transfer.prepare_distance();
                 let mut features = FrameFeatures::default();
                 features.measure(&summary, &mut transfer, &frame).expect("a frame");
                 let of = features.quantities(Setting::from(&frame));
