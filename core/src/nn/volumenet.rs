@@ -34,7 +34,7 @@ pub struct EncodeScratch {
 /// layer (paper, section on the volume network). Blocks can have any kernel edge, stride and padding.
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
-/// [`input_size`](Self::input_size)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
+/// [`input`](VolumeNetParts::input)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
 /// = (z, y, x). A block with a kernel of k³ taps maps a tensor `x` of `Cin × n³` values to `Cout × m³`
 /// values, where m = (n + 2·padding − k) / stride + 1, rounded down:
 ///

@@ -407,7 +407,7 @@ impl Controller for Hybrid {
         let coarsest = (request.cost)(limits.coarsest);
         let known = coarsest.seconds().is_finite() && coarsest.seconds() > 0.0;
         // Frames before a change of scene do not predict the frame after it.
-        let recent = !self.history.is_empty() && !(changes.any() && self.scene.first);
+        let recent = !(self.history.is_empty() || changes.any() && self.scene.first);
         let mut by_history = recent && (!known || self.history.leads());
         if !known && !by_history {
             self.last = Some(Last { step: limits.coarsest, target: request.target, terms: coarsest });
