@@ -216,6 +216,8 @@ public:
     const bool Gpu;
     // Shared with a running event handler, from which Forget() may be called.
     std::shared_ptr<entire::session> Session;
+    // True if the state of LoadState() belongs to another mapper, model or clock.
+    bool RefusedState = false;
 
   private:
     // True for a vtkFixedPointVolumeRayCastMapper. It reads its sample distances, and computes the opacities for them,
@@ -268,8 +270,6 @@ public:
     vtkEntire::MapperSettings Written;
     vtkEntire::SmartSettings OwnOuter;
     vtkEntire::SmartSettings WrittenOuter;
-    // True if the state of LoadState() belongs to another mapper, model or clock.
-    bool RefusedState = false;
     bool Ready = false;
     bool Drawing = false;
     bool Steered = false;
