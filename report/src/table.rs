@@ -1,6 +1,7 @@
 //! Tables that print on a terminal, in an HTML page and in Markdown from one description.
 
 use askama::Template;
+use entire_io::metrics::Metrics;
 use std::fmt::Write as _;
 
 /// Alignment of a column's texts.
@@ -176,6 +177,21 @@ impl Table {
         }
         out
     }
+}
+
+/// Returns the table of each predictor's median of predicted / measured − 1, in %, in each tenth of the frames, the
+/// fastest first.
+pub fn bias_table(predictors: &[(&str, &Metrics)]) -> Table {
+    let deciles = predictors.iter().map(|(_, m)| m.bias_by_decile.len()).max().unwrap_or(0);
+    let mut columns = vec![Column::text("predictor")];
+    columns.extend((1..=deciles).map(|d| Column::number(format!("tenth {d}"))));
+    let mut table = Table::new(columns);
+    for (name, metrics) in predictors {
+        let mut row = vec![(*name).into()];
+        row.extend(metrics.bias_by_decile.iter().map(|b| format!("{:+.1}", 100.0 * b).into()));
+        table.row(row);
+    }
+    table
 }
 
 #[cfg(test)]

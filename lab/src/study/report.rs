@@ -7,7 +7,7 @@ use anyhow::Result;
 use entire_io::files::{make_folder, write_json, write_whole};
 use entire_io::machine;
 use entire_io::metrics::BoundMetrics;
-use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, bias_table};
 use std::path::Path;
 
 /// Definition of the intervals, for captions.
@@ -174,20 +174,6 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
     (chart, knee)
 }
 
-fn bias_table(found: &Findings, set: &str, split: &str) -> Table {
-    let rows: Vec<&SplitResult> = models(found, set, split).collect();
-    let deciles = rows.iter().map(|r| r.metrics.bias_by_decile.len()).max().unwrap_or(0);
-    let mut columns = vec![Column::text("predictor")];
-    columns.extend((1..=deciles).map(|d| Column::number(format!("tenth {d}"))));
-    let mut table = Table::new(columns);
-    for r in rows {
-        let mut row = vec![r.predictor.clone().into()];
-        row.extend(r.metrics.bias_by_decile.iter().map(|b| format!("{:+.1}", 100.0 * b).into()));
-        table.row(row);
-    }
-    table
-}
-
 fn parts_table(found: &Findings, set: &str, split: &str) -> Table {
     let rows: Vec<&SplitResult> = models(found, set, split).collect();
     let mut names: Vec<&str> = Vec::new();
@@ -294,8 +280,9 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             let boxes = spread(found, s, p);
             put(&format!("errors-{}-{}.svg", s.replace(' ', "-"), i + 1), &boxes.to_svg_file())?;
             page.chart(&boxes, "");
+            let rows: Vec<_> = models(found, s, p).map(|r| (r.predictor.as_str(), &r.metrics)).collect();
             page.table(
-                &bias_table(found, s, p),
+                &bias_table(&rows),
                 "Median of predicted / measured - 1, in %, for each tenth of the frames, from the fastest to the \
                  slowest.",
             );

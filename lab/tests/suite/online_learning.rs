@@ -40,8 +40,7 @@ fn slower(name: &str, times: f64) -> Replayable {
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    entire_io::metrics::median(&mut values).expect("values")
 }
 
 #[test]

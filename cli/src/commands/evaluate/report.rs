@@ -4,7 +4,7 @@ use anyhow::Result;
 use entire_io::dataset::{NoiseFloor, TimedFrame};
 use entire_io::files::{make_folder, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
-use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, bias_table};
 use entire_train::evaluation::WarmLatency;
 use entire_train::split::GroupBy;
 use serde::Serialize;
@@ -111,15 +111,8 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     best(&mut overall, 6, |m| m.mdape, true);
     best(&mut overall, 9, |m| m.r2_log, false);
 
-    let deciles = predictors.iter().map(|p| p.metrics.bias_by_decile.len()).max().unwrap_or(0);
-    let mut columns = vec![Column::text("predictor")];
-    columns.extend((1..=deciles).map(|d| Column::number(format!("tenth {d}"))));
-    let mut bias = Table::new(columns);
-    for p in predictors {
-        let mut row = vec![p.name.clone().into()];
-        row.extend(p.metrics.bias_by_decile.iter().map(|b| format!("{:+.1}", 100.0 * b).into()));
-        bias.row(row);
-    }
+    let rows: Vec<_> = predictors.iter().map(|p| (p.name.as_str(), &p.metrics)).collect();
+    let bias = bias_table(&rows);
 
     let mut columns = vec![Column::text(by.name()), Column::number("frames")];
     for p in predictors {
