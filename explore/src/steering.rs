@@ -297,7 +297,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
             .to_owned(),
         Reason::NoInformation => "the coarsest setting allowed, because nothing is known yet".to_owned(),
         Reason::Off => "steering is off".to_owned(),
-        Reason::Reactive => "a rule that uses past frames only".to_owned(),
+        Reason::Reactive => "chosen by a rule that uses past frames only".to_owned(),
         _ => record.reason.to_string(),
     };
     format!("{controller}: {drawn}; {why}. {expected}; the frame took {}.", ms(record.seconds))

@@ -386,7 +386,7 @@ fn check_name(what: &str, name: &str) -> Result<()> {
     let ok = |c: char| c.is_alphanumeric() || "-_.".contains(c);
     ensure!(
         !name.is_empty() && name.len() <= 200 && name.chars().all(ok) && !name.starts_with('.'),
-        "{what} is {name:?}; letters, digits, - _ and . are accepted, not starting with a dot"
+        "{what} is {name:?}; it must be 1 to 200 bytes of letters, digits, - _ and ., not beginning with a dot"
     );
     Ok(())
 }

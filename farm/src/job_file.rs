@@ -165,7 +165,7 @@ pub enum Renderer {
     Command {
         /// Program and arguments.
         command: Vec<String>,
-        /// Time limit of a task, seconds. Then the program is ended, and the task counts as failed.
+        /// Time limit of a task, seconds. At the limit the program is ended, and the task counts as failed.
         timeout_s: Option<f64>,
     },
     /// A persistent program: it reads a task per line of its standard input (JSON) and answers each with a
@@ -173,7 +173,7 @@ pub enum Renderer {
     Session {
         /// Program and arguments.
         command: Vec<String>,
-        /// Time limit of a task, seconds. Then the program is ended, and the task counts as failed.
+        /// Time limit of a task, seconds. At the limit the program is ended, and the task counts as failed.
         timeout_s: Option<f64>,
     },
     /// A persistent ParaView script, run by `pvbatch`. It uses the protocol of `session`.
@@ -186,7 +186,7 @@ pub enum Renderer {
         /// The program.
         #[serde(default = "default_pvbatch")]
         program: String,
-        /// Time limit of a task, seconds. Then the program is ended, and the task counts as failed.
+        /// Time limit of a task, seconds. At the limit the program is ended, and the task counts as failed.
         timeout_s: Option<f64>,
     },
 }

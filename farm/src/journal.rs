@@ -92,8 +92,12 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
         if count == 0 || line.last() != Some(&b'\n') {
             return Ok(good);
         }
-        let entry = serde_json::from_slice(&line)
-            .with_context(|| format!("line {number} is damaged; restore the journal from a copy, or set another `output` in the job file"))?;
+        let entry = serde_json::from_slice(&line).with_context(|| {
+            format!(
+                "line {number} is damaged; restore the journal from a copy, or set another `output` in the job \
+                 file"
+            )
+        })?;
         each(entry)?;
         good += count as u64;
     }

@@ -61,7 +61,7 @@ pub(crate) fn enabled(level: entire_log_level) -> bool {
     level <= LEVEL.load(Ordering::Relaxed)
 }
 
-/// Logs `message` if a callback is set.
+/// Passes `message` to the callback, if one is set, takes this level, and is not running on this thread.
 pub(crate) fn emit(level: entire_log_level, message: &str) {
     if !enabled(level) || IN_CALLBACK.get() {
         return;

@@ -34,9 +34,9 @@ pub extern "C" fn entire_version_number() -> u32 {
     MAJOR * 1_000_000 + MINOR * 1000 + PATCH
 }
 
-/// The version of the binary interface, MAJOR * 1000, or MINOR before 1.0: programs must be recompiled when
-/// it changes, and only then. A library loaded at run time is compatible if this equals `ENTIRE_ABI_VERSION`
-/// of the header.
+/// The version of the binary interface: MAJOR * 1000, or MINOR before version 1.0. Programs must be
+/// recompiled if and only if it changes. A library loaded at run time is compatible if this version equals
+/// `ENTIRE_ABI_VERSION` of the header.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_abi_version() -> u32 {
     if MAJOR == 0 { MINOR } else { MAJOR * 1000 }

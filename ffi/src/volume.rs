@@ -513,8 +513,8 @@ fn unknown_scalar(found: u32) -> Failure {
     )
 }
 
-/// Makes a volume of brick bounds. It has no voxels to encode: for a model with volume features, call
-/// entire_volume_set_features too.
+/// Makes a volume from the bounds of bricks. It has no voxels to encode: for a model with volume features,
+/// call entire_volume_set_features too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a value of the description that is out of range), ENTIRE_SIZE_MISMATCH
 /// (a brick count that does not match sizes and edge, or sizes over the limits of entire_brick_desc),

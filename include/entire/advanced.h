@@ -516,9 +516,9 @@ extern "C" {
 uint32_t entire_version_number(void);
 
 /**
- * The version of the binary interface, MAJOR * 1000, or MINOR before 1.0: programs must be recompiled when
- * it changes, and only then. A library loaded at run time is compatible if this equals `ENTIRE_ABI_VERSION`
- * of the header.
+ * The version of the binary interface: MAJOR * 1000, or MINOR before version 1.0. Programs must be
+ * recompiled if and only if it changes. A library loaded at run time is compatible if this version equals
+ * `ENTIRE_ABI_VERSION` of the header.
  */
 uint32_t entire_abi_version(void);
 
@@ -641,8 +641,8 @@ entire_result entire_model_last_error(const entire_model *model,
 entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t struct_size);
 
 /**
- * Makes a volume of brick bounds. It has no voxels to encode: for a model with volume features, call
- * entire_volume_set_features too.
+ * Makes a volume from the bounds of bricks. It has no voxels to encode: for a model with volume features,
+ * call entire_volume_set_features too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a value of the description that is out of range), ENTIRE_SIZE_MISMATCH
  * (a brick count that does not match sizes and edge, or sizes over the limits of entire_brick_desc),
@@ -784,11 +784,11 @@ entire_result entire_session_calibrate(const entire_session *session,
  * model then contains this renderer's quality law (picture error as a function of ray step and image size),
  * and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw at least
  * 3 scenes, all at the same settings. `scene` is a number that identifies the view, `step` is the ray step
- * in multiples of the finest, and `image_sample_distance` is the distance of neighboring rays in pixels.
- * Include full quality (1 and 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is
- * any measure that is 0 for equal pictures and grows with the difference, such as the root mean squared
- * difference of colors, or 1 - SSIM. Enlarge smaller pictures to full size before the comparison. The first
- * 65536 pictures are kept.
+ * in multiples of the finest, `image_sample_distance` is the distance of neighboring rays in pixels, and
+ * `seconds` is the time that the drawing took. Include full quality (1 and 1, `error` 0), coarser steps
+ * alone, smaller images alone, and both. `error` is any measure that is 0 for equal pictures and grows with
+ * the difference, such as the root mean squared difference of colors, or 1 - SSIM. Enlarge smaller pictures
+ * to full size before the comparison. The first 65536 pictures are kept.
  *
  * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
  * below 1, seconds that are not positive, a negative error, numbers that are not finite),

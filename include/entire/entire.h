@@ -451,8 +451,9 @@ typedef struct entire_session_options {
      */
     float coarsest_step;
     /**
-     * Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer frames
-     * exceed the target by more than `tolerance`, since most bounds are below the target.
+     * Share of calm frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. The share
+     * of undisturbed frames over (1 + `tolerance`) * target is smaller, since many bounds are below that
+     * limit.
      */
     float miss_rate;
     /**

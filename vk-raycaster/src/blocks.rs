@@ -113,9 +113,10 @@ impl SkipMap {
 /// Returns the Chebyshev distance of every block to the nearest block whose bit 7 equals `kind`, at most
 /// [`MAX_DISTANCE`].
 ///
-/// Two passes, one against the other, each replace a block's distance by 1 more than the least one of the 13 neighbors
-/// that the pass has visited. The result is exact for this metric (Borgefors, Distance transformations in arbitrary
-/// dimensions, 1984). The time does not depend on the distances.
+/// Two passes visit the blocks in opposite orders. Each pass limits a block's distance to 1 more than the
+/// smallest distance among the 13 neighbors that it has already visited. The result is exact for this metric
+/// (Borgefors, Distance transformations in arbitrary dimensions, 1984). The run time does not depend on the
+/// distances.
 fn distances(bytes: &[u8], dims: [usize; 3], kind: u8) -> Vec<u8> {
     let [nx, ny, nz] = dims;
     // One layer of blocks at the largest distance surrounds the map.

@@ -365,8 +365,8 @@ fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
     Ok(())
 }
 
-/// Checks that a frame of several tiles in which every dispatch is slow halves the tiles once. The first
-/// dispatch of a shader does not count, since the driver compiles the shader in it.
+/// Checks that slow dispatches halve the tile edge once per frame, not once per tile, down to 64 pixels. The
+/// first dispatch of a shader does not count, since the driver compiles the shader in it.
 fn slow_frames_halve_the_tiles_once_each() -> Outcome {
     set(Fault::Slow);
     let slow = VulkanOptions { tile: Some(256), ..options()? };

@@ -218,7 +218,7 @@ impl Report {
             line(
                 &mut out,
                 "pictures",
-                "too few were compared in the time limit; the model has no law of picture error".into(),
+                "too few were compared within the time limit, so the model has no quality law".into(),
             );
         }
         out
@@ -276,10 +276,11 @@ impl Report {
 pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(
-        "{} scenes at {} steps and sizes: {error} in proportion to (s - 1)^{step_exponent:.2} + \
-         {image_weight:.2} (d - 1)^{image_exponent:.2}, with ray step s and d pixels between rays; {:.0} % of \
-         a frame's time is per ray; error relative to the best setting of equal time: step and image size \
-         by this law {:.2}, step alone {} (a coarser step saves at most {:.0} % of the time)",
+        "{} scenes at {} steps and sizes: a power of the error ({error}) is proportional to \
+         (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - 1)^{image_exponent:.2}, with ray step s and d \
+         pixels between rays; {:.0} % of the time at full quality depends on the number of rays only; error \
+         divided by the smallest error at equal time: {:.2} for step and image size by this law, {} for the \
+         step alone (a coarser step saves at most {:.0} % of the time)",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,

@@ -200,10 +200,10 @@ impl Protocol {
     /// # Errors
     /// For more repeats than can be counted.
     pub fn manifest(&self, jobs: &[Job], renderer: &dyn Renderer) -> Result<Manifest> {
-        let repeats = self
-            .repeats
-            .checked_mul(self.passes)
-            .with_context(|| format!("{} repeats in {} passes are too many", self.repeats, self.passes))?;
+        let repeats = self.repeats.checked_mul(self.passes).with_context(|| {
+            let (repeats, passes) = (self.repeats, self.passes);
+            format!("{repeats} repeats in {passes} passes are too many; their product must be below 2^32")
+        })?;
         Ok(manifest_of(renderer, self.seed, repeats, self.settings(jobs)))
     }
 

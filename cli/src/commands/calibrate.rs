@@ -77,7 +77,7 @@ pub(crate) struct Options {
     /// Maximum number of frames for each shading mode.
     #[arg(long, default_value_t = 500, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=100_000))]
     pub(crate) frames: u32,
-    /// Reading of the volumes.
+    /// Options for reading the volumes.
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
     /// Skipping of empty space.

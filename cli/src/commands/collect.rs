@@ -68,7 +68,7 @@ pub(crate) struct Options {
     /// Rendering options.
     #[command(flatten)]
     pub(crate) render: RenderArgs,
-    /// Reading of the volumes.
+    /// Options for reading the volumes.
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
     /// Write this model's predicted times instead of rendering the frames, to distill another model from it;

@@ -79,7 +79,7 @@ pub(crate) struct Options {
     /// coarser steps.
     #[arg(long, default_value_t = 16, value_name = "N")]
     pub(crate) scenes: usize,
-    /// Reading of the volume.
+    /// Options for reading the volume.
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
     /// Rendering options.

@@ -23,7 +23,7 @@ pub(crate) struct Options {
     pub(crate) model: PathBuf,
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
     pub(crate) volume: PathBuf,
-    /// Reading of the volume.
+    /// Options for reading the volume.
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
     /// Threads; default: all logical processors.

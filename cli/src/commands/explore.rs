@@ -26,7 +26,7 @@ pub struct Options {
     /// The volume file, or the files of a time series in order; without a file, the window is empty.
     #[arg(value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
-    /// Reading of the volumes.
+    /// Options for reading the volumes.
     #[command(flatten)]
     pub volume_args: VolumeArgs,
     /// Target frame time: 33ms, 0.033s or 30fps.

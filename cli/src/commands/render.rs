@@ -55,7 +55,7 @@ pub(crate) struct Options {
     /// Parallel (orthographic) projection: half of its visible height, in bounding-sphere radii.
     #[arg(long, value_name = "RADII", conflicts_with = "fov", allow_hyphen_values = true)]
     pub(crate) parallel_scale: Option<f32>,
-    /// Reading of the volume.
+    /// Options for reading the volume.
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
     /// Number of timed renderings of the frame.

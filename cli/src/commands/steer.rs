@@ -106,7 +106,7 @@ pub(crate) struct Options {
     /// Rendering options.
     #[command(flatten)]
     pub(crate) render: RenderArgs,
-    /// Reading of the volumes.
+    /// Options for reading the volumes.
     #[command(flatten)]
     pub(crate) volume_args: VolumeArgs,
     /// The clock of frame times; `auto`: the clock of --model or of the machine's model (`entire calibrate`),

@@ -51,7 +51,7 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Table of compared pictures: a law of picture error over ray step and image size is fitted to it and
+    /// Table of compared pictures: a quality law (picture error over ray step and image size) is fitted to it and
     /// stored in the model file, for steering that coarsens both.
     ///
     /// Columns: scene, step (multiple of the finest step), image_sample_distance (pixels), seconds, error (0
@@ -576,7 +576,8 @@ fn card(
         md,
         "\n## Limits\n\nMeasured with one renderer on one machine: another machine, driver or renderer has \
          other unit costs. \
-         Scenes unlike the training data (other modalities, sizes, shading modes, steps) may be far off; \
+         Predictions for scenes unlike the training data (other modalities, sizes, shading modes, steps) \
+         may be far off; \
          check the \
          prediction's out-of-range score. {}",
         if split.test.is_empty() {

@@ -98,8 +98,8 @@ impl ControllerKind {
     }
 }
 
-/// Returns a new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior`
-/// is the prior of the predictor's error on this machine.
+/// Returns a new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is the curve
+/// of frame time over step (the paper's G); `prior` is the prior of the predictor's error on this machine.
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,

@@ -218,13 +218,15 @@ impl App {
             Action::Shading(name) => {
                 let modes = [Shading::None, Shading::Local, Shading::Scatter];
                 let found = modes.into_iter().find(|m| <&str>::from(*m) == name);
-                state.shading = found.with_context(|| format!("there is no shading {name:?}"))?;
+                state.shading = found
+                    .with_context(|| format!("shading is {name:?}; none, local or scatter is expected"))?;
                 state.changed.settings = true;
             }
             Action::Skipping(name) => {
                 let modes = [Skipping::None, Skipping::Blocks, Skipping::Distance];
                 let found = modes.into_iter().find(|m| <&str>::from(*m) == name);
-                state.skipping = found.with_context(|| format!("there is no skipping {name:?}"))?;
+                state.skipping = found
+                    .with_context(|| format!("skipping is {name:?}; none, blocks or distance is expected"))?;
                 state.changed.settings = true;
             }
             Action::Size([width, height]) => {

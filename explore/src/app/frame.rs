@@ -289,9 +289,9 @@ fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
 }
 
 /// Replaces the placeholders [`STEERED`] and [`FULL`] by the texture ids of the pictures, and shows only the
-/// used part of the steered picture. Removes pictures that must not be shown: the full-quality picture after
-/// a `cast`, which makes it outdated; the steered picture if the full-quality picture is complete
-/// (`refined`); and every picture that was never drawn.
+/// used part of the steered picture. Removes pictures that must not be shown: the full-quality picture, which
+/// is outdated, if the steered picture was drawn in this frame (`cast`); the steered picture if the
+/// full-quality picture is complete (`refined`); and every picture that was never drawn.
 fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);

@@ -146,7 +146,7 @@ fn handles(state: &State, axes: Axes) -> Vec<(Handle, Pos2)> {
     }
 }
 
-/// Edits the curve by the mouse.
+/// Edits the curve with the mouse.
 fn edit(ui: &Ui, state: &mut State, response: &egui::Response, axes: Axes, handles: &[(Handle, Pos2)]) {
     let near = |at: Pos2| {
         handles

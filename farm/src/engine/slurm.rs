@@ -147,7 +147,8 @@ impl Slurm {
     /// # Errors
     /// When Slurm does not answer; the message names the packages to install or the daemon to start.
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
-        let hint = "Slurm does not answer; check that slurmctld is running and that SLURM_CONF is the path of its configuration file";
+        let hint = "Slurm does not answer; check that slurmctld is running and that SLURM_CONF is the path of its \
+                    configuration file";
         let listed = ask("sinfo", &words(&["-h", "-N", "-o", "%N"]), None).context(hint)?;
         let mut names: Vec<&str> = listed.lines().map(str::trim).filter(|n| !n.is_empty()).collect();
         names.sort_unstable();

@@ -32,7 +32,7 @@ pub struct Farm {
     pub window: usize,
 }
 
-/// Assignment method of tasks to nodes.
+/// Method of assigning tasks to nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
     /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged

@@ -18,8 +18,9 @@ pub struct entire_session_options {
     pub finest_step: f32,
     /// Coarsest ray step that may be chosen, up to 4096; default 16.
     pub coarsest_step: f32,
-    /// Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer frames
-    /// exceed the target by more than `tolerance`, since most bounds are below the target.
+    /// Share of calm frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. The share
+    /// of undisturbed frames over (1 + `tolerance`) * target is smaller, since many bounds are below that
+    /// limit.
     pub miss_rate: f32,
     /// Excess over the target above which a frame counts as missed, as a share of the target, not negative;
     /// default 0.1.

@@ -124,9 +124,9 @@ fn describe(stream: &mut Stream<'_>) -> Result<Description> {
     }
     let (sizes, spacing) = three_axes(&sizes, &spacing, &[])?;
     let text = |key: &str| json.get(key).and_then(Value::as_str);
-    let kind = text("type")
-        .or_else(|| text("dtype"))
-        .context("the description has no \"type\": \"uint8\" or the like")?;
+    let kind = text("type").or_else(|| text("dtype")).context(
+        "the description has no \"type\"; give the voxels' type, such as \"uint8\" or \"float32\"",
+    )?;
     let Some(element) = element(kind) else {
         bail!(
             "type {kind:?} is not read; accepted are int8, uint8, int16, uint16, int32, uint32, int64, \

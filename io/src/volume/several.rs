@@ -75,7 +75,7 @@ impl Several {
             let slowest = sizes[axes - 1];
             ensure!(
                 slowest.is_multiple_of(files),
-                "{files} files cannot hold equal slabs of the last axis, which has {slowest}"
+                "{files} files cannot hold equal slabs of the last axis, whose size is {slowest}"
             );
             return Ok((all / files) as usize);
         }

@@ -475,7 +475,7 @@ impl fmt::Debug for Folder {
 }
 
 impl Folder {
-    /// Returns the files of the folder `path`.
+    /// Returns access to the files in the folder `path`.
     pub(crate) fn new(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), watcher: None }
     }

@@ -74,7 +74,8 @@ impl Replayable {
         Ok(Self { trace, path, curves, images, summaries, switches, disturbance: None })
     }
 
-    /// The same path with a recorded slowdown by other programs, which becomes part of its name.
+    /// Returns the same path, replayed under a recorded slowdown by other programs. The slowdown's name is
+    /// appended to the path's name.
     #[must_use]
     pub fn disturbed(mut self, disturbance: &Arc<Disturbance>) -> Self {
         self.trace.name = format!("{}/{}", self.trace.name, disturbance.name);
@@ -135,8 +136,8 @@ pub struct Replayed {
     pub reachable: bool,
     /// True if the scene or the target changed abruptly in this frame.
     pub switched: bool,
-    /// True if, in the last [`SETTLING`] frames including this one, only the camera changed, not abruptly,
-    /// and the path did not start.
+    /// True if each of the last [`SETTLING`] frames, this one included, differs from the frame before it only
+    /// by a gradual motion of the camera.
     pub calm: bool,
     /// Reason for the decision.
     #[serde(serialize_with = "reason_name")]

@@ -150,7 +150,7 @@ impl Named {
     }
 }
 
-/// The default table of predictors.
+/// Returns the name of the table in which a predictor is listed by default.
 pub(super) fn main_panel() -> String {
     "main".into()
 }

@@ -7,8 +7,8 @@ use entire_core::Result;
 /// Clipping limit of errors, in ln(time), so that no single frame dominates the mean errors.
 const LARGEST_ERROR: f64 = 2.0;
 
-/// Initial expected error, in ln(time). It affects only upper bounds: recent frames may lead only after
-/// [`COMPARED`] frames.
+/// Initial standard deviation of the forecast's error, in ln(time). It affects only the forecast's upper
+/// bound, until the first frame is compared.
 const SPREAD: f64 = 0.1;
 
 /// Ratio of the standard deviation of a normal error to its mean absolute value, sqrt(π / 2).

@@ -99,8 +99,8 @@ impl HybridOptions {
 ///   unless the previous frame was announced as changed too (as while a slider is dragged); then only the
 ///   change of the cost counts.
 /// * Calm phases: the correction adapts to the present scene, so the expected error shrinks to the noise
-///   between frames. The step is kept while it is close to the best step. A larger change is limited per
-///   frame, unless only the whole change meets the target.
+///   between frames. The step is kept while it is close to the best step. Otherwise its change per frame is
+///   limited, unless the limited change would miss the target.
 /// * Other programs on the machine: a detected load multiplies every expected time, until the first frame
 ///   without the load. The step is chosen by the bound for undisturbed frames; the bound of the plan covers
 ///   disturbed frames too.

@@ -156,7 +156,8 @@ pub struct Observed {
     pub unusual: bool,
 }
 
-/// Scene of a frame. A scene is a run of frames that continue each other; the controller numbers its scenes.
+/// Scene of a frame. A scene is a run of consecutive frames from one scene change to the next; the controller
+/// numbers its scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SceneMark {
     /// Number of the scene.

@@ -121,7 +121,7 @@ fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: us
     all_three(between, to, words * ny);
 }
 
-/// Bitwise and of every word with the words `stride` before and after it, where they exist.
+/// Writes the bitwise AND of every word and the words `stride` before and after it, where they exist.
 fn all_three(from: &[u64], to: &mut [u64], stride: usize) {
     to.copy_from_slice(from);
     let end = from.len() - stride.min(from.len());

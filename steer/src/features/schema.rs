@@ -105,8 +105,8 @@ quantities! {
         "samples, if a renderer with lookup tables must shift or scale the volume's values; 0 for integers \
          whose minimum is 0 and whose maximum is at most 32767";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
-        "sum over all kinds of work of the amount of work multiplied by its unit cost: the unit costs of the \
-         model file, or of a software renderer if the file has none";
+        "work times unit cost, summed over all kinds of work, with the unit costs of the model file, or \
+         those of a software renderer if the file has none";
     SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples divided by the image's pixels";
     ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, yes, yes,
         "samples along shadow rays, divided by the image's pixels";

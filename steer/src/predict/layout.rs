@@ -133,8 +133,8 @@ impl InputLayout {
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
-    /// an unknown scene feature or order of lobes, [`crate::ErrorKind::InvalidModel`] for a damaged probe
-    /// side or damaged unit costs.
+    /// an unknown scene feature or order of lobes, [`crate::ErrorKind::InvalidModel`] for an invalid probe
+    /// side or invalid unit costs.
     pub fn of_model(model: &Model) -> Result<Self> {
         let groups = model
             .inputs()

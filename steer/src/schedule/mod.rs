@@ -33,7 +33,8 @@ impl Assignment {
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
             bail!(
                 SizeMismatch,
-                "{} times and {} speeds for an assignment of {} tasks to {} nodes",
+                "there are {} times and {} speeds; the assignment has {} tasks and {} nodes and needs one \
+                 time per task and one speed per node",
                 times.len(),
                 speeds.len(),
                 self.node_of.len(),

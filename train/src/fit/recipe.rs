@@ -282,7 +282,7 @@ impl Recipe {
             .map(|n| n.trim().parse::<GroupKind>())
             .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
-        // The result does not depend on the number of lobes and volume features, so it is 1 for each.
+        // The numbers of lobes and volume features do not affect the result; both are set to 1.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
     }
 

@@ -343,7 +343,7 @@ impl<T: Real> Trained<T> {
         }
     }
 
-    /// Returns the seconds for rows of inputs (not standardized), computed in parallel.
+    /// Returns the predicted seconds of each row of inputs (not standardized), computed in parallel.
     ///
     /// # Errors
     /// When the number of inputs is not a multiple of the row length.

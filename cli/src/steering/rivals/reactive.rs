@@ -74,7 +74,7 @@ pub(crate) struct VtkFixedPoint {
 }
 
 impl VtkFixedPoint {
-    /// The rule before the first frame, at half the largest distance.
+    /// Returns the rule before the first frame; its image sample distance is half of the largest one.
     pub(crate) fn new() -> Self {
         Self { distance: 5.0, last: 0.0 }
     }

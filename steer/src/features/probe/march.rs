@@ -458,12 +458,12 @@ fn crossings(pace: Vec3) -> f32 {
 /// Steps through the cells along a ray, without branches (Amanatides and Woo). Faces met at the same t are
 /// crossed together.
 struct Walk {
-    /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which
-    /// extends to the box.
+    /// t of the next face between cells along each axis; infinite if the present cell is the last one in the
+    /// ray's direction.
     next: [f32; 3],
     /// Increment of t between faces.
     delta: [f32; 3],
-    /// t half a cell beyond the last face along each axis; no face is crossed after it.
+    /// Along each axis, t half a cell beyond the last face between cells. A larger `next` becomes infinite.
     last: [f32; 3],
     stride: [i32; 3],
     index: i32,

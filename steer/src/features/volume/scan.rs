@@ -298,7 +298,7 @@ impl<T: Voxel> Layers<'_, T> {
         self.non_finite += non_finite;
     }
 
-    /// Computes the quantiles of a row of cells.
+    /// Computes the quantiles of each cell of a row, and adds the row's voxels to `counts` by entry.
     #[inline(always)]
     fn count<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let grid = *self.grid;
