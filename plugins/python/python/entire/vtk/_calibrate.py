@@ -183,8 +183,8 @@ class _Calibrator:
                 mapper.SetSampleDistance(step * grid.reference)
                 if i % _FRAMES_PER_SIZE == 0:
                     # Steering draws smaller images too. The first frame of a size creates buffers and is not timed.
-                    image = _SIZES[i // _FRAMES_PER_SIZE % len(_SIZES)] if shrinks else 1.0
-                    mapper.SetImageSampleDistance(image)
+                    distance = _SIZES[i // _FRAMES_PER_SIZE % len(_SIZES)] if shrinks else 1.0
+                    mapper.SetImageSampleDistance(distance)
                     window.Render()
                 window.Render()
                 if i == 0:
@@ -194,7 +194,7 @@ class _Calibrator:
                     grid.volume,
                     _scene.camera(renderer, placed, grid),
                     _scene.transfer_function(_scene.transfer_nodes(prop, grid.range)),
-                    tuple(max(1, int(side / image)) for side in renderer.GetSize()),
+                    tuple(max(1, int(side / distance)) for side in renderer.GetSize()),
                     self.seconds,
                     step=step,
                     shading="local" if look[0] else "none",
