@@ -344,8 +344,9 @@ def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
     try:
         # Calibration frames and steered frames wait for the graphics device if the mapper is the GPU mapper.
         entire.vtk.calibrate(view.renderer, volume, frames=10)
-        # Twelve frames before the comparison of pictures, then four scenes at twelve settings, each drawn twice.
-        assert len(waits) == (2 * (12 + 4 * 12 * 2) if kind == "gpu" else 0)
+        # Fourteen frames before the comparison of pictures (two of them begin an image size), then four scenes at
+        # twelve settings, each drawn twice.
+        assert len(waits) == (2 * (14 + 4 * 12 * 2) if kind == "gpu" else 0)
         waits.clear()
         entire.vtk.hold(view.renderer, volume, 100.0)
         view.draw(3)

@@ -190,11 +190,12 @@ class _Calibrator:
                 if i == 0:
                     continue  # The first frame includes one-time work.
                 look = _scene.look(prop, mapper)
+                width, height = renderer.GetSize()
                 calibration.add(
                     grid.volume,
                     _scene.camera(renderer, placed, grid),
                     _scene.transfer_function(_scene.transfer_nodes(prop, grid.range)),
-                    tuple(max(1, int(side / distance)) for side in renderer.GetSize()),
+                    (max(1, int(width / distance)), max(1, int(height / distance))),
                     self.seconds,
                     step=step,
                     shading="local" if look[0] else "none",
