@@ -193,7 +193,7 @@ fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     };
     format!(
         "In the first {SWITCH_FRAMES} frames after each abrupt switch, the mean distance from the target was \
-         {hybrid:.0} % (hybrid) and {algorithm1:.0} % (Algorithm 1), against {olp:.0} % (OLP) and {pid:.0} % \
+         {hybrid:.0} % (entire) and {algorithm1:.0} % (Algorithm 1), against {olp:.0} % (OLP) and {pid:.0} % \
          (PID): {outcome}."
     )
 }
@@ -369,7 +369,7 @@ mod tests {
         );
         assert!(say([0.9, 0.5, 0.6, 0.55, 0.1]).contains("one of the two"));
         assert!(say([0.9, 0.1, 0.6, 0.2, 0.2]).contains("neither predicting"));
-        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).contains("10 % (hybrid) and 20 % (Algorithm 1)"));
+        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).contains("10 % (entire) and 20 % (Algorithm 1)"));
         assert_eq!(verdict(&names[..1], &[metrics(0.1)]), "");
     }
 }
