@@ -92,6 +92,7 @@ LAWS = {
     "n / (n + 2 million)": lambda n, _: (n / (n + 2.0e6), None),
     "w / (w + 8 million)": touched(counted=False),
     "... and a cost of each touched voxel": touched(),
+    "... w / (w + 2 million)": touched(cached=2.0e6),
     "... w / (w + 4 million)": touched(cached=4.0e6),
     "... w / (w + 16 million)": touched(cached=16.0e6),
     "... 32 voxels per read": touched(read=32.0),
