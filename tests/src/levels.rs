@@ -6,7 +6,7 @@ use libtest_mimic::{Failed, Trial};
 /// Returns one trial per instruction set: `name::avx2`, … . A level that this CPU lacks is reported as
 /// ignored, never as passed.
 pub fn on_every_level(name: &'static str, test: fn(Level)) -> impl Iterator<Item = Trial> {
-    [Isa::Scalar, Isa::Avx2, Isa::Avx512].into_iter().map(move |isa| {
+    Isa::ALL.into_iter().map(move |isa| {
         let level = Level::available().find(|level| level.isa() == isa);
         let run = move || -> Result<(), Failed> {
             let level = level.ok_or("this CPU lacks the level")?;

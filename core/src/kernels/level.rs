@@ -27,7 +27,7 @@ pub enum Isa {
 
 impl Isa {
     /// Every instruction set with kernels, lowest first.
-    pub(crate) const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
+    pub const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
 }
 
 names! { Isa:

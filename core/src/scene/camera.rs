@@ -151,6 +151,11 @@ impl Camera {
         }
     }
 
+    /// True for parallel rays.
+    pub fn is_parallel(&self) -> bool {
+        matches!(self.lens, Lens::Parallel { .. })
+    }
+
     /// Visible height at a depth, both in bounding-sphere radii.
     pub fn height_at(&self, depth: f32) -> f32 {
         match self.lens {

@@ -30,8 +30,7 @@ impl Footprint {
     /// With parallel rays, the faces are also clipped to the half-space in front of the plane where the rays
     /// start. The region is not rounded to whole pixels.
     pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
-        // Only a parallel camera sees a height at its own eye.
-        let parallel = camera.height_at(0.0) > 0.0;
+        let parallel = camera.is_parallel();
         let (origin, direction) = camera.ray_basis(width, height);
         let (eye, forward) = (origin[0], direction[0]);
         let [_, right, up] = if parallel { origin } else { direction };
