@@ -124,11 +124,6 @@ impl Session {
         predictor: Box<dyn Predictor + Send>,
         controller: Box<dyn Controller + Send>,
     ) -> Self {
-        // Predictions without a probe are scaled by the analytic model, which needs a probe.
-        let features = match predictor.probe_side() {
-            0 => FrameFeatures::default(),
-            side => FrameFeatures::with_probe_side(side),
-        };
         let mut session = Self {
             predictor,
             controller,
@@ -137,7 +132,7 @@ impl Session {
             transfer: None,
             volume_features: None,
             lobes: None,
-            features,
+            features: FrameFeatures::default(),
             asked_probe: None,
             ladder: None,
             cast_for: None,
@@ -153,6 +148,7 @@ impl Session {
             recording: None,
             quality: None,
         };
+        session.set_probe();
         session.weigh_pictures();
         session
     }
