@@ -59,7 +59,7 @@ enum Command {
 /// Runs the command line `args`: the program's name, then its arguments. `program` is the command line that
 /// starts this program, an executable file and its first arguments; workers of a farm are started with it.
 /// Ends the process with status 2 for wrong usage.
-pub fn main_with_args(args: impl IntoIterator<Item = OsString>, program: Vec<String>) -> ExitCode {
+pub fn main_with_args(args: impl IntoIterator<Item = OsString>, program: Vec<OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
     program::run("entire", move || {
         let cli = Cli::parse_from(args);
@@ -74,7 +74,7 @@ pub fn command() -> clap::Command {
 }
 
 impl Cli {
-    fn run(&self, program: &[String]) -> anyhow::Result<()> {
+    fn run(&self, program: &[OsString]) -> anyhow::Result<()> {
         quiet::keep_quiet(self.quiet);
         match &self.command {
             Command::Collect(options) => commands::collect::run(options),

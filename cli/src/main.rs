@@ -5,5 +5,5 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     let program = std::env::current_exe().unwrap_or_else(|_| "entire".into());
-    entire_cli::main_with_args(std::env::args_os(), vec![program.display().to_string()])
+    entire_cli::main_with_args(std::env::args_os(), vec![program.into_os_string()])
 }

@@ -2,7 +2,7 @@
 //! for farms that read such templates. After such a farm has run, `entire farm --resume` adds the rendered
 //! images to the database.
 
-use super::engine::{Bundle, Places};
+use super::engine::{Bundle, Places, utf8};
 use super::job::Job;
 use super::planner::Planner;
 use anyhow::{Context, Result, ensure};
@@ -49,8 +49,6 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
     let first = bundles.iter().map(|b| b.sent.bundle).min().unwrap_or(0);
     let last = bundles.iter().map(|b| b.sent.bundle).max().unwrap_or(0);
     let longest = bundles.iter().map(|b| b.upper_s).fold(1.0, f64::max).ceil() as u64;
-    let text =
-        |p: &Path| p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()));
     // OpenJD accepts a default path only below the template's folder; otherwise the submitter gives the path.
     let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = std::fs::canonicalize(folder)
@@ -60,10 +58,10 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
         "description": "State folder of the image database, the same path on every host.",
     });
     if let Ok(below) = std::fs::canonicalize(&places.state)?.strip_prefix(&folder) {
-        state["default"] = text(below)?.into();
+        state["default"] = utf8(below.as_os_str())?.into();
     }
     let (program, arguments) = places.program.split_first().context("no program")?;
-    let mut arguments = arguments.to_vec();
+    let mut arguments = arguments.iter().map(|word| utf8(word)).collect::<Result<Vec<_>>>()?;
     arguments
         .extend(["farm-worker", "{{Param.State}}", "--bundle", "{{Task.Param.Bundle}}"].map(String::from));
     let template = json!({
@@ -73,7 +71,7 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
             state,
             {
                 "name": "Entire", "type": "STRING", "description": "The program `entire`.",
-                "default": program,
+                "default": utf8(program)?,
             },
         ],
         "steps": [{

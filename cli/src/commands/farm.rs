@@ -12,6 +12,7 @@ use entire_farm::worker::Worker;
 use entire_farm::{openjd, predict, report, survey};
 use entire_io::files::{make_folder_of, write_whole};
 use entire_io::machine;
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 /// Engine that runs the tasks.
@@ -136,7 +137,7 @@ pub struct WorkerOptions {
 ///
 /// # Errors
 /// A bad job file, a missing engine, tasks that were given up.
-pub fn run(options: &Options, program: &[String]) -> Result<()> {
+pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
     let job = Job::open(&options.job)?;
     ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");
     ensure!(

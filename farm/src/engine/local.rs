@@ -80,7 +80,8 @@ impl Local {
         // A separate process group: Ctrl-C goes to the driver only, which lets workers finish their tasks.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        let mut child = command.spawn().with_context(|| format!("cannot start the worker {program}"))?;
+        let mut child =
+            command.spawn().with_context(|| format!("cannot start the worker {}", program.display()))?;
         let out = child.stdout.take().context("the worker has no standard output")?;
         let input = child.stdin.take();
         let send = self.send.clone();

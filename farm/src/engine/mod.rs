@@ -11,7 +11,8 @@ pub use slurm::{Options as SlurmOptions, Slurm};
 
 use super::planner::Sent;
 use super::record::{Line, Order};
-use anyhow::Result;
+use anyhow::{Context, Result};
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -91,6 +92,14 @@ pub trait Engine {
     }
 }
 
+/// Returns a path or a word of a command line as text.
+///
+/// # Errors
+/// When it is not UTF-8.
+pub(crate) fn utf8(word: &OsStr) -> Result<String> {
+    word.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", word.display()))
+}
+
 /// Paths that engines use.
 #[derive(Clone, Debug)]
 pub struct Places {
@@ -98,7 +107,7 @@ pub struct Places {
     pub state: PathBuf,
     /// Command line of this program: an executable file, then arguments. Its command `farm-worker` runs the
     /// worker.
-    pub program: Vec<String>,
+    pub program: Vec<OsString>,
 }
 
 impl Places {
@@ -107,10 +116,13 @@ impl Places {
     /// # Errors
     /// When a path is not UTF-8.
     pub(crate) fn worker(&self, bundle: u64) -> Result<Vec<String>> {
-        use anyhow::Context;
-        let state = self.state.to_str().with_context(|| format!("{} is not UTF-8", self.state.display()))?;
-        let mut line = self.program.clone();
-        line.extend(["farm-worker".into(), state.into(), "--bundle".into(), bundle.to_string()]);
+        let mut line = self.program.iter().map(|word| utf8(word)).collect::<Result<Vec<_>>>()?;
+        line.extend([
+            "farm-worker".into(),
+            utf8(self.state.as_os_str())?,
+            "--bundle".into(),
+            bundle.to_string(),
+        ]);
         Ok(line)
     }
 

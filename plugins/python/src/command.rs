@@ -19,7 +19,7 @@ use std::process::ExitCode;
 ///     with status 2.
 #[pyfunction]
 pub(crate) fn command(py: Python<'_>, args: Vec<OsString>) -> PyResult<i32> {
-    let python: Option<String> = py.import("sys")?.getattr("executable")?.extract()?;
+    let python: Option<OsString> = py.import("sys")?.getattr("executable")?.extract()?;
     let program = vec![python.unwrap_or_else(|| "python3".into()), "-m".into(), "entire".into()];
     Ok(i32::from(detached(py, || entire_cli::main_with_args(args, program)) != ExitCode::SUCCESS))
 }
