@@ -246,9 +246,8 @@ fn hide<'py>(
         match low.or(byte.then_some(0.0)) {
             Some(low) if kind == "i" || kind == "u" => {
                 let limits = numpy.call_method1("iinfo", (dtype,))?;
-                let low = numpy.call_method1("floor", (low,))?;
-                let least = (limits.getattr("min")?, limits.getattr("max")?);
-                copy.set_item(&hidden, numpy.call_method1("clip", (low, least.0, least.1))?)?;
+                let (least, most) = (limits.getattr("min")?, limits.getattr("max")?);
+                copy.set_item(&hidden, numpy.call_method1("clip", (low.floor(), least, most))?)?;
             }
             Some(low) => copy.set_item(&hidden, low)?,
             None => copy.set_item(&hidden, others.call_method0("min")?)?,

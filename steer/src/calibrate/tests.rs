@@ -6,7 +6,7 @@ use crate::numeric::median;
 use crate::predict::{AnalyticModel, GroupKind, InputLayout};
 use alloc::vec;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
-use entire_core::scene::{Arcball, Camera, GaussianLobe, Scalars, TransferFunction, VolumeView};
+use entire_core::scene::{Arcball, Camera, GaussianLobe, Scalars, Skipping, TransferFunction, VolumeView};
 
 /// Returns a model file with the unit costs of a software renderer and a learned factor that is always 1, for
 /// a probe with `side`² rays.
@@ -268,15 +268,13 @@ fn a_frame_is_measured_with_the_probe_of_the_prior() {
     let table = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.4, width: 0.05, height: 0.2 }]);
     let table = table.to_table().unwrap();
     let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
-    let frame =
-        Frame { skipping: entire_core::scene::Skipping::Distance, ..Frame::new(camera, 90, 70).unwrap() };
+    let frame = Frame { skipping: Skipping::Distance, ..Frame::new(camera, 90, 70).unwrap() };
     let added = |side: usize| {
         let mut calibration = Calibration::new(Some(&unit_factor(side)), 8).unwrap();
         calibration.add(&volume, &table, &frame, 0.02).unwrap();
         calibration
     };
     let mut transfer = TransferSummary::new(&volume, &table).unwrap();
-    transfer.prepare_distance();
     for side in [5, PROBE_SIDE] {
         let mut features = FrameFeatures::with_probe_side(side);
         features.measure(&volume, &mut transfer, &frame).unwrap();

@@ -23,6 +23,18 @@ impl Noise {
     }
 }
 
+/// Returns the observation of a frame that the controller planned last.
+fn drawn(
+    hybrid: &Hybrid,
+    step: f32,
+    target: f32,
+    changes: Changes,
+    terms: CostTerms,
+    seconds: f32,
+) -> Observed {
+    Observed { seconds, step, target, changes, terms, scene: hybrid.scene(), unusual: false }
+}
+
 fn sphere(n: usize) -> Vec<u8> {
     let mut out = Vec::with_capacity(n * n * n);
     for z in 0..n {
@@ -115,15 +127,7 @@ fn an_impossible_target_is_said_and_leaves_nothing_behind() {
             hybrid.plan(&mut PlanRequest { target, limits, changes: Changes::default(), cost: &mut cost });
         let terms = cost(decision.step);
         let seconds = terms.seconds();
-        hybrid.observe(&Observed {
-            seconds,
-            step: decision.step,
-            target,
-            changes: Changes::default(),
-            terms,
-            scene: hybrid.scene(),
-            unusual: false,
-        });
+        hybrid.observe(&drawn(hybrid, decision.step, target, Changes::default(), terms, seconds));
         decision
     };
     for _ in 0..200 {
@@ -163,15 +167,7 @@ fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
         history += i32::from(decision.reason == Reason::History);
         misses += i32::from(i > 5 && seconds > 0.022);
         let terms = cost(decision.step);
-        hybrid.observe(&Observed {
-            seconds,
-            step: decision.step,
-            target: 0.02,
-            changes,
-            terms,
-            scene: hybrid.scene(),
-            unusual: false,
-        });
+        hybrid.observe(&drawn(&hybrid, decision.step, 0.02, changes, terms, seconds));
     }
     assert!(history > 280 && misses < 15, "{history} {misses}");
 }
@@ -191,15 +187,7 @@ fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
             assert_eq!(d.reason != Reason::History, trusted || i == 0, "{seconds} s, frame {i}: {d:?}");
             assert_eq!(d.out_of_range, score(d.step));
             let terms = cost(d.step);
-            hybrid.observe(&Observed {
-                seconds: seconds / d.step,
-                step: d.step,
-                target: 0.02,
-                changes,
-                terms,
-                scene: hybrid.scene(),
-                unusual: false,
-            });
+            hybrid.observe(&drawn(&hybrid, d.step, 0.02, changes, terms, seconds / d.step));
         }
     }
 }
@@ -214,15 +202,7 @@ fn state_survives_saving_and_damaged_state_is_refused() {
         let changes = Changes { first: i == 0, ..Changes::default() };
         let d = hybrid.plan(&mut PlanRequest { target: 0.05, limits, changes, cost: &mut cost });
         let terms = cost(d.step);
-        hybrid.observe(&Observed {
-            seconds: 0.3 / d.step,
-            step: d.step,
-            target: 0.05,
-            changes,
-            terms,
-            scene: hybrid.scene(),
-            unusual: false,
-        });
+        hybrid.observe(&drawn(&hybrid, d.step, 0.05, changes, terms, 0.3 / d.step));
     }
     let mut bytes = Vec::new();
     hybrid.save(&mut bytes);
@@ -262,15 +242,7 @@ fn the_state_stays_bounded_over_long_runs() {
         });
         let terms = cost(d.step);
         let seconds = (terms.seconds() * (0.1 * noise.normal()).exp() as f32).max(1e-9);
-        hybrid.observe(&Observed {
-            seconds,
-            step: d.step,
-            target: 0.01,
-            changes,
-            terms,
-            scene: hybrid.scene(),
-            unusual: false,
-        });
+        hybrid.observe(&drawn(&hybrid, d.step, 0.01, changes, terms, seconds));
     }
     for f in hybrid.correction().factors() {
         assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction().factors());
@@ -557,15 +529,7 @@ fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
         let changes = Changes { transfer, ..Changes::default() };
         let d = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
         let terms = cost(d.step);
-        Observed {
-            seconds: terms.seconds(),
-            step: d.step,
-            target: 0.02,
-            changes,
-            terms,
-            scene: hybrid.scene(),
-            unusual: false,
-        }
+        drawn(hybrid, d.step, 0.02, changes, terms, terms.seconds())
     };
     for _ in 0..20 {
         let o = drive(&mut hybrid, false);
