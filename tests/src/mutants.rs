@@ -303,7 +303,7 @@ impl Mutants {
         let known: Vec<String> = parts.metadata.keys().cloned().collect();
         let key = match self.below(3) {
             0 => self.one(&[Key::Inputs, Key::Target, Key::VolumeNet, Key::SceneFeatures]).into(),
-            1 => self.one(&[Key::Calibration, Key::UnitCosts, Key::ProbeSide]).into(),
+            1 => self.one(&[Key::Calibration, Key::UnitCosts, Key::CachedVoxels, Key::ProbeSide]).into(),
             _ if known.is_empty() => "x".into(),
             _ => known[self.below(known.len())].clone(),
         };

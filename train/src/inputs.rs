@@ -104,7 +104,14 @@ impl Layout {
 
     /// Returns the layout with these unit costs for the quantity `estimated_seconds`.
     pub(crate) fn with_unit_costs(self, costs: UnitCosts) -> Self {
-        Self { layout: InputLayout { unit_costs: Some(costs), ..self.layout }, ..self }
+        Self {
+            layout: InputLayout {
+                unit_costs: Some(costs),
+                cached_voxels: costs.cached_voxels,
+                ..self.layout
+            },
+            ..self
+        }
     }
 
     /// Puts a network with this layout into a model file.
@@ -268,13 +275,14 @@ impl InputValues for KeptValues<'_> {
     }
 
     fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
-        let work: Option<Vec<f32>> = COST_QUANTITIES
-            .iter()
-            .zip(&costs.0[1..])
-            .map(|(q, &cost)| if cost == 0.0 { Some(0.0) } else { self.kept(*q) })
-            .collect();
+        let mut counts = [0.0; COSTS - 1];
+        for (i, (slot, &quantity)) in counts.iter_mut().zip(&COST_QUANTITIES).enumerate() {
+            if costs.depends_on(i) {
+                *slot = self.kept(quantity)?;
+            }
+        }
         // Rounded to single precision, in which feature tables store the quantity `estimated_seconds`.
-        Some(f64::from(seconds_of(costs, &work?) as f32))
+        Some(f64::from(costs.time(&work_of(counts)) as f32))
     }
 }
 
@@ -401,9 +409,4 @@ pub fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
         *slot = f64::from(count);
     }
     work
-}
-
-/// Returns the seconds that unit costs give for values of [`COST_QUANTITIES`], in their order.
-pub(crate) fn seconds_of(costs: &UnitCosts, counts: &[f32]) -> f64 {
-    costs.0[0] + costs.0[1..].iter().zip(counts).map(|(c, &v)| c * f64::from(v)).sum::<f64>()
 }

@@ -100,7 +100,10 @@ mod tests {
     fn it_takes_as_long_as_its_model_says() {
         let mut costs = [0.0; entire_steer::features::COSTS];
         (costs[0], costs[1]) = (1e-3, 1e-6);
-        let file = AnalyticModel::from_costs(costs).unwrap().to_model_file().unwrap();
+        let file = AnalyticModel::from_costs(entire_steer::predict::UnitCosts::new(costs))
+            .unwrap()
+            .to_model_file()
+            .unwrap();
         let mut teacher = Teacher::new("a model", &file.to_model().unwrap()).unwrap();
         assert_eq!((teacher.backend(), teacher.device().as_str()), ("teacher", "the predictor a model"));
         let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz: 2.0 }).unwrap();

@@ -12,7 +12,6 @@ use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
 use entire_io::volume::Reading;
 use entire_steer::calibrate::PriorModel;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
-use entire_steer::numeric::dot;
 use entire_steer::predict::{COST_QUANTITIES, COSTS, UnitCosts};
 use entire_train::inputs::{Layout, measure, work_of};
 use indicatif::ProgressBar;
@@ -195,7 +194,7 @@ impl Pool {
                 let rows: Vec<f32> = candidates.iter().flat_map(|c| c.row.iter().copied()).collect();
                 entire_train::fit::predict_rows(model, &rows, layout.width())?
             }
-            _ => candidates.iter().map(|c| dot(prior.costs(), &c.work)).collect(),
+            _ => candidates.iter().map(|c| prior.costs().time(&c.work)).collect(),
         };
         let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
         Ok(Self { volumes, files, reading, candidates, prior, expected })

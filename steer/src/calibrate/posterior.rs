@@ -1,5 +1,6 @@
 //! Fits a model to frames of this machine, with a model of other machines as prior: unit costs and, if the
-//! prior has a learned factor, the last layer of this factor. Both are regularized towards the prior.
+//! prior has a learned factor, the last layer of this factor. Both are regularized towards the prior. The number of
+//! cached voxels is the one of [`CACHED_VOXELS`] with the smallest error in cross-validation.
 //!
 //! [`CostFit`] does the fit. The prior standard deviation of the last layer's weights is [`FACTOR_SD`] times
 //! their root mean square.
@@ -34,7 +35,12 @@ const FACTOR_SD: f64 = 0.2;
 /// this machine may separate them.
 const ZERO_SHARE: f64 = 0.1;
 
-/// Share of the error of the kinds of renderer before it below which another kind is taken.
+/// Numbers of cached voxels that a fit compares ([`UnitCosts::cached_voxels`]): 8 to 64 MB in a renderer that packs a
+/// voxel into four bytes.
+const CACHED_VOXELS: [f64; 4] = [2.0e6, 4.0e6, 8.0e6, 16.0e6];
+
+/// Share of the smallest error so far below which another kind of renderer, or another number of cached voxels, is
+/// taken.
 const LESS_ERROR: f64 = 0.95;
 
 /// Largest number of folds in cross-validation.
@@ -46,7 +52,7 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 /// Prior of a calibration: unit costs, and at most one learned factor.
 #[derive(Clone, Debug)]
 pub struct PriorModel {
-    costs: [f64; COSTS],
+    costs: UnitCosts,
     /// True for costs that the prior's models have; the others are guesses.
     known: [bool; COSTS],
     factor: Option<Factor>,
@@ -97,13 +103,12 @@ pub struct Chosen {
 }
 
 impl Factor {
-    fn new(file: &ModelFile) -> Result<(Self, [f64; COSTS])> {
+    fn new(file: &ModelFile) -> Result<(Self, UnitCosts)> {
         let model = file.to_model()?;
         let layout = InputLayout::of_model(&model)?;
         let carried = layout.scene_features.last()
             == Some(&SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
-        let (Some(parts), Some(UnitCosts(costs)), true) = (model.prednet(), layout.unit_costs, carried)
-        else {
+        let (Some(parts), Some(costs), true) = (model.prednet(), layout.unit_costs, carried) else {
             bail!(Unsupported, "{NOT_A_PRIOR}");
         };
         let Some(last) = parts.layers.last().filter(|_| parts.target == Target::LogSeconds) else {
@@ -155,7 +160,7 @@ impl Factor {
     }
 
     /// Returns the model file with the fitted costs and the fitted last layer.
-    fn with(&self, fitted: &CostFit) -> Result<ModelFile> {
+    fn with(&self, fitted: &CostFit, cached_voxels: f64) -> Result<ModelFile> {
         let mut file = self.file.clone();
         let mut parts = self.parts.clone();
         if let Some(layer) = parts.layers.last_mut() {
@@ -166,7 +171,8 @@ impl Factor {
                 (f64::from(layer.bias[0]) + (fitted.bias - self.constant) / self.deviation) as f32;
         }
         let mut layout = self.layout.clone();
-        layout.unit_costs = Some(UnitCosts(fitted.costs));
+        layout.unit_costs = Some(UnitCosts { seconds: fitted.costs, cached_voxels });
+        layout.cached_voxels = cached_voxels;
         layout.store(&parts, &mut file)?;
         Ok(file)
     }
@@ -181,7 +187,7 @@ impl Default for PriorModel {
 
 impl PriorModel {
     /// Returns the prior made from `files`. For analytic models of different machines, it is the geometric
-    /// mean of their unit costs. An analytic model times a learned factor must be the only file, and is the
+    /// mean of their unit costs and numbers of cached voxels. An analytic model times a learned factor must be the only file, and is the
     /// prior itself. Without files, the prior is `typical`, the typical costs of this kind of renderer.
     ///
     /// # Errors
@@ -190,32 +196,34 @@ impl PriorModel {
         if files.is_empty() {
             return Ok(Self::typical(typical));
         }
-        let (mut logs, mut known) = ([0.0; COSTS], [true; COSTS]);
+        let (mut logs, mut cached, mut known) = ([0.0; COSTS], 0.0, [true; COSTS]);
         for file in files {
             let Some(model) = AnalyticModel::from_model(&file.to_model()?)? else {
                 if files.len() > 1 {
                     bail!(Unsupported, "{NOT_A_PRIOR}");
                 }
                 let (factor, costs) = Factor::new(file)?;
-                return Ok(Self { known: costs.map(|c| c > 0.0), costs, factor: Some(factor) });
+                return Ok(Self { known: costs.seconds.map(|c| c > 0.0), costs, factor: Some(factor) });
             };
             let own = model.costs();
-            let UnitCosts(costs) = with_unknown(&own, typical);
+            let costs = with_unknown(&own, typical);
             for i in 0..COSTS {
-                logs[i] += libm::log(costs[i]) / files.len() as f64;
-                known[i] &= own.0[i] > 0.0;
+                logs[i] += libm::log(costs.seconds[i]) / files.len() as f64;
+                known[i] &= own.seconds[i] > 0.0;
             }
+            cached += libm::log(costs.cached_voxels) / files.len() as f64;
         }
-        Ok(Self { costs: logs.map(libm::exp), known, factor: None })
+        let costs = UnitCosts { seconds: logs.map(libm::exp), cached_voxels: libm::round(libm::exp(cached)) };
+        Ok(Self { costs, known, factor: None })
     }
 
     /// The typical costs of a kind of renderer as a prior.
     fn typical(costs: &UnitCosts) -> Self {
-        Self { costs: costs.0, known: costs.0.map(|c| c > 0.0), factor: None }
+        Self { costs: *costs, known: costs.seconds.map(|c| c > 0.0), factor: None }
     }
 
-    /// Unit costs of the prior, in seconds; 0 for work whose cost the prior lacks.
-    pub fn costs(&self) -> &[f64; COSTS] {
+    /// Unit costs of the prior; 0 for work whose cost the prior lacks.
+    pub fn costs(&self) -> &UnitCosts {
         &self.costs
     }
 
@@ -247,20 +255,22 @@ impl PriorModel {
         }
     }
 
-    /// Fits unit costs, the factor's weights and the speed to `frames`; `prior` holds unit costs in seconds.
-    fn fit(&self, prior: &[f64; COSTS], frames: &[&FitRow]) -> CostFit {
+    /// Fits unit costs, the factor's weights and the speed to `frames`, whose work is that of `prior`'s cached voxels.
+    fn fit(&self, prior: &UnitCosts, frames: &[&FitRow]) -> CostFit {
         let (weights, weight_sd): (&[f64], f64) = match &self.factor {
             Some(f) => (&f.weights, FACTOR_SD * f.root_mean_square),
             None => (&[], 1.0),
         };
         let cost_sd = self.known.map(|known| if known { COST_SD } else { UNKNOWN_SD });
-        CostFit::new(&Expected { costs: prior, cost_sd, weights, weight_sd }, frames)
+        CostFit::new(&Expected { costs: &prior.seconds, cost_sd, weights, weight_sd }, frames)
     }
 
     /// Fits a model to frames of this machine. Each of `renderers` holds typical costs of a kind of renderer
     /// that this one may be of; if there are several, the model is that of the first kind, unless another kind
     /// has a clearly smaller error in cross-validation. For work whose cost the prior model lacks, a tenth of
-    /// the typical cost is the prior, scaled to the speed of the prior model. Costs that are 0 in both stay 0.
+    /// the typical cost is the prior, scaled to the speed of the prior model. Costs that are 0 in both stay 0. Then
+    /// other numbers of cached voxels are compared, each by its error in cross-validation; without cross-validation,
+    /// the prior's number stays.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, if
@@ -286,7 +296,7 @@ impl PriorModel {
                 );
             }
         }
-        let prepared: Vec<FitRow> = frames
+        let mut prepared: Vec<FitRow> = frames
             .iter()
             .map(|f| FitRow {
                 psi: self.factor.as_ref().map_or(Vec::new(), |factor| factor.activations(&f.row)),
@@ -299,42 +309,49 @@ impl PriorModel {
         if count < FEWEST_GROUPS {
             count = 0;
         }
-        let mut best: Option<(f64, Chosen)> = None;
-        for renderer in renderers {
-            let chosen = match self.fit_for(renderer, frames, &prepared, (&folds, count), executor) {
-                Err(_) if best.is_some() => continue,
-                chosen => chosen?,
-            };
+        let Some((first, others)) = renderers.split_first() else {
+            bail!(InvalidArgument, "no typical costs of a renderer were given; give at least one set")
+        };
+        let mut fit = |prior: UnitCosts| -> Result<(f64, UnitCosts, Chosen)> {
+            let chosen = self.fit_from(&prior, frames, &mut prepared, (&folds, count), executor)?;
             // Both errors count equally: their geometric mean decides.
             let (median, rmse_over_sd) = chosen.errors(frames);
-            let error = libm::sqrt(median * rmse_over_sd);
-            if best.as_ref().is_none_or(|(least, _)| count > 0 && error < LESS_ERROR * least) {
-                best = Some((error, chosen));
+            Ok((libm::sqrt(median * rmse_over_sd), prior, chosen))
+        };
+        let mut best = fit(with_unknown(&self.costs, first))?;
+        if count > 0 {
+            for renderer in others {
+                take_better(&mut best, fit(with_unknown(&self.costs, renderer)));
+            }
+            // A factor keeps the number with which its inputs were computed.
+            let far = |factor: &Factor| factor.layout.scene_features.iter().any(|f| f.quantity.is_far());
+            let compared = if self.factor.as_ref().is_some_and(far) { &[][..] } else { &CACHED_VOXELS };
+            for &cached_voxels in compared {
+                let prior = UnitCosts { cached_voxels, ..best.1 };
+                take_better(&mut best, fit(prior));
             }
         }
-        match best {
-            Some((_, chosen)) => Ok(chosen),
-            None => {
-                bail!(InvalidArgument, "no typical costs of a renderer were given; give at least one set")
-            }
-        }
+        Ok(best.2)
     }
 
-    /// Fits a model with the typical costs of one kind of renderer.
-    fn fit_for(
+    /// Fits a model with `prior` as the unit costs of the prior.
+    fn fit_from(
         &self,
-        renderer: &UnitCosts,
+        prior: &UnitCosts,
         frames: &[Observed],
-        prepared: &[FitRow],
+        prepared: &mut [FitRow],
         (folds, count): (&[usize], usize),
         executor: Executor<'_>,
     ) -> Result<Chosen> {
-        let UnitCosts(prior) = with_unknown(&UnitCosts(self.costs), renderer);
+        for (row, frame) in prepared.iter_mut().zip(frames) {
+            row.work = prior.work(&frame.work);
+        }
+        let prepared = &*prepared;
         // The fit to all frames, then the fits without each fold.
         let mut fits: Vec<(usize, Option<CostFit>)> = (0..=count).map(|part| (part, None)).collect();
         each(executor, &mut fits, &|(part, fit): &mut (usize, Option<CostFit>)| {
             let kept = prepared.iter().zip(folds).filter(|(_, f)| *part == 0 || **f + 1 != *part);
-            *fit = Some(self.fit(&prior, &kept.map(|(p, _)| p).collect::<Vec<_>>()));
+            *fit = Some(self.fit(prior, &kept.map(|(p, _)| p).collect::<Vec<_>>()));
         });
         let fits: Vec<CostFit> = fits.into_iter().filter_map(|(_, fit)| fit).collect();
         let without = |fold: usize| &fits[if count == 0 { 0 } else { fold + 1 }];
@@ -347,10 +364,11 @@ impl PriorModel {
             );
         }
         let file = match &self.factor {
-            Some(factor) => factor.with(&fits[0])?,
+            Some(factor) => factor.with(&fits[0], prior.cached_voxels)?,
             None => {
                 let works = frames.iter().map(|f| &f.work);
-                AnalyticModel::from_costs(fits[0].unit_costs())?.ranging_over(works).to_model_file()?
+                let costs = UnitCosts { seconds: fits[0].unit_costs(), cached_voxels: prior.cached_voxels };
+                AnalyticModel::from_costs(costs)?.ranging_over(works).to_model_file()?
             }
         };
         Ok(Chosen { file, crossed, folds: count })
@@ -366,14 +384,23 @@ impl Chosen {
     }
 }
 
+/// Replaces the best fit so far, with its error, by one whose error is clearly smaller.
+fn take_better<T>(best: &mut (f64, UnitCosts, T), other: Result<(f64, UnitCosts, T)>) {
+    if let Ok(other) = other
+        && other.0 < LESS_ERROR * best.0
+    {
+        *best = other;
+    }
+}
+
 /// Returns unit costs in which each 0 of `costs` is replaced by [`ZERO_SHARE`] times the cost in `renderer`,
 /// scaled to the speed of `costs`.
 fn with_unknown(costs: &UnitCosts, renderer: &UnitCosts) -> UnitCosts {
-    let known = costs.0.iter().zip(&renderer.0).filter(|(c, r)| **c > 0.0 && **r > 0.0);
+    let known = costs.seconds.iter().zip(&renderer.seconds).filter(|(c, r)| **c > 0.0 && **r > 0.0);
     let mut ratios: Vec<f64> = known.map(|(c, r)| c / r).collect();
     let speed = median(&mut ratios).unwrap_or(1.0);
     let mut out = *costs;
-    for (cost, typical) in out.0.iter_mut().zip(&renderer.0) {
+    for (cost, typical) in out.seconds.iter_mut().zip(&renderer.seconds) {
         if *cost == 0.0 {
             *cost = ZERO_SHARE * speed * typical;
         }

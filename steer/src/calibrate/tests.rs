@@ -60,11 +60,11 @@ fn a_calibration_finds_another_machines_unit_costs() {
     let prior =
         PriorModel::new(&[AnalyticModel::default().to_model_file().unwrap()], &UnitCosts::SOFTWARE).unwrap();
     assert!(prior.layout().is_none());
-    for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
+    for (found, stored) in prior.costs().seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
         assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
     }
     // On the simulated machine, three unit costs differ from the prior, and all are 1.7 times as large.
-    let mut machine = UnitCosts::SOFTWARE.0;
+    let mut machine = UnitCosts::SOFTWARE.seconds;
     (machine[1], machine[4], machine[13]) = (4.0 * machine[1], 2.0 * machine[4], 0.5 * machine[13]);
     let seconds = |i: usize| 1.7 * seconds_by(&machine, &work(i));
     let frames: Vec<Observed> = (0..80)
@@ -74,7 +74,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
     assert_eq!(chosen.folds, 6);
     let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
     let mut errors: Vec<f64> =
-        (100..160).map(|i| (seconds_by(&there.costs().0, &work(i)) / seconds(i) - 1.0).abs()).collect();
+        (100..160).map(|i| (seconds_by(&there.costs().seconds, &work(i)) / seconds(i) - 1.0).abs()).collect();
     let middle = median(&mut errors).unwrap();
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
     // Too few volumes for cross-validation: the errors are those of the fitted frames.
@@ -93,9 +93,9 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
         work[LONGEST..].iter_mut().for_each(|w| *w *= 1e-3);
         work
     };
-    let mut software = UnitCosts::SOFTWARE.0;
+    let mut software = UnitCosts::SOFTWARE.seconds;
     (software[3], software[4]) = (3.0 * software[3], 2.0 * software[4]);
-    for (machine, on_gpu) in [(software, false), (UnitCosts::GPU.0, true)] {
+    for (machine, on_gpu) in [(software, false), (UnitCosts::GPU.seconds, true)] {
         let frames: Vec<Observed> = (0..120)
             .map(|i| {
                 let noise = 1.0 + 0.01 * ((i * 31 % 7) as f64 - 3.0);
@@ -107,7 +107,7 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
             let chosen = prior.choose(&frames, renderers, Executor::Serial).unwrap();
             let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
             let (median, rmse_over_sd) = chosen.errors(&frames);
-            (there.costs().0, (median * rmse_over_sd).sqrt())
+            (there.costs().seconds, (median * rmse_over_sd).sqrt())
         };
         let ((plain, plain_error), (found, error)) =
             (fitted(&[UnitCosts::CONVERTING]), fitted(&UnitCosts::OF_UNKNOWN));
@@ -118,19 +118,67 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
 }
 
 #[test]
+fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
+    let prior = PriorModel::default();
+    // Frames touch 0.1 to 60 million voxels. The time of reads that wait varies independently of the number of samples.
+    let work = |i: usize| {
+        let quantity = |name: &str| 1 + COST_QUANTITIES.iter().position(|q| q.name() == name).unwrap();
+        let touched = 1e5 * libm::exp(6.4 * (i * 37 % 101) as f64 / 100.0);
+        let samples = 1e6 * (1.0 + (i * 53 % 17) as f64);
+        let mut work = [0.0; COSTS];
+        (work[0], work[1], work[quantity("samples")]) = (1.0, 2e5, samples);
+        let share = (i * 29 % 13) as f64 / 12.0 * touched / (touched + UnitCosts::CACHED_VOXELS);
+        work[quantity("far_samples")] = share * samples;
+        work[quantity("touched_voxels")] = touched;
+        work
+    };
+    let mut machine = UnitCosts::SOFTWARE;
+    for cached_voxels in [2e6, 8e6, 16e6] {
+        machine.cached_voxels = cached_voxels;
+        let of = |i: usize| Observed {
+            row: vec![],
+            work: work(i),
+            seconds: machine.time(&work(i)),
+            group: i as u64 % 6,
+        };
+        let frames: Vec<Observed> = (0..150).map(of).collect();
+        let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
+        let model = chosen.file.to_model().unwrap();
+        let there = AnalyticModel::from_model(&model).unwrap().unwrap();
+        assert_eq!(there.costs().cached_voxels, cached_voxels);
+        for i in 150..200 {
+            let error = there.costs().time(&work(i)) / machine.time(&work(i)) - 1.0;
+            assert!(error.abs() < 0.01, "{cached_voxels} {error}");
+        }
+        // A learned factor takes the number over with its unit costs.
+        let rows = frames.iter().map(|f| Observed { row: vec![0.0; 4], ..f.clone() }).collect::<Vec<_>>();
+        let factor = PriorModel::new(&[unit_factor(PROBE_SIDE)], &UnitCosts::SOFTWARE).unwrap();
+        let chosen = factor.choose(&rows, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
+        let costs = UnitCosts::of(&chosen.file.to_model().unwrap()).unwrap().unwrap();
+        assert_eq!(costs.cached_voxels, cached_voxels);
+        // Groups too few for cross-validation keep the prior's number.
+        let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
+        let kept = PriorModel::new(core::slice::from_ref(&chosen.file), &UnitCosts::SOFTWARE);
+        assert_eq!(kept.unwrap().costs().cached_voxels, cached_voxels);
+        let chosen = prior.choose(&few, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
+        assert!(!chosen.file.metadata.contains_key(Key::CachedVoxels.name()));
+    }
+}
+
+#[test]
 fn three_frames_set_the_speed_alone() {
     let prior = PriorModel::default();
     let frames: Vec<Observed> = (0..3)
         .map(|i| Observed {
             row: vec![],
             work: work(i),
-            seconds: 3.0 * seconds_by(prior.costs(), &work(i)),
+            seconds: 3.0 * seconds_by(&prior.costs().seconds, &work(i)),
             group: i as u64,
         })
         .collect();
     let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
     let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
-    for (found, known) in there.costs().0.iter().zip(prior.costs()) {
+    for (found, known) in there.costs().seconds.iter().zip(&prior.costs().seconds) {
         assert!(*known == 0.0 || (found / known / 3.0 - 1.0).abs() < 1e-3, "{found} {known}");
     }
 }
@@ -138,20 +186,20 @@ fn three_frames_set_the_speed_alone() {
 #[test]
 fn several_machines_make_one_prior_and_a_factor_stands_alone() {
     let model = |scale: f64| {
-        let costs = UnitCosts::SOFTWARE.0.map(|c| scale * c);
-        AnalyticModel::from_costs(costs).unwrap().to_model_file().unwrap()
+        let costs = UnitCosts::SOFTWARE.seconds.map(|c| scale * c);
+        AnalyticModel::from_costs(UnitCosts::new(costs)).unwrap().to_model_file().unwrap()
     };
     let prior = PriorModel::new(&[model(0.5), model(8.0)], &UnitCosts::SOFTWARE).unwrap();
-    for (found, stored) in prior.costs().iter().zip(&UnitCosts::SOFTWARE.0) {
+    for (found, stored) in prior.costs().seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
         assert!((found - 2.0 * stored).abs() <= 1e-6 * stored, "{found} {stored}");
     }
     // A cost of 0 in a machine's model means that the machine's frames could not determine the cost. Checks
     // that the prior's cost is positive if only one of two models has a cost of 0.
-    let mut blind = UnitCosts::SOFTWARE.0;
+    let mut blind = UnitCosts::SOFTWARE.seconds;
     blind[2] = 0.0;
-    let blind = AnalyticModel::from_costs(blind).unwrap().to_model_file().unwrap();
+    let blind = AnalyticModel::from_costs(UnitCosts::new(blind)).unwrap().to_model_file().unwrap();
     let prior = PriorModel::new(&[model(1.0), blind], &UnitCosts::SOFTWARE).unwrap();
-    let ratio = prior.costs()[2] / UnitCosts::SOFTWARE.0[2];
+    let ratio = prior.costs().seconds[2] / UnitCosts::SOFTWARE.seconds[2];
     assert!((0.1..1.0).contains(&ratio), "{ratio}");
     let factor = unit_factor(PROBE_SIDE);
     assert_eq!(
@@ -176,9 +224,9 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
     };
     let frames: Vec<Observed> = (0..40)
         .map(|i| Observed {
-            row: row(i, prior.costs()),
+            row: row(i, &prior.costs().seconds),
             work: work(i),
-            seconds: 3.0 * seconds_by(prior.costs(), &work(i)),
+            seconds: 3.0 * seconds_by(&prior.costs().seconds, &work(i)),
             group: i as u64 % 3,
         })
         .collect();
@@ -187,7 +235,7 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
         assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
     }
     let model = chosen.file.to_model().unwrap();
-    let costs = UnitCosts::of(&model).unwrap().unwrap().0;
+    let costs = UnitCosts::of(&model).unwrap().unwrap().seconds;
     let net = PredNet::new(model.prednet().unwrap()).unwrap();
     let mut scratch = net.scratch(1).unwrap();
     for (i, f) in frames.iter().enumerate() {

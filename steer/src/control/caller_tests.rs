@@ -5,7 +5,7 @@ use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
 use crate::adapt::{ObserveFlags, Verdict};
 use crate::features::{FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use crate::predict::{AnalyticModel, Clock, Inputs, Prediction, Predictor, Source};
+use crate::predict::{AnalyticModel, Clock, Inputs, Prediction, Predictor, Source, UnitCosts};
 use alloc::boxed::Box;
 use alloc::vec;
 use entire_core::ErrorKind;
@@ -263,8 +263,9 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
 
 #[test]
 fn a_model_of_another_clock_is_converted_by_the_first_frames() {
-    let costs = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0).unwrap();
-    let quarter = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0.map(|c| c / 4.0)).unwrap();
+    let costs = AnalyticModel::from_costs(UnitCosts::SOFTWARE).unwrap();
+    let quarter =
+        AnalyticModel::from_costs(UnitCosts::new(UnitCosts::SOFTWARE.seconds.map(|c| c / 4.0))).unwrap();
     let stated = |clock: Option<&str>| {
         let mut file = costs.to_model_file().unwrap();
         if let Some(clock) = clock {

@@ -3,7 +3,7 @@
 use super::*;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
 use crate::features::{Setting, VolumeSummary};
-use crate::predict::{AnalyticModel, Source, TERMS};
+use crate::predict::{AnalyticModel, COSTS, Source, TERMS, UnitCosts};
 use entire_core::ErrorKind;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use std::boxed::Box;
@@ -65,10 +65,10 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
     let mut session = Session::untrained();
     session.set_volume(summary, None);
     // The simulated machine has other ratios of unit costs than the default, and is far slower.
-    let truth = AnalyticModel::from_costs([
+    let truth = AnalyticModel::from_costs(UnitCosts::new([
         4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-    ])
+    ]))
     .unwrap();
     let mut noise = Noise(7);
     let target = 1.0;
@@ -349,7 +349,7 @@ fn no_saved_state_with_a_flipped_bit_a_cut_or_more_bytes_is_loaded() {
 fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
     let named = |costs: Option<f64>, renderer: &str, clock: &str| {
         let model = match costs {
-            Some(c) => AnalyticModel::from_costs([c; crate::predict::COSTS]).unwrap(),
+            Some(c) => AnalyticModel::from_costs(UnitCosts::new([c; COSTS])).unwrap(),
             None => AnalyticModel::default(),
         };
         let mut session = Session::new(Box::new(model), HybridOptions::default());

@@ -45,15 +45,45 @@ pub(crate) const COMMON_COSTS: usize = 21;
 /// For each cost of the longest ray, the index of the cost of the same work of all rays.
 const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 
-/// Unit costs in seconds: per frame, then per unit of each of [`COST_QUANTITIES`].
+/// True for counts that are multiplied by the far share, in the order of [`UnitCosts::seconds`].
+const FAR: [bool; COSTS] = {
+    let mut far = [false; COSTS];
+    let mut i = 1;
+    while i < COSTS {
+        far[i] = COST_QUANTITIES[i - 1].is_far();
+        i += 1;
+    }
+    far
+};
+
+/// Index of [`SceneQuantity::TouchedVoxels`] in [`UnitCosts::seconds`].
+const TOUCHED: usize = {
+    let mut i = 1;
+    while !matches!(COST_QUANTITIES[i - 1], SceneQuantity::TouchedVoxels) {
+        i += 1;
+    }
+    i
+};
+
+/// Constants of the linear cost model on one machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct UnitCosts(pub [f64; COSTS]);
+pub struct UnitCosts {
+    /// Seconds per frame, then per unit of each of [`COST_QUANTITIES`].
+    pub seconds: [f64; COSTS],
+    /// Number of touched voxels at which half of a frame's unshared reads wait for memory. The quantities are
+    /// computed with [`UnitCosts::CACHED_VOXELS`]; [`UnitCosts::time`] converts them to this number.
+    pub cached_voxels: f64,
+}
 
 impl UnitCosts {
+    /// Number of cached voxels with which the quantities of frames are computed. In the reference renderer, which packs
+    /// a voxel into four bytes, these are 32 MB.
+    pub const CACHED_VOXELS: f64 = 8.0e6;
+
     /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs, as
     /// `lab/scripts/typical_costs.py` prints them. Only the ratios of the costs matter, since the first observed
     /// frames set their scale.
-    pub const SOFTWARE: Self = Self([
+    pub const SOFTWARE: Self = Self::new([
         2.1e-4, 7.9e-8, 5.4e-9, 4.4e-9, 2.9e-9, 5.5e-9, 1.5e-8, 1.8e-8, 2.7e-10, 4.4e-10, 4.2e-11, 5.5e-9,
         8.8e-8, 1.7e-8, 1.1e-10, 7.6e-8, 7.4e-8, 3.9e-8, 4.3e-9, 7.0e-9, 5.0e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0,
@@ -62,44 +92,71 @@ impl UnitCosts {
     /// As [`UnitCosts::SOFTWARE`], with a cost for the conversion of stored values: for renderers that look
     /// stored values up in tables, such as VTK's fixed-point mapper and yt.
     pub const CONVERTING: Self = {
-        let mut costs = Self::SOFTWARE.0;
-        costs[COMMON_COSTS] = 2.0e-9;
-        Self(costs)
+        let mut costs = Self::SOFTWARE;
+        costs.seconds[COMMON_COSTS] = 2.0e-9;
+        costs
     };
 
     /// Typical costs of the kinds of renderer that an unknown renderer may be of: its costs may include a conversion of
     /// stored values, and on a GPU those of the longest ray. A sample of the longest ray has 10⁴ times the cost of a
     /// sample, between those of a processor with two cores and of a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
-        let mut costs = Self::CONVERTING.0;
+        let mut costs = Self::CONVERTING;
         let mut longest = COMMON_COSTS + 1;
         while longest < COSTS {
-            costs[longest] = 1.0e4 * costs[OF_ALL_RAYS[longest - COMMON_COSTS - 1]];
+            costs.seconds[longest] = 1.0e4 * costs.seconds[OF_ALL_RAYS[longest - COMMON_COSTS - 1]];
             longest += 1;
         }
-        [Self::CONVERTING, Self(costs)]
+        [Self::CONVERTING, costs]
     };
 
     /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its
     /// longest ray, plus the work of all rays divided by the throughput (Brent's bound of parallel time: work
     /// over processors, plus the longest chain of dependent operations). Geometric means of the costs measured
     /// with each shading mode on an NVIDIA H100, as `lab/scripts/typical_costs.py` prints them.
-    pub const GPU: Self = Self([
+    pub const GPU: Self = Self::new([
         5.1e-6, 9.6e-12, 4.5e-13, 6.2e-12, 1.1e-12, 2.4e-13, 1.2e-12, 2.9e-13, 1.5e-11, 5.7e-13, 7.1e-13,
         3.6e-12, 1.4e-10, 1.4e-12, 6.8e-14, 4.0e-12, 3.4e-12, 2.2e-10, 2.0e-12, 3.1e-12, 4.4e-12, 0.0,
         7.3e-7, 1.5e-6, 3.8e-8, 4.5e-7, 8.5e-6, 4.4e-7,
     ]);
 
+    /// Returns unit costs in seconds, per frame and then per unit of each of [`COST_QUANTITIES`], with
+    /// [`Self::CACHED_VOXELS`].
+    pub const fn new(seconds: [f64; COSTS]) -> Self {
+        Self { seconds, cached_voxels: Self::CACHED_VOXELS }
+    }
+
     /// Each unit cost with its name: `frame`, then the quantities' names.
     pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
-        core::iter::once("frame").chain(COST_QUANTITIES.iter().map(|q| q.name())).zip(self.0)
+        core::iter::once("frame").chain(COST_QUANTITIES.iter().map(|q| q.name())).zip(self.seconds)
     }
 
     /// Returns the seconds that `work` takes. Its elements are 1 for the frame, then the values of
     /// [`COST_QUANTITIES`].
-    pub(crate) fn seconds(&self, work: &[f64; COSTS]) -> f64 {
-        self.0.iter().zip(work).map(|(c, w)| c * w).sum()
+    pub fn time(&self, work: &[f64; COSTS]) -> f64 {
+        self.seconds.iter().zip(self.work(work)).map(|(c, w)| c * w).sum()
     }
+
+    /// True if the time depends on the quantity at this index of [`COST_QUANTITIES`].
+    pub fn depends_on(&self, index: usize) -> bool {
+        self.seconds[index + 1] != 0.0 || (index + 1 == TOUCHED && self.cached_voxels != Self::CACHED_VOXELS)
+    }
+
+    /// Returns the amounts of work for [`Self::cached_voxels`].
+    pub(crate) fn work(&self, work: &[f64; COSTS]) -> [f64; COSTS] {
+        let mut out = *work;
+        if self.cached_voxels != Self::CACHED_VOXELS {
+            let ratio = far_ratio(work[TOUCHED], self.cached_voxels);
+            out.iter_mut().zip(FAR).filter(|(_, far)| *far).for_each(|(w, _)| *w *= ratio);
+        }
+        out
+    }
+}
+
+/// Returns the far share with this number of cached voxels, divided by the share with [`UnitCosts::CACHED_VOXELS`], for a
+/// frame that touches `touched` voxels: the share is proportional to touched / (touched + cached).
+pub(crate) fn far_ratio(touched: f64, cached_voxels: f64) -> f64 {
+    (touched + UnitCosts::CACHED_VOXELS) / (touched + cached_voxels)
 }
 
 impl FrameFeatures {

@@ -123,9 +123,12 @@ pub(crate) struct Work {
     pub(crate) longest_shadow_samples: f64,
     /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
     pub(crate) ray_spacing: f64,
-    /// Number of voxels that the frame touches; see [`CACHED_VOXELS`].
+    /// Number w of voxels that the frame touches. It is below the volume's number of voxels n, and below
+    /// [`VOXELS_PER_READ`] times the number r of reads that no neighboring ray shares:
+    /// w = 1 / (1 / n + 1 / ([`VOXELS_PER_READ`] r)).
     pub(crate) touched: f64,
-    /// Share of the unshared reads that wait for memory, 0…1; see [`CACHED_VOXELS`].
+    /// Share of the unshared reads that wait for memory, 0…1: w / (w + [`UnitCosts::CACHED_VOXELS`]). A model file may
+    /// have another number of cached voxels ([`UnitCosts::cached_voxels`]).
     pub(crate) uncached: f64,
 }
 
@@ -137,15 +140,6 @@ impl Work {
         square / (square + half * half)
     }
 }
-
-/// Number of touched voxels at which half of a frame's unshared reads wait for memory.
-///
-/// The far share is the share of the reads that wait for memory: the share of reads that no neighboring ray
-/// shares, times w / (w + [`CACHED_VOXELS`]), where w is the number of voxels that the frame touches. This
-/// number is below the volume's number of voxels n, and below [`VOXELS_PER_READ`] times the number r of
-/// unshared reads: w = 1 / (1 / n + 1 / ([`VOXELS_PER_READ`] r)). "Memory" on the book's page of measurements
-/// compares other constants by their errors.
-pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
 
 /// Number of voxels that an unshared read brings into the cache: four cache lines of 16 packed voxels.
 pub(crate) const VOXELS_PER_READ: f64 = 64.0;
@@ -340,7 +334,7 @@ impl FrameFeatures {
             + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
         let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
         work.touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
-        work.uncached = work.touched / (work.touched + CACHED_VOXELS);
+        work.uncached = work.touched / (work.touched + UnitCosts::CACHED_VOXELS);
         work
     }
 
@@ -381,7 +375,7 @@ impl FrameFeatures {
             Q::FarY => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.y),
             Q::FarZ => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.z),
             Q::RemappedSamples => f64::from(u8::from(self.remapped)) * work.samples,
-            Q::EstimatedSeconds => UnitCosts::SOFTWARE.seconds(&self.cost_work(setting)),
+            Q::EstimatedSeconds => UnitCosts::SOFTWARE.time(&self.cost_work(setting)),
             Q::SamplesPerPixel => per_pixel(work.samples),
             Q::ShadowPerPixel => per_pixel(work.shadow_samples),
             Q::SegmentsPerRay => work.segments / work.rays.max(1.0),

@@ -21,7 +21,7 @@ mod tests;
 mod transfer;
 mod volume;
 
-pub(crate) use cost::COMMON_COSTS;
+pub(crate) use cost::{COMMON_COSTS, far_ratio};
 pub use cost::{COST_QUANTITIES, COSTS, UnitCosts};
 pub(crate) use footprint::Footprint;
 pub(crate) use frame::Work;

@@ -141,6 +141,24 @@ quantities! {
 }
 
 impl SceneQuantity {
+    /// True for counts that are multiplied by the far share, and so depend on the number of cached voxels.
+    pub(crate) const fn is_far(self) -> bool {
+        matches!(
+            self,
+            Self::FarSkips
+                | Self::FarSamples
+                | Self::FarSegments
+                | Self::FarLocalSamples
+                | Self::FarShadowSamples
+                | Self::FarX
+                | Self::FarY
+                | Self::FarZ
+                | Self::FarLongestSamples
+                | Self::FarLongestSegments
+                | Self::FarLongestShadowSamples
+        )
+    }
+
     /// Returns the log variant of a value: ln(value + floor), or −69 where value + floor is not positive.
     pub(crate) fn log(self, value: f64) -> f32 {
         libm::log((value + self.log_floor()).max(1.0e-30)) as f32

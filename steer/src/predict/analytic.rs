@@ -1,6 +1,7 @@
 //! The analytic cost model: unit costs times estimated work.
 
 use super::cost_fit::{COST_SD, CostFit, Expected, FitRow};
+use super::layout::stored_cached_voxels;
 use super::network::Stored;
 use super::quality::KnownQuality;
 use super::{
@@ -48,24 +49,24 @@ impl UnitCosts {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] for an unknown name, a cost that is negative or not finite, or if
-    /// all costs are zero.
+    /// all costs are zero, and for a number of cached voxels that is not positive.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(Key::UnitCosts.name()) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
             Err(e) => bail!(InvalidModel, "{} is not an object of seconds by name: {e}", Key::UnitCosts),
         };
-        let mut out = Self([0.0; COSTS]);
+        let mut out = Self { seconds: [0.0; COSTS], cached_voxels: stored_cached_voxels(model)? };
         for (name, &cost) in &named {
             let Some(at) = out.named().position(|(n, _)| n == name) else {
                 bail!(InvalidModel, "{} names {name:?}, which is not a known unit cost", Key::UnitCosts);
             };
-            out.0[at] = cost;
+            out.seconds[at] = cost;
         }
         if let Some((name, cost)) = out.invalid() {
             bail!(InvalidModel, "{}: {name} is {cost}; it must be finite and not negative", Key::UnitCosts);
         }
-        if out.0.iter().all(|&c| c == 0.0) {
+        if out.seconds.iter().all(|&c| c == 0.0) {
             bail!(InvalidModel, "{} holds no positive cost", Key::UnitCosts);
         }
         Ok(Some(out))
@@ -116,7 +117,7 @@ pub struct FitReport {
 /// negative, so no prediction is negative, and none falls with a finer step or more pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
-    costs: [f64; COSTS],
+    costs: UnitCosts,
     fitted: bool,
     /// Number of rays along each side of the probe to whose counts the costs were fitted.
     probe_side: usize,
@@ -133,7 +134,7 @@ impl Default for AnalyticModel {
     /// The model of an unmeasured machine: unit costs of a software renderer on two processors.
     fn default() -> Self {
         Self {
-            costs: UnitCosts::SOFTWARE.0,
+            costs: UnitCosts::SOFTWARE,
             fitted: false,
             probe_side: PROBE_SIDE,
             calibration: UpperBound::default(),
@@ -145,17 +146,16 @@ impl Default for AnalyticModel {
 }
 
 impl AnalyticModel {
-    /// Returns a model with the given unit costs in seconds: per frame, then per unit of each of
-    /// [`COST_QUANTITIES`].
+    /// Returns a model with the given unit costs.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or if all costs are
     /// zero.
-    pub fn from_costs(costs: [f64; COSTS]) -> Result<Self> {
-        if let Some((name, cost)) = UnitCosts(costs).invalid() {
+    pub fn from_costs(costs: UnitCosts) -> Result<Self> {
+        if let Some((name, cost)) = costs.invalid() {
             bail!(InvalidArgument, "the unit cost {name} is {cost}; it must be finite and not negative");
         }
-        if costs.iter().all(|&c| c == 0.0) {
+        if costs.seconds.iter().all(|&c| c == 0.0) {
             bail!(InvalidArgument, "all unit costs are zero; at least one must be positive");
         }
         Ok(Self { costs, fitted: true, ..Self::default() })
@@ -204,7 +204,7 @@ impl AnalyticModel {
             .map(|m| FitRow { psi: Vec::new(), work: m.work, log: libm::log(m.seconds) })
             .collect();
         let expected =
-            Expected { costs: &default.0, cost_sd: [COST_SD; COSTS], weights: &[], weight_sd: 1.0 };
+            Expected { costs: &default.seconds, cost_sd: [COST_SD; COSTS], weights: &[], weight_sd: 1.0 };
         let fitted = CostFit::new(&expected, &rows.iter().collect::<Vec<_>>());
         let costs = fitted.unit_costs();
         if !costs.iter().all(|c| c.is_finite()) || costs.iter().all(|&c| c <= 0.0) {
@@ -212,7 +212,7 @@ impl AnalyticModel {
         }
         let residuals: Vec<f64> =
             rows.iter().map(|row| libm::expm1(fitted.log_seconds(row) - row.log)).collect();
-        self.costs = costs;
+        self.costs = UnitCosts::new(costs);
         self.fitted = true;
         (self.clock, self.quality) = (None, None);
         let logs = usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30)));
@@ -232,7 +232,7 @@ impl AnalyticModel {
 
     /// Number of costs without those at the end that are 0, at least `least`.
     fn used(&self, least: usize) -> usize {
-        self.costs.iter().rposition(|&c| c != 0.0).map_or(least, |last| least.max(last + 1))
+        self.costs.seconds.iter().rposition(|&c| c != 0.0).map_or(least, |last| least.max(last + 1))
     }
 
     /// Returns the model as a file with one dense layer that predicts seconds. Its scene features are
@@ -248,8 +248,8 @@ impl AnalyticModel {
             layers: alloc::vec![DenseParts {
                 inputs: used - 1,
                 outputs: 1,
-                weight: self.costs[1..used].iter().map(|&c| c as f32).collect(),
-                bias: alloc::vec![self.costs[0] as f32],
+                weight: self.costs.seconds[1..used].iter().map(|&c| c as f32).collect(),
+                bias: alloc::vec![self.costs.seconds[0] as f32],
                 dtype: Dtype::F32,
             }],
             input: None,
@@ -262,6 +262,7 @@ impl AnalyticModel {
             .collect();
         let mut layout = InputLayout::new(&[GroupKind::SceneFeatures], features, 0, 0)?;
         layout.probe_side = self.probe_side;
+        layout.cached_voxels = self.costs.cached_voxels;
         layout.store(&parts, &mut file)?;
         let stored = Stored {
             level: UPPER_LEVEL,
@@ -308,7 +309,9 @@ impl AnalyticModel {
         if costs.iter().all(|&c| c == 0.0) {
             return Ok(None);
         }
-        let mut out = Self::from_costs(costs)?.with_probe_side(InputLayout::of_model(model)?.probe_side);
+        let layout = InputLayout::of_model(model)?;
+        let costs = UnitCosts { seconds: costs, cached_voxels: layout.cached_voxels };
+        let mut out = Self::from_costs(costs)?.with_probe_side(layout.probe_side);
         out.clock = Clock::of(model);
         out.quality = KnownQuality::of(model)?;
         if let Some(stored) = Stored::of(model)? {
@@ -324,19 +327,19 @@ impl AnalyticModel {
     /// Returns the predicted seconds for the given work: 1, then the quantities of [`COST_QUANTITIES`].
     #[cfg(test)]
     pub(crate) fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
-        dot(&self.costs, work)
+        self.costs.time(work)
     }
 
     /// The unit costs.
     pub fn costs(&self) -> UnitCosts {
-        UnitCosts(self.costs)
+        self.costs
     }
 
     /// Returns the predicted terms of a frame's time at a setting.
     pub(crate) fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
-        let work = features.cost_work(setting);
+        let work = self.costs.work(&features.cost_work(setting));
         let mut sums = [0.0f64; TERMS];
-        for ((cost, amount), part) in self.costs.iter().zip(&work).zip(PART_OF) {
+        for ((cost, amount), part) in self.costs.seconds.iter().zip(&work).zip(PART_OF) {
             sums[part] += cost * amount;
         }
         let mut parts: [f32; TERMS] = sums.map(finite);
@@ -378,7 +381,13 @@ impl Predictor for AnalyticModel {
     fn identity(&self) -> u32 {
         // Bytes are little-endian on every machine, so that a saved state can be loaded on all of them.
         // Costs of the longest ray count only where there are any, so that states saved without them stay valid.
-        crc32fast::hash(self.costs.map(f64::to_le_bytes)[..self.used(COMMON_COSTS + 1)].as_flattened())
+        let bytes = self.costs.seconds.map(f64::to_le_bytes);
+        let mut hash = crc32fast::Hasher::new();
+        hash.update(bytes[..self.used(COMMON_COSTS + 1)].as_flattened());
+        if self.costs.cached_voxels != UnitCosts::CACHED_VOXELS {
+            hash.update(&self.costs.cached_voxels.to_le_bytes());
+        }
+        hash.finalize()
     }
 
     fn clock(&self) -> Option<Clock> {
@@ -424,7 +433,7 @@ mod tests {
         for (i, (cost, truth)) in costs.iter_mut().zip(&TRUTH).enumerate().take(9) {
             *cost = truth * libm::exp(if i % 2 == 0 { COST_SD } else { -COST_SD });
         }
-        UnitCosts(costs)
+        UnitCosts::new(costs)
     }
 
     /// Simulated measurements: counts span several decades, and no frame scatters.
@@ -467,11 +476,11 @@ mod tests {
         let mut model = AnalyticModel::default();
         let report = model.fit(&prior(), &measurements(200, 0.0, false)).unwrap();
         assert!(report.median_error < 4e-3 && report.p95_error < 2e-2, "{report:?}");
-        for (i, (&c, &t)) in model.costs().0.iter().zip(&TRUTH).enumerate().take(9) {
+        for (i, (&c, &t)) in model.costs().seconds.iter().zip(&TRUTH).enumerate().take(9) {
             assert!((c / t - 1.0).abs() < 0.25, "{i}: {c} {t}");
         }
         // Costs that were never observed keep their default ratio to the other costs and are not zero.
-        assert!(model.costs().0[9] > 0.0 && model.costs().0[10] > 0.0);
+        assert!(model.costs().seconds[9] > 0.0 && model.costs().seconds[10] > 0.0);
     }
 
     #[test]
@@ -484,15 +493,17 @@ mod tests {
         }
         let (mut plain, mut asked) = (AnalyticModel::default(), AnalyticModel::default());
         let report = plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
-        assert!(plain.costs().0[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
+        assert!(
+            plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02
+        );
         assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 5e-3);
-        assert!((asked.costs().0[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
+        assert!((asked.costs().seconds[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
         // The file names the quantities with nonzero costs, and reads back.
         for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COMMON_COSTS)] {
             let file = model.to_model_file().unwrap().to_model().unwrap();
             assert_eq!(file.scene_features().len(), names);
             let back = AnalyticModel::from_model(&file).unwrap().unwrap();
-            for (a, b) in back.costs().0.iter().zip(&model.costs().0) {
+            for (a, b) in back.costs().seconds.iter().zip(&model.costs().seconds) {
                 assert_eq!(*a, f64::from(*b as f32));
             }
         }
@@ -548,8 +559,32 @@ mod tests {
                 && model.fit(&UnitCosts::SOFTWARE, &[]).is_err()
         );
         assert_eq!(model, before);
-        assert!(AnalyticModel::from_costs([0.0; COSTS]).is_err());
-        assert!(AnalyticModel::from_costs([-1.0; COSTS]).unwrap_err().to_string().contains("frame"));
+        assert!(AnalyticModel::from_costs(UnitCosts::new([0.0; COSTS])).is_err());
+        assert!(
+            AnalyticModel::from_costs(UnitCosts::new([-1.0; COSTS]))
+                .unwrap_err()
+                .to_string()
+                .contains("frame")
+        );
+    }
+
+    #[test]
+    fn the_number_of_cached_voxels_survives_a_file_and_must_be_positive() {
+        let costs = UnitCosts { cached_voxels: 2.5e6, ..UnitCosts::SOFTWARE };
+        let model = AnalyticModel::from_costs(costs).unwrap();
+        let mut file = model.to_model_file().unwrap();
+        let read = |file: &ModelFile| AnalyticModel::from_model(&file.to_model().unwrap());
+        let back = read(&file).unwrap().unwrap();
+        assert_eq!(back.costs().cached_voxels, 2.5e6);
+        assert_ne!(back.identity(), AnalyticModel::from_costs(UnitCosts::SOFTWARE).unwrap().identity());
+        for damaged in ["0", "-1", "NaN", "inf", "8 million", ""] {
+            file.metadata.insert(Key::CachedVoxels.into(), damaged.into());
+            let error = read(&file).unwrap_err();
+            assert_eq!(error.kind(), entire_core::ErrorKind::InvalidModel);
+            assert!(error.to_string().contains("entire.cached_voxels"), "{error}");
+        }
+        file.metadata.remove(Key::CachedVoxels.name());
+        assert_eq!(read(&file).unwrap().unwrap().costs().cached_voxels, UnitCosts::CACHED_VOXELS);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Layout of a model's input rows: input groups, their order and their format.
 
 use super::{GroupKind, Inputs, UnitCosts};
-use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work};
+use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work, far_ratio};
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use entire_core::Result;
@@ -64,7 +64,7 @@ impl InputValues for FrameValues<'_> {
 
     fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
         let Inputs { features, setting, .. } = self.inputs;
-        Some(*self.seconds.get_or_insert_with(|| costs.seconds(&features.cost_work(setting))))
+        Some(*self.seconds.get_or_insert_with(|| costs.time(&features.cost_work(setting))))
     }
 }
 
@@ -78,6 +78,8 @@ pub struct InputLayout {
     pub scene_features: Vec<SceneFeature>,
     /// Unit costs for the scene feature `estimated_seconds`; `None` if the model file has none.
     pub unit_costs: Option<UnitCosts>,
+    /// Number of cached voxels of the scene features ([`UnitCosts::cached_voxels`]).
+    pub cached_voxels: f64,
     /// True if Gaussian lobes are sorted by center; false if they keep the caller's order.
     pub sorted_lobes: bool,
     /// Number of rays along each side of the probe that measures the scene features, 1 to [`MAX_PROBE_SIDE`];
@@ -125,6 +127,7 @@ impl InputLayout {
             probe_side: if need_probe(&scene_features) { PROBE_SIDE } else { 0 },
             scene_features,
             unit_costs: None,
+            cached_voxels: UnitCosts::CACHED_VOXELS,
             sorted_lobes: false,
         })
     }
@@ -134,7 +137,7 @@ impl InputLayout {
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
     /// an unknown scene feature or order of lobes, [`crate::ErrorKind::InvalidModel`] for an invalid probe
-    /// side or invalid unit costs.
+    /// side, or for unit costs or a number of cached voxels that are not valid.
     pub fn of_model(model: &Model) -> Result<Self> {
         let groups = model
             .inputs()
@@ -147,6 +150,7 @@ impl InputLayout {
             groups,
             scene_features,
             unit_costs: UnitCosts::of(model)?,
+            cached_voxels: stored_cached_voxels(model)?,
             sorted_lobes: takes_sorted_lobes(model)?,
             probe_side,
         })
@@ -180,6 +184,11 @@ impl InputLayout {
         }
         if !self.scene_features.is_empty() {
             file.set_scene_features(&self.scene_features)?;
+            if self.cached_voxels == UnitCosts::CACHED_VOXELS {
+                file.metadata.remove(Key::CachedVoxels.name());
+            } else {
+                file.metadata.insert(Key::CachedVoxels.into(), self.cached_voxels.to_string());
+            }
             if ![0, PROBE_SIDE].contains(&self.probe_side) {
                 file.metadata.insert(Key::ProbeSide.into(), self.probe_side.to_string());
             }
@@ -298,6 +307,12 @@ impl InputLayout {
             Some(costs) if quantity == SceneQuantity::EstimatedSeconds => values.seconds(costs),
             _ => values.quantity(quantity),
         };
+        let value = match value {
+            Some(value) if quantity.is_far() && self.cached_voxels != UnitCosts::CACHED_VOXELS => values
+                .quantity(SceneQuantity::TouchedVoxels)
+                .map(|touched| value * far_ratio(touched, self.cached_voxels)),
+            value => value,
+        };
         match value {
             Some(value) => Ok(if log { quantity.log(value) } else { value as f32 }),
             None => bail!(
@@ -336,6 +351,19 @@ fn stated_probe_side(model: &Model) -> Result<usize> {
             "{} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected",
             Key::ProbeSide
         ),
+    }
+}
+
+/// Returns the number of cached voxels in a model file ([`Key::CachedVoxels`]).
+pub(super) fn stored_cached_voxels(model: &Model) -> Result<f64> {
+    let Some(text) = model.metadata().get(Key::CachedVoxels.name()) else {
+        return Ok(UnitCosts::CACHED_VOXELS);
+    };
+    match text.parse::<f64>() {
+        Ok(voxels) if voxels.is_finite() && voxels > 0.0 => Ok(voxels),
+        _ => {
+            bail!(InvalidModel, "{} is {text:?}; a positive number of voxels is expected", Key::CachedVoxels)
+        }
     }
 }
 

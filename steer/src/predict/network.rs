@@ -280,12 +280,14 @@ impl Predictor for ModelPredictor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
+    use crate::features::{
+        Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary,
+    };
     use alloc::vec;
     use entire_core::ErrorKind;
     use entire_core::model::{InputGroup, ModelFile};
     use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
-    use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe};
+    use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 
     fn model(
         groups: &[(&str, usize)],
@@ -551,24 +553,39 @@ mod tests {
 
     #[test]
     fn analytic_models_survive_their_file() {
-        let mut analytic = AnalyticModel::from_costs([
-            1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8, 1e-8, 0.0, 2e-8, 3e-9, 0.0, 4e-8, 5e-8, 6e-9,
+        let mut analytic = AnalyticModel::from_costs(UnitCosts::new([
+            1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8, 1e-8, 0.0, 2e-8, 3e-9, 1e-5, 4e-8, 5e-8, 6e-9,
             0.0, 3e-9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-        ])
+        ]))
         .unwrap();
         analytic.calibration = UpperBound { log_factor: 0.25 };
         let model = analytic.to_model_file().unwrap().to_model().unwrap();
         let back = AnalyticModel::from_model(&model).unwrap().unwrap();
-        for (a, b) in analytic.costs().0.iter().zip(&back.costs().0) {
+        for (a, b) in analytic.costs().seconds.iter().zip(&back.costs().seconds) {
             assert!((a - b).abs() <= 1e-7 * a);
         }
         assert_eq!(back.calibration.log_factor, 0.25);
         // The same file loaded as a network predicts the same seconds.
-        let features = FrameFeatures::default();
+        let voxels: Vec<u8> = (0..24 * 24 * 24).map(|i| (i * 7 % 256) as u8).collect();
+        let volume = VolumeSummary::new(&VolumeView::new(Scalars::U8(&voxels), [24; 3]).unwrap()).unwrap();
+        let lobe = GaussianLobe { center: 0.4, width: 0.05, height: 0.2 };
+        let table = TransferFunction::Gaussian(vec![lobe]).to_table().unwrap();
+        let mut features = FrameFeatures::default();
+        features.measure(&volume, &mut TransferSummary::new(&volume, &table).unwrap(), &frame()).unwrap();
         let inputs = inputs(&features, &[], &[]);
         let mut net = ModelPredictor::new(&model).unwrap();
         let (a, b) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());
         assert!((a.seconds / b.seconds - 1.0).abs() < 1e-5);
         assert_eq!((a.source, b.source), (Source::Analytic, Source::Network));
+        // Both take the file's number of cached voxels: with fewer of them, more reads wait.
+        let mut file = analytic.to_model_file().unwrap();
+        file.metadata.insert(Key::CachedVoxels.into(), "1e6".into());
+        let model = file.to_model().unwrap();
+        let mut net = ModelPredictor::new(&model).unwrap();
+        let (c, d) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());
+        assert!(
+            c.seconds > 1.05 * a.seconds && (c.seconds / d.seconds - 1.0).abs() < 1e-5,
+            "{a:?} {c:?} {d:?}"
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! Unit costs of estimated work, fitted to measured frames.
 
 use super::FitContext;
-use crate::inputs::{Layout, seconds_of, work_of};
+use crate::inputs::{Layout, work_of};
 use anyhow::Result;
 use entire_io::dataset::{Table, Timed};
 use entire_io::device::names_software;
@@ -64,15 +64,15 @@ pub fn expected_costs(context: &FitContext<'_>, part: Timed<'_>) -> UnitCosts {
     typical_costs_of(used.iter().filter_map(|&table| context.tables.get(table)))
 }
 
-/// Returns the counts that are multiplied by unit costs, one row per frame; 0 for counts whose unit cost is
-/// 0.
+/// Returns the counts that are multiplied by unit costs, one row per frame; 0 for counts on which the
+/// time does not depend.
 pub fn counts(
     context: &FitContext<'_>,
     part: Timed<'_>,
     costs: &UnitCosts,
     probe_side: usize,
 ) -> Result<Vec<[f32; COSTS - 1]>> {
-    let asked: Vec<usize> = (0..COSTS - 1).filter(|i| costs.0[i + 1] > 0.0).collect();
+    let asked: Vec<usize> = (0..COSTS - 1).filter(|&i| costs.depends_on(i)).collect();
     if asked.is_empty() {
         return Ok(vec![[0.0; COSTS - 1]; part.frames.len()]);
     }
@@ -98,5 +98,5 @@ pub(super) fn estimates(
     costs: &UnitCosts,
     probe_side: usize,
 ) -> Result<Vec<f64>> {
-    Ok(counts(context, part, costs, probe_side)?.iter().map(|row| seconds_of(costs, row)).collect())
+    Ok(counts(context, part, costs, probe_side)?.iter().map(|row| costs.time(&work_of(*row))).collect())
 }

@@ -3,12 +3,12 @@
 use super::compose::{carry_past, side_by_side};
 use super::*;
 use crate::gradient::Network;
-use crate::inputs::seconds_of;
+use crate::inputs::work_of;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_io::dataset::Timed;
 use entire_io::options::thread_pool;
 use entire_steer::features::{SceneFeature, SceneQuantity};
-use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, GroupKind};
+use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, GroupKind, UnitCosts};
 
 fn network(widths: &[usize], seed: u64) -> PredNetParts {
     let net = Network::<f32>::random(widths, seed).unwrap();
@@ -92,7 +92,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
     let data = entire_io::volume::VolumeData::U8(values);
     let volume = entire_io::volume::Volume::new(data, [16, 12, 10], [1.0; 3], "v").unwrap();
     let summary = VolumeSummary::new(&volume.view()).unwrap();
-    let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
+    let analytic =
+        AnalyticModel::from_costs(UnitCosts::new(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64)))).unwrap();
     let costs = analytic.costs();
     let inputs = [
         SceneFeature { quantity: SceneQuantity::Pixels, log: true },
@@ -148,7 +149,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             ];
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
             let expected =
-                seconds_of(&costs, &counts) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
+                costs.time(&work_of(counts)) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
             // The expected time is far above a network's shortest time, at which all predictions would be
             // equal.
             assert!((1e-4..1e4).contains(&expected), "{expected}");

@@ -195,10 +195,11 @@ mod tests {
     /// Simulated seconds of a machine whose unit costs are far from the session's initial ones.
     fn drawn(session: &Session, frame: &Frame, step: f32) -> f32 {
         let mut costs = UnitCosts::SOFTWARE;
-        (costs.0[1], costs.0[4], costs.0[5]) = (8.0 * costs.0[1], 3.0 * costs.0[4], 0.3 * costs.0[5]);
+        (costs.seconds[1], costs.seconds[4], costs.seconds[5]) =
+            (8.0 * costs.seconds[1], 3.0 * costs.seconds[4], 0.3 * costs.seconds[5]);
         let setting = Setting { step, ..Setting::from(frame) };
         let work = Measurement::new(session.features(), &setting, 1.0).work;
-        2.0 * costs.0.iter().zip(work).map(|(c, w)| c * w).sum::<f64>() as f32
+        2.0 * costs.seconds.iter().zip(work).map(|(c, w)| c * w).sum::<f64>() as f32
     }
 
     /// Plans and draws frames; returns the relative error of every plan's seconds.
