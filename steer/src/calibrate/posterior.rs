@@ -187,8 +187,9 @@ impl Default for PriorModel {
 
 impl PriorModel {
     /// Returns the prior made from `files`. For analytic models of different machines, it is the geometric
-    /// mean of their unit costs and numbers of cached voxels. An analytic model times a learned factor must be the only file, and is the
-    /// prior itself. Without files, the prior is `typical`, the typical costs of this kind of renderer.
+    /// mean of their unit costs and of their numbers of cached voxels. An analytic model times a learned factor
+    /// must be the only file, and is the prior itself. Without files, the prior is `typical`, the typical costs
+    /// of this kind of renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Unsupported`] for other models.
