@@ -471,6 +471,11 @@ impl Recipe {
             let mut settings = *settings;
             settings.seed = seed;
             let (parts, history, outcome) = run_training(context, network, None, samples, &settings)?;
+            // An interrupted network would worsen the mean of those that are trained to the end.
+            if (context.stop)() && !members.is_empty() {
+                outcomes.push(format!("interrupted; the mean of {} networks is kept", members.len()));
+                break;
+            }
             members.push(parts);
             outcomes.push(outcome);
             first.get_or_insert(history);

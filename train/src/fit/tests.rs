@@ -213,4 +213,31 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
     assert_eq!((each.len(), two.history.len()), (2, 2));
     assert!(each[0].starts_with("network 1: all 2 epochs done, "), "{each:?}");
     assert!(each[1].starts_with("network 2: all 2 epochs done, "), "{each:?}");
+    // The flag is raised after the first network: its weights are kept, without those of an interrupted network.
+    let alone = made(1);
+    for seen in 0..8 {
+        let asked = std::cell::Cell::new(0);
+        let interrupted = in_context(|context| {
+            let stop = || {
+                asked.set(asked.get() + 1);
+                asked.get() > seen
+            };
+            let recipe = Recipe {
+                inputs: vec!["camera".into()],
+                layers: vec![4],
+                epochs: 2,
+                ensemble: 3,
+                ..Recipe::default()
+            };
+            recipe.make(&FitContext { stop: &stop, ..*context }, part, part).unwrap()
+        });
+        assert!(!interrupted.outcome.contains("network 3: all"), "{}", interrupted.outcome);
+        if interrupted.outcome.contains("the mean of 1 networks")
+            && interrupted.outcome.contains("network 1: all")
+        {
+            assert_eq!(interrupted.file.to_bytes().unwrap(), alone.file.to_bytes().unwrap());
+            return;
+        }
+    }
+    panic!("no interruption after the first network");
 }
