@@ -180,7 +180,7 @@ impl<'a> Database<'a> {
                     continue;
                 };
                 if answer.error.is_none() && !self.done.contains_key(&task) && self.is_there(&answer, true) {
-                    self.finish(task, answer, f64::NAN);
+                    self.finish(task, answer);
                 }
             }
         }
@@ -195,8 +195,8 @@ impl<'a> Database<'a> {
         Ok(())
     }
 
-    pub(super) fn finish(&mut self, task: u32, answer: Answer, predicted_s: f64) {
-        let predicted_s = if predicted_s.is_finite() { predicted_s } else { answer.seconds };
+    pub(super) fn finish(&mut self, task: u32, answer: Answer) {
+        let predicted_s = if answer.predicted_s > 0.0 { answer.predicted_s } else { answer.seconds };
         self.journal.add(&Entry::Done { answer: answer.clone(), predicted_s });
         self.quarantined.remove(&task);
         self.done.insert(task, Row { answer, predicted_s });

@@ -26,7 +26,8 @@ pub(crate) struct Ask<'a> {
     pub(crate) overhead: f64,
     /// Number of slots that share the work.
     pub(crate) slots: usize,
-    /// Upper limit of a bundle's expected seconds; a bundle of a single task may exceed it.
+    /// Time limit of a bundle, seconds. A bundle of several tasks is expected to take at most half of it without
+    /// overhead and loading, and at most all of it with them. A bundle of a single task may exceed it.
     pub(crate) limit: f64,
     /// True if expected times are neither predicted nor measured. A bundle then has at most a quarter of
     /// a slot's share of the waiting tasks, and only `limit` restricts its expected seconds.
@@ -295,7 +296,8 @@ impl Dispatcher {
         let cost = ask.overhead + if ask.held == Some(volume) { 0.0 } else { (ask.load)(volume) };
         let share = total / slots;
         let worth = (share / CUTS).min(WORTH.0 * cost).max((WORTH.1 * cost).min(share.max(cost)));
-        let target = if ask.blind { ask.limit } else { worth.min(ask.limit) };
+        let limit = (0.5 * ask.limit).min(ask.limit - cost);
+        let target = if ask.blind { limit } else { worth.min(limit) };
         let fair = (self.pending as f64 / (slots * CUTS)).ceil() as usize;
         let most = if ask.blind { fair.min(MOST) } else { MOST };
         let (mut bundle, mut sum) = (Vec::new(), 0.0);

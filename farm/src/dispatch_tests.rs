@@ -62,7 +62,19 @@ fn bundles_of_unknown_tasks_keep_to_the_limit() {
         d.add(0..1000);
         d.next(&Ask { limit, blind: true, ..ask(None, &load, 5) }).unwrap().len()
     };
-    assert_eq!([f64::INFINITY, 20.0, 0.5].map(unknown), [50, 20, 1]);
+    assert_eq!([f64::INFINITY, 40.0, 0.5].map(unknown), [50, 20, 1]);
+}
+
+#[test]
+fn a_bundle_keeps_to_the_limit_with_its_loading() {
+    let load = |_: usize| 60.0;
+    for blind in [false, true] {
+        let mut d = Dispatcher::new(vec![1.0; 200], vec![0; 200], 1, Order::LongestFirst);
+        d.add(0..200);
+        let asked = Ask { limit: 100.0, overhead: 1.0, blind, ..ask(None, &load, 1) };
+        let first = d.next(&asked).unwrap().len();
+        assert!((30..=39).contains(&first), "{first}");
+    }
 }
 
 #[test]

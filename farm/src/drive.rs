@@ -72,7 +72,7 @@ struct Drive<'a, 'b> {
     losses: HashMap<u32, u32>,
     /// The task that each bundle's worker has begun last.
     at: HashMap<u64, u32>,
-    predicted: HashMap<u64, HashMap<u32, f64>>,
+    submitted: HashSet<u64>,
     busy: f64,
     over: usize,
     first: Option<f64>,
@@ -148,7 +148,7 @@ pub fn run(
         failures: HashMap::new(),
         losses: HashMap::new(),
         at: HashMap::new(),
-        predicted: HashMap::new(),
+        submitted: HashSet::new(),
         busy: 0.0,
         over: 0,
         first: None,
@@ -306,10 +306,11 @@ impl Drive<'_, '_> {
             // Times that are only assumed exclude no task: the engine ends a bundle that takes longer than
             // the limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
-                // Several tasks are bundled only if together they are expected to take at most half of the
-                // limit, so this bundle has one task.
+                // Several tasks are bundled only if they are expected to keep to the limit, so this bundle has
+                // one task.
                 let why = format!(
-                    "the task is expected to take {:.0} s; the engine runs nothing longer than {limit:.0} s",
+                    "the task is expected to take {:.0} s, its volume's loading included; the engine runs nothing \
+                     longer than {limit:.0} s",
                     sent.expected_s
                 );
                 for task in sent.tasks.clone() {
@@ -319,9 +320,8 @@ impl Drive<'_, '_> {
                 continue;
             }
             let seconds = sent.tasks.iter().zip(&sent.predicted_s);
-            let predicted: HashMap<u32, f64> = seconds.map(|(t, s)| (*t, f64::from(*s))).collect();
-            let orders = sent.tasks.iter().map(|t| self.database.order(*t, predicted[t])).collect();
-            self.predicted.insert(sent.bundle, predicted);
+            let orders = seconds.map(|(t, s)| self.database.order(*t, f64::from(*s))).collect();
+            self.submitted.insert(sent.bundle);
             self.waits.push(sent.bundle);
             ready.push(Bundle { sent, orders, upper_s });
         }
@@ -385,8 +385,7 @@ impl Drive<'_, '_> {
         self.planner.done(bundle, task, node, answer.seconds, answer.load_s);
         if !self.database.done.contains_key(&task) {
             self.now += 1;
-            let predicted = self.predicted.get(&bundle).and_then(|p| p.get(&task)).copied();
-            self.database.finish(task, answer, predicted.unwrap_or(f64::NAN));
+            self.database.finish(task, answer);
         }
         Ok(())
     }
@@ -446,7 +445,7 @@ impl Drive<'_, '_> {
             engine::clear(&self.database.job.state(), bundle);
         }
         self.at.remove(&bundle);
-        self.predicted.remove(&bundle);
+        self.submitted.remove(&bundle);
         self.waits.retain(|b| *b != bundle);
     }
 
@@ -469,7 +468,7 @@ impl Drive<'_, '_> {
     /// Starts an engine in place of one that has ended. The bundles of the ended engine are lost, except for
     /// the answers in the spool.
     fn restart(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<()> {
-        let open: Vec<u64> = self.predicted.keys().copied().collect();
+        let open: Vec<u64> = self.submitted.iter().copied().collect();
         for bundle in open {
             for line in
                 spool::lines(&self.database.job.state().join("spool").join(format!("{bundle}.jsonl")))?
@@ -485,7 +484,7 @@ impl Drive<'_, '_> {
                 self.free[slot] = true;
             }
         }
-        self.predicted.clear();
+        self.submitted.clear();
         self.at.clear();
         self.waits.clear();
         self.engine = start(self.database.run)?;

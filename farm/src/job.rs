@@ -397,12 +397,15 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
         let mut paths = Vec::new();
         for pattern in &entry.files {
             let whole = folder.join(pattern);
-            let text = whole.to_str().with_context(|| format!("volumes: {pattern:?} is not UTF-8"))?;
             let before = paths.len();
             if whole.exists() {
                 paths.push(whole);
             } else {
-                for found in glob::glob(text).with_context(|| format!("volumes: the pattern {pattern:?}"))? {
+                let folder = folder.to_str().with_context(|| format!("{} is not UTF-8", folder.display()))?;
+                let text = Path::new(&glob::Pattern::escape(folder)).join(pattern);
+                for found in glob::glob(&text.to_string_lossy())
+                    .with_context(|| format!("volumes: the pattern {pattern:?}"))?
+                {
                     paths.push(found.with_context(|| format!("volumes: the pattern {pattern:?}"))?);
                 }
             }
@@ -441,6 +444,15 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
 fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {
     let mut out = Vec::new();
     for entry in entries {
+        if let CamerasEntry::Orbit { views, distances_radii, .. }
+        | CamerasEntry::SemiSphere { views, distances_radii } = entry
+        {
+            let views = (*views as usize).saturating_mul(distances_radii.len());
+            ensure!(
+                views <= MAX_TASKS,
+                "cameras: {views} views are more than the {MAX_TASKS} tasks of a job; split it"
+            );
+        }
         match entry {
             CamerasEntry::Orbit { views, elevation_deg, distances_radii, from_deg, to_deg } => {
                 for &dz in distances_radii {
@@ -531,7 +543,7 @@ fn check_program(command: &[String], timeout: Option<f64>) -> Result<()> {
         "renderer: the command is empty; a program and its arguments are expected"
     );
     ensure!(
-        timeout.is_none_or(|t| t.is_finite() && t > 0.0),
+        timeout.is_none_or(|t| t > 0.0 && std::time::Duration::try_from_secs_f64(t).is_ok()),
         "renderer: timeout_s is {}; it must be a positive number of seconds",
         timeout.unwrap_or(f64::NAN)
     );

@@ -67,6 +67,19 @@ fn a_job_is_all_combinations_and_ids_survive_its_growth() {
 }
 
 #[test]
+fn characters_of_the_folder_are_no_pattern() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, count) in [("a[1]", 2), ("a1", 3)] {
+        std::fs::create_dir(dir.path().join(name)).unwrap();
+        for i in 0..count {
+            std::fs::write(dir.path().join(name).join(format!("step{i}.raw")), vec![0; i + 1]).unwrap();
+        }
+    }
+    let job = open(JOB, &dir.path().join("a[1]")).unwrap();
+    assert_eq!(job.volumes.iter().map(|v| v.bytes).collect::<Vec<_>>(), [1, 2]);
+}
+
+#[test]
 fn semi_spheres_are_even_and_above() {
     let poses = cameras(&[CamerasEntry::SemiSphere { views: 200, distances_radii: vec![2.0] }]).unwrap();
     assert!(poses.iter().all(|p| (0.0..=90.0).contains(&p.rx)));
@@ -96,6 +109,8 @@ fn every_mistake_is_named() {
         ("lobes = [[0.5, 0.1, 0.2]]", "", "either lobes or points"),
         ("views = 5", "views = 5\nvews = 6", "vews"),
         ("kind = \"command\"", "kind = \"command\"\ntimeout_s = -1.0", "timeout_s is -1"),
+        ("kind = \"command\"", "kind = \"command\"\ntimeout_s = 1e20", "timeout_s is 1"),
+        ("views = 5", "views = 4294967295", "4294967295 views are more"),
         ("[renderer]", "[predict]\nprobe_side = 0\n[renderer]", "probe_side is 0"),
         ("[renderer]", "[predict]\nprobe_side = 25\n[renderer]", "probe_side is 25"),
     ] {

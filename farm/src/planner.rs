@@ -269,7 +269,7 @@ impl Planner {
             load: &load,
             overhead: self.overhead,
             slots: slots.len(),
-            limit: self.setting.limit.unwrap_or(f64::INFINITY) / 2.0,
+            limit: self.setting.limit.unwrap_or(f64::INFINITY),
             blind: self.is_blind(),
         };
         let tasks = self.dispatcher.next(&ask)?;

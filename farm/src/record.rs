@@ -83,6 +83,9 @@ pub struct Answer {
     pub bytes: u64,
     /// CRC-32 of the image file.
     pub crc32: u32,
+    /// Expected rendering time in the task's order, seconds; 0 if unknown.
+    #[serde(default)]
+    pub predicted_s: f64,
     /// Reason for a missing image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,

@@ -32,6 +32,9 @@ struct Run {
 /// When no task is finished yet, or a file cannot be read or written.
 pub fn write(job: &Job, file: &Path) -> Result<()> {
     let mut runs: Vec<Run> = Vec::new();
+    // Images that another farm rendered may precede the first run of this one.
+    let elsewhere =
+        |at| Run { at, engine: "another farm".into(), slots: 1, done: Vec::new(), etas: Vec::new() };
     let (mut failed, mut lost) = (0, 0);
     let mut quarantined: BTreeMap<String, (String, String)> = BTreeMap::new();
     for entry in super::journal::entries(&job.state())? {
@@ -41,6 +44,9 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
             }
             Entry::Done { answer, predicted_s } => {
                 quarantined.remove(&answer.task);
+                if runs.is_empty() {
+                    runs.push(elsewhere(answer.begin));
+                }
                 if let Some(run) = runs.last_mut() {
                     run.done.push((answer, predicted_s));
                 }

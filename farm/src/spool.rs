@@ -34,12 +34,12 @@ impl Follow {
         file.seek(SeekFrom::Start(self.at)).with_context(fail)?;
         self.at += file.read_to_end(&mut self.rest).with_context(fail)? as u64;
         let mut out = Vec::new();
-        while let Some(end) = self.rest.iter().position(|b| *b == b'\n') {
-            let line: Vec<u8> = self.rest.drain(..=end).collect();
-            if let Ok(line) = serde_json::from_slice(&line) {
-                out.push(line);
-            }
+        let mut begin = 0;
+        while let Some(length) = self.rest[begin..].iter().position(|b| *b == b'\n') {
+            out.extend(serde_json::from_slice(&self.rest[begin..begin + length]).ok());
+            begin += length + 1;
         }
+        self.rest.drain(..begin);
         Ok(out)
     }
 }

@@ -155,8 +155,14 @@ impl Worker {
     fn answer(&mut self, order: &Order, bundle: u64) -> Answer {
         let begin = unix_now();
         let clock = Instant::now();
-        let mut answer =
-            Answer { task: order.task.clone(), bundle, node: self.node.clone(), begin, ..Answer::default() };
+        let mut answer = Answer {
+            task: order.task.clone(),
+            bundle,
+            node: self.node.clone(),
+            begin,
+            predicted_s: order.predicted_s,
+            ..Answer::default()
+        };
         match self.paint(order) {
             Ok((painted, bytes, crc32)) => {
                 answer.load_s = painted.load_s;

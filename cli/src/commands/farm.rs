@@ -1,6 +1,7 @@
 //! `entire farm`: render an image database by local processes, HyperQueue or Slurm.
 
 use anyhow::{Result, ensure};
+use clap::ValueEnum;
 use entire_farm::database::{self, Database};
 use entire_farm::dispatch::Order;
 use entire_farm::drive;
@@ -10,7 +11,7 @@ use entire_farm::planner::{Planner, Sent, Setting, State};
 use entire_farm::show::{duration, parse_duration};
 use entire_farm::worker::Worker;
 use entire_farm::{openjd, predict, report, survey};
-use entire_io::files::{make_folder_of, write_whole};
+use entire_io::files::{ensure_not_input, make_folder_of, write_whole};
 use entire_io::machine;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -81,10 +82,10 @@ pub struct Options {
     #[arg(long)]
     pub dry_run: bool,
     /// With --dry-run: find the cheapest number of nodes that meets this deadline (90s, 30m, 2h, 1.5d).
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    #[arg(long, value_name = "TIME", requires = "dry_run", value_parser = parse_duration)]
     pub deadline: Option<f64>,
     /// With --dry-run: price of a node hour.
-    #[arg(long, value_name = "PRICE")]
+    #[arg(long, value_name = "PRICE", requires = "dry_run")]
     pub price: Option<f64>,
     /// Order in which tasks are sent.
     #[arg(long, value_enum, default_value_t)]
@@ -95,15 +96,15 @@ pub struct Options {
     /// Time limit of a bundle (90s, 30m, 2h): that of HyperQueue's workers or Slurm's partition.
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub time_limit: Option<f64>,
-    /// Python with HyperQueue's package.
-    #[arg(long, default_value = "python3", value_name = "PROGRAM")]
-    pub python: String,
+    /// Python with HyperQueue's package [default: python3].
+    #[arg(long, value_name = "PROGRAM")]
+    pub python: Option<String>,
     /// Folder of a running HyperQueue server; default: a new server with workers is started.
     #[arg(long, value_name = "DIR")]
     pub server_dir: Option<String>,
-    /// Processors per HyperQueue bundle.
-    #[arg(long, default_value_t = 1, value_name = "N")]
-    pub cpus: u32,
+    /// Processors per HyperQueue bundle [default: 1].
+    #[arg(long, value_name = "N")]
+    pub cpus: Option<u32>,
     /// Additional option of sbatch, such as --sbatch=--partition=long; may be given several times.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
     pub sbatch: Vec<String>,
@@ -116,7 +117,7 @@ pub struct Options {
     pub save_tasks: Option<PathBuf>,
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of about equal expected
     /// time.
-    #[arg(long, value_name = "FILE.json", conflicts_with = "dry_run")]
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["dry_run", "report", "save_tasks"])]
     pub openjd: Option<PathBuf>,
 }
 
@@ -150,9 +151,14 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         "--overhead is {}; it must be a number of seconds that is not negative",
         options.overhead.unwrap_or(f64::NAN)
     );
+    check_engine(options)?;
     if options.list {
         print!("{}", job.listing());
         return Ok(());
+    }
+    for file in [&options.openjd, &options.save_tasks, &options.report].into_iter().flatten() {
+        ensure_not_input(file, [options.job.as_path()])?;
+        make_folder_of(file)?;
     }
     let base = predict::base(&job)?;
     if options.dry_run {
@@ -167,9 +173,6 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         uniform: options.order == OrderOption::Uniform,
         overhead: options.overhead,
     };
-    for file in [&options.openjd, &options.save_tasks, &options.report].into_iter().flatten() {
-        make_folder_of(file)?;
-    }
     let mut database = Database::open(&job, &driving)?;
     let places = Places { state: job.state(), program: program.to_vec() };
     if let Some(file) = &options.openjd {
@@ -200,6 +203,28 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         summary.quarantined.iter().take(3).cloned().collect::<Vec<_>>().join(", "),
         job.state().join("quarantine").display()
     );
+    Ok(())
+}
+
+/// Refuses options of another engine. An OpenJD template has a time limit with every engine.
+fn check_engine(options: &Options) -> Result<()> {
+    let (hyperqueue, slurm) = (EngineOption::Hyperqueue, EngineOption::Slurm);
+    for (name, given, engines) in [
+        ("--python", options.python.is_some(), &[hyperqueue][..]),
+        ("--cpus", options.cpus.is_some(), &[hyperqueue]),
+        ("--server-dir", options.server_dir.is_some(), &[hyperqueue]),
+        ("--sbatch", !options.sbatch.is_empty(), &[slurm]),
+        ("--time-limit", options.time_limit.is_some() && options.openjd.is_none(), &[hyperqueue, slurm]),
+    ] {
+        let engine =
+            |e: EngineOption| e.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
+        ensure!(
+            !given || engines.contains(&options.engine),
+            "{name} has no effect with --engine {}; leave it out, or choose --engine {}",
+            engine(options.engine),
+            engines.iter().map(|e| engine(*e)).collect::<Vec<_>>().join(" or ")
+        );
+    }
     Ok(())
 }
 
@@ -238,10 +263,10 @@ fn engine(places: &Places, options: &Options, run: u64) -> Result<Box<dyn Engine
         EngineOption::Local => Box::new(Local::start(places.clone(), slots(options), run)?),
         EngineOption::Hyperqueue => {
             let how = HyperQueueOptions {
-                python: options.python.clone(),
+                python: options.python.clone().unwrap_or_else(|| "python3".into()),
                 workers: slots(options),
                 server_dir: options.server_dir.clone(),
-                cpus: options.cpus,
+                cpus: options.cpus.unwrap_or(1),
                 worker_limit: options.time_limit,
             };
             Box::new(HyperQueue::start(places.clone(), how, run)?)

@@ -4,6 +4,7 @@ use anyhow::{Result, bail, ensure};
 use entire_farm::list::lower_bound;
 use entire_farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
 use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole};
+use entire_steer::schedule::MAX_NODES;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -54,7 +55,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let tasks = read_tasks(&options.tasks)?;
     let speeds = match (options.nodes, options.speeds.is_empty()) {
         (Some(0), _) => bail!("--nodes is 0; at least one is needed"),
-        (Some(n), _) => vec![1.0; n],
+        (Some(n), _) => {
+            ensure!(n <= MAX_NODES, "--nodes is {n}; at most {MAX_NODES} are accepted");
+            vec![1.0; n]
+        }
         (None, false) => options.speeds.clone(),
         (None, true) => bail!("say how many nodes there are (--nodes N, or --speeds S,…)"),
     };

@@ -285,6 +285,42 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     assert_eq!(template["specificationVersion"], "jobtemplate-2023-09", "{said}");
     refuses(dir.path(), &["farm", "none.toml"], &["cannot read the job file none.toml"]);
     refuses(dir.path(), &["farm", "job.toml", "--slots", "0"], &["--slots is 0"]);
+    succeeds(dir.path(), &["farm", "job.toml", "--dry-run", "--save-tasks", "new/tasks.csv"]);
+    for (more, parts) in [
+        (&["--cpus", "2"][..], ["--cpus has no effect with --engine local", "--engine hyperqueue"]),
+        (&["--sbatch=-p", "--dry-run"], ["--sbatch has no effect", "--engine slurm"]),
+        (&["--time-limit", "1h"], ["--time-limit has no effect", "--engine hyperqueue or slurm"]),
+        (&["--dry-run", "--save-tasks", "job.toml"], ["job.toml", "would be replaced"]),
+    ] {
+        refuses(dir.path(), &[&["farm", "job.toml"], more].concat(), &parts);
+    }
+    for (more, part) in [
+        (&["--price", "1"][..], "--dry-run"),
+        (&["--deadline", "1h"], "--dry-run"),
+        (&["--openjd", "u.json", "--report", "r.html"], "--report"),
+        (&["--openjd", "u.json", "--save-tasks", "u.csv"], "--save-tasks"),
+    ] {
+        let output = entire(dir.path(), &[&["farm", "job.toml"], more].concat());
+        assert!(output.status.code() == Some(2) && stderr(&output).contains(part), "{}", stderr(&output));
+    }
+    refuses(
+        dir.path(),
+        &["schedule", "tasks.csv", "--nodes", "9000000000000", "--out", "a.csv"],
+        &["--nodes is"],
+    );
+    // Workers of another farm run the template's bundles; the report covers their images.
+    for order in std::fs::read_dir(dir.path().join("db.cdb/.farm/orders")).unwrap() {
+        let number = order.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned();
+        succeeds(dir.path(), &["farm-worker", "db.cdb/.farm", "--bundle", &number]);
+    }
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--report", "r.html"]);
+    assert!(said.contains("40 of 40 images, 0 of them"), "{said}");
+    let done = journal(dir.path());
+    let done: Vec<serde_json::Value> = done.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let pairs = done
+        .iter()
+        .filter_map(|e| Some((e["done"]["predicted_s"].as_f64()?, e["done"]["answer"]["seconds"].as_f64()?)));
+    assert_eq!(pairs.filter(|(expected, took)| expected != took).count(), 40, "{}", journal(dir.path()));
     refuses(
         dir.path(),
         &["farm", "job.toml", "--resume", "--engine", "hyperqueue", "--python", "no-such-python"],
