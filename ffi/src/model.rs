@@ -19,9 +19,11 @@ use entire_core::nn::{EncodeScratch, PredNet, PredNetParts, PredScratch, Target,
 use entire_steer::predict::{Predictor, load_with};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
-use std::io::ErrorKind;
+use std::fs::File;
+use std::io::{ErrorKind, Write};
 use std::mem::size_of;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
 
 /// Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
@@ -393,17 +395,18 @@ pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *co
         reading(model, |loaded| {
             reserve::check()?;
             let path = text(path, "path")?;
-            let beside = format!("{path}.{}.part", std::process::id());
-            std::fs::write(&beside, &loaded.bytes).and_then(|()| std::fs::rename(&beside, path)).map_err(
-                |e| {
-                    // A partial file is useless; a failure to remove it is ignored.
-                    let _ = std::fs::remove_file(&beside);
-                    Failure::new(
-                        ENTIRE_IO,
-                        format!("{path}: {e}; name a file in a folder that can be written"),
-                    )
-                },
-            )
+            // Threads and processes that save to one path each write a file of their own.
+            static SAVED: AtomicU64 = AtomicU64::new(0);
+            let beside = format!("{path}.{}.{}.part", std::process::id(), SAVED.fetch_add(1, Relaxed));
+            let written = File::create(&beside).and_then(|mut file| {
+                file.write_all(&loaded.bytes)?;
+                file.sync_all()
+            });
+            written.and_then(|()| std::fs::rename(&beside, path)).map_err(|e| {
+                // A partial file is useless; a failure to remove it is ignored.
+                let _ = std::fs::remove_file(&beside);
+                Failure::new(ENTIRE_IO, format!("{path}: {e}; name a file in a folder that can be written"))
+            })
         })
     }
 }

@@ -256,6 +256,8 @@ static void time_steps(entire_voxels_ownership ownership) {
     OK(entire_session_set_volume(follows, volume));
     OK(entire_session_set_transfer_function(follows, tf));
     entire_frame frame = toy_frame();
+    desc.range[1] = 101;
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_volume_update(volume, &desc));
     for (int step = 0; step < 6; ++step) {
         const size_t first[3] = {0, 0, (size_t)step}, size[3] = {TOY_X, TOY_Y, 1};
         const size_t plane = (size_t)TOY_X * TOY_Y;

@@ -104,6 +104,16 @@ unsafe fn update(
             ),
         ));
     }
+    if next.range() != range {
+        let ((low, high), (was_low, was_high)) = (next.range(), range);
+        return Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!(
+                "a time step has the scalar range {low} to {high}, but its volume has {was_low} to {was_high}; \
+                 give every step the range of the whole series"
+            ),
+        ));
+    }
     let (mut series, first) = match volume.series.take() {
         Some(series) => (series, false),
         None => (Box::new(SummarySeries::new(&next)?), true),
