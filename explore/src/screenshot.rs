@@ -11,6 +11,8 @@ use std::path::PathBuf;
 pub(crate) struct Screenshot {
     pub(crate) file: PathBuf,
     frame: Frame,
+    /// Expected seconds of the whole frame.
+    expected: f64,
     cursor: Cursor,
     rgb: Vec<u8>,
 }
@@ -19,7 +21,12 @@ impl Screenshot {
     /// A screenshot that has not begun to draw. `expected`: seconds of the whole frame.
     pub(crate) fn new(file: PathBuf, frame: Frame, expected: f64) -> Self {
         let rgb = vec![0; frame.width as usize * frame.height as usize * 3];
-        Self { file, frame, cursor: Cursor::new(frame.width, frame.height, expected), rgb }
+        Self { file, frame, expected, cursor: Cursor::new(frame.width, frame.height, expected), rgb }
+    }
+
+    /// Begins anew, after a change of the transfer function: a picture shows one transfer function.
+    pub(crate) fn restart(&mut self) {
+        self.cursor = Cursor::new(self.frame.width, self.frame.height, self.expected);
     }
 
     pub(crate) fn share(&self) -> f64 {

@@ -34,8 +34,6 @@ pub(crate) enum Command {
         size: [u32; 2],
     },
     SaveRecording(PathBuf),
-    /// Counts the samples in each cell of the view.
-    MapWork,
     Forget,
 }
 

@@ -10,7 +10,6 @@ use crate::scene::Spanned;
 use crate::script::Action;
 use crate::state::Command;
 use crate::transfer::{Curve, Opacity};
-use crate::work_map::WorkMap;
 use anyhow::{Context, Result, bail};
 use ash::vk;
 use entire_core::GaussianLobe;
@@ -35,12 +34,6 @@ impl App {
             }
             Command::Crop(crop) => self.crop(crop)?,
             Command::SpanData => self.span_data()?,
-            Command::MapWork => {
-                let size = self.state.viewport;
-                if self.scene.is_some() {
-                    self.state.work = Some(WorkMap::new(&self.full_frame(size)?)?);
-                }
-            }
             Command::Forget => {
                 self.state.steer.forget();
                 self.state.changed.settings = true;
@@ -255,10 +248,7 @@ impl App {
                 self.waiting = Waiting::Rest;
             }
             Action::FullFrame(_) => self.full_frame_at_once()?,
-            Action::Map(on) => {
-                state.show_work = on;
-                self.obey(Command::MapWork)?;
-            }
+            Action::Map(on) => state.show_work = on,
             Action::SaveTransfer(file) => self.save_transfer(&file, false)?,
             Action::LoadTransfer(file) => {
                 let range = state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);

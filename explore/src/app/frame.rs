@@ -102,6 +102,8 @@ impl App {
             Ok(loaded) => *loaded,
             Err(error) if self.script.is_some() => return Err(error),
             Err(error) => {
+                // A series does not play on: its next step would be the same file again.
+                self.state.playing = false;
                 self.state.complain(&error);
                 return Ok(());
             }
@@ -204,6 +206,9 @@ impl App {
             let table = curve.table()?;
             scene.raycaster.set_transfer(&table)?;
             state.steer.set_transfer(table, curve.lobes());
+            if let Some(shot) = &mut self.screenshot {
+                shot.restart();
+            }
         }
         if changed.cut {
             state.steer.camera_cut();

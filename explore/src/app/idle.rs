@@ -5,6 +5,7 @@ use crate::loading::Job;
 use crate::refine::Refinement;
 use crate::screenshot::Screenshot;
 use crate::state::{Rest, Shown};
+use crate::work_map::WorkMap;
 use anyhow::Result;
 use entire_core::scene::Frame;
 use entire_vk_raycaster::Region;
@@ -49,6 +50,9 @@ impl App {
             }
             self.go_on_refining()?;
             return Ok(ControlFlow::Poll);
+        }
+        if ready && self.state.show_work && self.state.work.is_none() {
+            self.state.work = Some(WorkMap::new(&self.full_frame(self.state.viewport)?)?);
         }
         if ready && self.state.show_work && self.state.work.as_ref().is_some_and(|w| !w.is_done()) {
             let budget = self.slice_seconds();

@@ -89,12 +89,8 @@ fn modes(ui: &mut Ui, state: &mut State) {
         ui.checkbox(&mut state.show_box, "box");
         ui.checkbox(&mut state.show_axes, "axes");
         ui.checkbox(&mut state.show_probe, "probe").on_hover_text("Probe rays of the prediction");
-        let map = ui.checkbox(&mut state.show_work, "work");
-        if map.on_hover_text("Samples per ray of this view, counted by the raycaster").changed()
-            && state.show_work
-        {
-            state.commands.push(Command::MapWork);
-        }
+        ui.checkbox(&mut state.show_work, "work")
+            .on_hover_text("Samples per ray of this view, counted by the raycaster");
     });
     ui.separator();
 }
