@@ -1,5 +1,6 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
+use crate::collection::manifest_of;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
@@ -10,6 +11,7 @@ use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::device;
 use entire_io::enlarge::enlarge;
 use entire_io::files::{make_folder_of, note, open_model, open_volume, write_json};
+use entire_io::identity;
 use entire_io::interrupt;
 use entire_io::machine::Provenance;
 use entire_io::options::{
@@ -18,6 +20,7 @@ use entire_io::options::{
 use entire_io::path::{FlightPath, Generated, parse_target};
 use entire_io::volume::Volume;
 use entire_steer::control::StepLimits;
+use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
@@ -272,6 +275,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let metrics = write(&options.out, &story, &draw, &playback)?;
     if let (Some(timings), Some(file)) = (&mut timings, &options.table) {
         let written = write_table(timings, options, &volumes, &path, &draw, &playback)?;
+        let settings = json!({ "steering": true, "reading": options.volume_args.reading() });
+        let mut manifest = manifest_of(renderer.as_ref(), 0, 1, settings);
+        for volume in &options.volumes {
+            manifest.files.insert(volume.display().to_string(), identity::of_volume(volume)?);
+        }
+        manifest.write(file)?;
         println!("table      {}: {written} frames", file.display());
     }
     println!("{}", table(&playback, &metrics).to_text());

@@ -6,7 +6,7 @@ use entire_core::model::Key;
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
-use entire_io::files::{check_model_out, note, read_model_file, write_whole};
+use entire_io::files::{check_model_out, note, open_model, read_model_file, write_whole};
 use entire_io::interrupt;
 use entire_io::machine;
 use entire_io::metrics::Metrics;
@@ -24,7 +24,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -135,7 +135,8 @@ pub struct Options {
     /// Group of frames that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub split: GroupBy,
-    /// Members or volumes (as --split says) for validation, instead of a random tenth.
+    /// Members or volumes (as --split says) for validation. If neither these nor --test-groups are named, a random tenth
+    /// is taken for validation, and another one for testing.
     #[arg(
         long,
         alias = "validation-members",
@@ -144,7 +145,7 @@ pub struct Options {
         value_name = "NAMES"
     )]
     pub validation_groups: Vec<String>,
-    /// Members or volumes for testing, instead of a random tenth.
+    /// Members or volumes for testing; see --validation-groups.
     #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
     pub test_groups: Vec<String>,
     /// Clock of the learned seconds. Default: the clock of the model that training starts from, else cpu
@@ -222,11 +223,42 @@ pub fn run(options: &Options) -> Result<()> {
         count(Part::Test)
     ));
     if split.validation.is_empty() {
-        note(&format!(
-            "fewer than three {}s, so all frames are used for training and none is held out; test on other \
-             data",
-            split.by.name()
-        ));
+        note(&match split.test.is_empty() {
+            true => format!(
+                "fewer than three {}s, so all frames are used for training and none is held out; test on other \
+                 data",
+                split.by.name()
+            ),
+            false => "no --validation-groups: the loss of the training frames decides when training stops, and the upper \
+                      bound is fitted to these frames, so it is too tight"
+                .into(),
+        });
+    }
+    let earlier = match &options.fine_tune {
+        Some(path) => {
+            let base = open_model(path)?;
+            let splits = Split::all_of(&base);
+            if splits.is_empty() {
+                note(&format!(
+                    "{} does not state its training data, so it may have been trained on the test frames",
+                    path.display()
+                ));
+            }
+            splits
+        }
+        None => Vec::new(),
+    };
+    let tested = refs.iter().filter(|f| split.part(&f.scene) == Part::Test);
+    let seen: BTreeSet<String> = tested
+        .filter(|f| earlier.iter().any(|split| split.has_seen(&f.scene)))
+        .map(|f| split.by.group(&f.scene))
+        .collect();
+    let leak = (!seen.is_empty()).then(|| {
+        let names = seen.into_iter().collect::<Vec<_>>().join(", ");
+        format!("the model to fine-tune was trained or validated on test groups: {names}")
+    });
+    if let Some(text) = &leak {
+        note(&format!("{text}; their errors are not those of unseen data"));
     }
     let part_seconds = |p: Part| -> Vec<f64> {
         parts.get(&p).map_or(vec![], |f| f.iter().map(|f| seconds[&(f.table, f.number)]).collect())
@@ -292,6 +324,7 @@ pub fn run(options: &Options) -> Result<()> {
         "clock": clock.name(),
         "shading": options.shade.map(|s| s.to_string()),
         "split": split,
+        "earlier_splits": earlier,
         "training_frames": count(Part::Training),
         "settings": trained.fitted.settings,
         "outcome": trained.fitted.outcome,
@@ -325,8 +358,15 @@ pub fn run(options: &Options) -> Result<()> {
         );
     }
     write_whole(&options.out, &trained.fitted.file.to_bytes()?)?;
-    let held = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied().flatten();
-    let card = card(options, &trained, &split, &tables, &results, (upper, held), noise.as_ref());
+    let held = covered.get(Part::Test.name()).copied().flatten();
+    let tested = match (split.test.is_empty(), leak) {
+        (true, _) => {
+            "Nothing was held out for testing, so the errors above are not those of unseen data.".into()
+        }
+        (false, Some(text)) => format!("The errors above are not those of unseen data: {text}."),
+        (false, None) => "Test groups were not used in training.".into(),
+    };
+    let card = card(options, &trained, (&split, &tested), &tables, &results, (upper, held), noise.as_ref());
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
     for (p, m) in &results {
         println!(
@@ -449,7 +489,7 @@ fn names(layout: &Layout) -> Vec<String> {
 fn card(
     options: &Options,
     trained: &Trained,
-    split: &Split,
+    (split, tested): (&Split, &str),
     tables: &[Table],
     results: &[(Part, Metrics)],
     (upper, covered): (UpperBound, Option<f64>),
@@ -561,7 +601,7 @@ fn card(
             "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \
              (training frames if there are none){}.",
             upper.factor().max(1.0),
-            covered.map_or(String::new(), |c| format!("; it held for {:.1} % of held-out frames", 100.0 * c))
+            covered.map_or(String::new(), |c| format!("; it held for {:.1} % of test frames", 100.0 * c))
         );
     }
     match noise {
@@ -579,12 +619,7 @@ fn card(
          Predictions for scenes unlike the training data (other modalities, sizes, shading modes, steps) \
          may be far off; \
          check the \
-         prediction's out-of-range score. {}",
-        if split.test.is_empty() {
-            "Nothing was held out for testing, so the errors above are not those of unseen data."
-        } else {
-            "Test groups were not used in training."
-        }
+         prediction's out-of-range score. {tested}"
     );
     md
 }

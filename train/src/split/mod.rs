@@ -5,11 +5,13 @@ mod frames;
 pub use frames::TimedFrames;
 
 use anyhow::{Result, bail, ensure};
+use entire_core::model::{Key, Model};
 use entire_io::dataset::{Scene, TimedFrame};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -103,6 +105,23 @@ impl Split {
             by.name()
         );
         Ok(split)
+    }
+
+    /// Returns the splits by which a model was trained, as its file states them: its own, then those of the models that
+    /// it was fine-tuned from. Empty if the file states none.
+    pub fn all_of(model: &Model) -> Vec<Self> {
+        let stated = model.metadata().get(Key::Provenance.name());
+        let Some(origin) = stated.and_then(|text| serde_json::from_str::<Value>(text).ok()) else {
+            return Vec::new();
+        };
+        let earlier = origin["earlier_splits"].as_array().cloned().unwrap_or_default();
+        let all = core::iter::once(origin["split"].clone()).chain(earlier);
+        all.filter_map(|split| serde_json::from_value(split).ok()).collect()
+    }
+
+    /// True if the model of this split was trained or validated on frames of a group.
+    pub fn has_seen(&self, scene: &Scene) -> bool {
+        matches!(self.part(scene), Part::Training | Part::Validation)
     }
 
     /// Returns the part that a frame belongs to.

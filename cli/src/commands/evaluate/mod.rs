@@ -4,7 +4,7 @@ mod report;
 
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::{Level, Storage};
-use entire_core::model::{Key, Model};
+use entire_core::model::Model;
 use entire_core::nn::PredNet;
 use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
 use entire_io::files::{fnv1a_text, note, parse_model, read_model_bytes};
@@ -19,7 +19,7 @@ use entire_train::evaluation::{
 };
 use entire_train::fit::{predict_rows, rows_by_network};
 use entire_train::inputs::Layout;
-use entire_train::split::{GroupBy, Part, Split};
+use entire_train::split::{GroupBy, Split};
 use indicatif::ProgressBar;
 use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
 use std::collections::BTreeMap;
@@ -93,26 +93,21 @@ struct Loaded {
     hash: String,
     model: Model,
     layout: Layout,
-    split: Option<Split>,
+    splits: Vec<Split>,
 }
 
 fn load(path: &Path) -> Result<Loaded> {
     let bytes = read_model_bytes(path)?;
     let model = parse_model(path, &bytes)?;
     let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
-    let split = model
-        .metadata()
-        .get(Key::Provenance.name())
-        .and_then(|text| serde_json::from_str::<serde_json::Value>(text).ok())
-        .and_then(|p| serde_json::from_value(p.get("split")?.clone()).ok());
     let name =
         path.file_stem().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-    Ok(Loaded { name, hash: fnv1a_text(&bytes), model, layout, split })
+    Ok(Loaded { name, hash: fnv1a_text(&bytes), splits: Split::all_of(&model), model, layout })
 }
 
 impl Loaded {
     fn has_seen(&self, frame: &TimedFrame) -> bool {
-        self.split.as_ref().is_some_and(|s| matches!(s.part(&frame.scene), Part::Training | Part::Validation))
+        self.splits.iter().any(|split| split.has_seen(&frame.scene))
     }
 }
 
@@ -131,7 +126,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let said = [entire_io::clock::unstated(clock, named()), left_out(&tables, clock, options.shade)];
     said.into_iter().flatten().for_each(|text| note(&text));
     if options.unseen {
-        for m in models.iter().filter(|m| m.split.is_none()) {
+        for m in models.iter().filter(|m| m.splits.is_empty()) {
             note(&format!("{} does not state its training data, so --unseen cannot leave it out", m.name));
         }
         frames.retain(|(f, _)| !models.iter().any(|m| m.has_seen(f)));
