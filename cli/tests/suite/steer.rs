@@ -132,6 +132,11 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(widths.contains(&121) && widths.iter().any(|w| *w < 101), "{widths:?}");
     assert_eq!(widths, drawn);
     assert_eq!(widths.len(), 2 * 12);
+    // Its manifest says how the volume was read.
+    let manifest = std::fs::read(log.with_extension("manifest.json")).unwrap();
+    let manifest: serde_json::Value = serde_json::from_slice(&manifest).unwrap();
+    assert!(manifest["renderer"] == "cpu" && manifest["settings"]["reading"].is_object(), "{manifest}");
+    assert!(manifest["files"].as_object().unwrap().contains_key(volume), "{manifest}");
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }

@@ -205,6 +205,20 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         "--preset",
     );
 
+    // The groups that the base was trained on stay known after fine-tuning with another split.
+    let mine =
+        ["train", "--quiet", "--data", data.csv(), "--out", &tuned, "--fine-tune", &out, "--epochs", "1"];
+    works(&[&mine[..], &["--test-groups", "blobs/m01"]].concat());
+    let card = std::fs::read_to_string(data.path("tuned.md")).unwrap();
+    assert!(card.contains("trained or validated on test groups: blobs/m01"), "{card}");
+    let shown = works(&["evaluate", "--quiet", "--model", &tuned, "--data", data.csv()]);
+    assert!(shown.contains("blobs/m01"));
+    fails(
+        &["evaluate", "--model", &tuned, "--data", data.csv(), "--unseen"],
+        1,
+        "a model was trained or validated on",
+    );
+
     // All groups were in training or validation, so --unseen leaves no frame.
     works(&[
         "train",
