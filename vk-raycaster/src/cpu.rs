@@ -43,12 +43,12 @@ impl CpuRaycaster {
     /// # Errors
     /// When volume or transfer function were not set, or as [`Frame::checked`].
     pub fn render_linear(&self, frame: &Frame) -> Result<(Vec<[f32; 4]>, WorkCounts)> {
-        check(frame)?;
         let (Some((volume, _)), Some(classifier), Some(skip)) = (&self.volume, &self.classifier, &self.skip)
         else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
         };
+        check(frame, &volume.geometry)?;
         let setup = FrameSetup::new(&volume.geometry, skip.edge, skip.dims, frame);
         let table = classifier.step_table(frame.step);
         let mut pixels = vec![[0.0; 4]; frame.width as usize * frame.height as usize];

@@ -17,6 +17,9 @@ pub(crate) const SHADOW_TERMINATION: f32 = 0.25;
 /// Smallest advance per step along an axis, in voxels; keeps its inverse finite.
 pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
 
+/// Largest number of samples of a ray.
+const MOST_SAMPLES: f64 = 16_777_216.0;
+
 /// Sample number beyond the last sample of every ray.
 pub(crate) const FAR: f32 = 3.0e38;
 
@@ -160,8 +163,18 @@ impl FrameSetup {
 ///
 /// # Errors
 /// As [`Frame::checked`].
-pub(crate) fn check(frame: &Frame) -> Result<()> {
-    frame.checked().map(drop).map_err(|e| Error::new(e.to_string()))
+pub(crate) fn check(frame: &Frame, volume: &Geometry) -> Result<()> {
+    frame.checked().map_err(|e| Error::new(e.to_string()))?;
+    // No ray is longer than the bounding sphere's diameter, which is 2. Single precision counts to 2²⁴.
+    let samples = 2.0 / (f64::from(frame.step) * volume.reference_step());
+    if samples > MOST_SAMPLES {
+        return Err(Error::new(format!(
+            "a ray may take {samples:.1e} samples at step {}, more than the {MOST_SAMPLES:.1e} that are counted exactly; \
+             use a larger step, or correct the volume's spacing",
+            frame.step
+        )));
+    }
+    Ok(())
 }
 
 /// True if samples of a frame are shaded.
@@ -184,6 +197,20 @@ mod tests {
         assert_eq!(core::mem::offset_of!(FrameSetup, blocks), 160);
         assert_eq!(core::mem::offset_of!(FrameSetup, brick_dims), 224);
         assert_eq!(core::mem::offset_of!(FrameSetup, origin_up), 256);
+    }
+
+    #[test]
+    fn rays_of_too_many_samples_are_refused() {
+        let data = vec![0u8; 2 * 2 * 20];
+        let spacing = [1.0, 1.0, 1e6];
+        let options = VolumeOptions { spacing, ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::U8(&data), [2, 2, 20], options).unwrap();
+        let volume = PreparedVolume::new(&view).geometry;
+        let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 3.0 }).unwrap();
+        let frame = Frame::new(camera, 8, 8).unwrap();
+        let said = check(&frame, &volume).unwrap_err().to_string();
+        assert!(said.contains("larger step"), "{said}");
+        assert!(check(&Frame { step: 4.0, ..frame }, &volume).is_ok());
     }
 
     #[test]

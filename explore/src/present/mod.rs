@@ -332,6 +332,10 @@ fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
 
 impl Drop for Presenter {
     fn drop(&mut self) {
+        if self.device.is_abandoned() {
+            std::mem::forget((self.egui.take(), self.swapchain.take()));
+            return;
+        }
         let d = self.device.device();
         // If the call fails, the device is lost and runs nothing.
         // SAFETY: the queue belongs to this device and is locked during the call.

@@ -255,6 +255,9 @@ fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
 
 impl Drop for Swapchain {
     fn drop(&mut self) {
+        if self.device.is_abandoned() {
+            return;
+        }
         let d = self.device.device();
         // If the wait fails, the device is lost and runs nothing.
         // SAFETY: the queue is locked during the wait, after which the device uses none of the objects. Each

@@ -468,7 +468,11 @@ fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<C
             usable
                 .iter()
                 .position(|(i, _)| Some(*i) == index)
-                .or_else(|| usable.iter().position(|(_, d)| d.name.to_lowercase().contains(&lower)))
+                // A small number is no part of a name: it would select a device by its version.
+                .or_else(|| match index {
+                    Some(0..64) => None,
+                    _ => usable.iter().position(|(_, d)| d.name.to_lowercase().contains(&lower)),
+                })
         }
     };
     match position {

@@ -96,7 +96,8 @@ impl VulkanOptions {
     /// # Errors
     /// When a variable has an invalid value.
     pub fn from_env() -> Result<Self> {
-        Self::from_variables(|name| std::env::var(name).ok())
+        // A value that is not UTF-8 keeps its other characters, and is refused or matches no device.
+        Self::from_variables(|name| std::env::var_os(name).map(|value| value.to_string_lossy().into_owned()))
     }
 
     fn from_variables(get: impl Fn(&str) -> Option<String>) -> Result<Self> {
@@ -341,11 +342,11 @@ impl VulkanRaycaster {
 
     /// Returns the parameters that all dispatches of a frame share.
     fn plan(&self, frame: &Frame) -> Result<Plan> {
-        check(frame)?;
         let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
         };
+        check(frame, &volume.geometry)?;
         if !self.has_skip_map {
             return Err(Error::new(
                 "nothing to render: the last change of volume or transfer function failed; set it again",
@@ -398,6 +399,15 @@ impl VulkanRaycaster {
         if let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) {
             let watch = Stopwatch::start();
             let mut map = SkipMap::occupancy(&volume.blocks, classifier);
+            let limit = self.engine.gpu().limits.max_image_dimension3_d as usize;
+            if let Some(count) = map.dims.iter().find(|n| **n > limit) {
+                return Err(Error::new(format!(
+                    "the skip map has {count} blocks along an axis, {} takes at most {limit}: set larger blocks than {} \
+                     cells, or crop the volume",
+                    self.engine.gpu().name,
+                    self.block_edge
+                )));
+            }
             preparation.occupancy = Some(watch.wall());
             let watch = Stopwatch::start();
             map.add_distances();

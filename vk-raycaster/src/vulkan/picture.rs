@@ -103,7 +103,7 @@ impl Picture {
 
 impl Drop for Picture {
     fn drop(&mut self) {
-        if self.device.is_lost() {
+        if self.device.is_lost() || self.device.is_abandoned() {
             return;
         }
         let gpu = self.device.gpu();

@@ -61,11 +61,6 @@ impl SharedDevice {
         &self.gpu.name
     }
 
-    /// True if the device is a software implementation (llvmpipe, SwiftShader).
-    pub fn is_software(&self) -> bool {
-        self.gpu.is_cpu
-    }
-
     /// Maximum number of pixels along a side of an image.
     pub fn max_image_side(&self) -> u32 {
         self.gpu.limits.max_image_dimension2_d
@@ -74,6 +69,12 @@ impl SharedDevice {
     /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device.
     pub fn is_lost(&self) -> bool {
         self.gpu.is_lost()
+    }
+
+    /// True if a submission did not end within [`VulkanOptions::longest_wait`]. It may still use what was made from the
+    /// device, so nothing of it may be waited for or destroyed.
+    pub fn is_abandoned(&self) -> bool {
+        self.gpu.is_abandoned()
     }
 
     /// Returns the error of a Vulkan call on this device, with the remedy. The device is marked lost if
