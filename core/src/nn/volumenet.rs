@@ -356,7 +356,9 @@ mod tests {
         features
     }
 
-    const NETWORKS: [(usize, &[Layer]); 14] = [
+    const NETWORKS: [(usize, &[Layer]); 15] = [
+        // This one and the next have buffers of equal sizes, but other borders.
+        (10, &[(4, 3, 2, 0)]),
         (8, &[(4, 3, 2, 1)]),
         (9, &[(5, 3, 2, 1), (7, 3, 2, 1)]),
         (16, &[(8, 3, 2, 1), (16, 3, 2, 1), (32, 3, 2, 1), (64, 3, 2, 1)]),

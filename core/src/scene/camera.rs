@@ -97,6 +97,12 @@ impl Camera {
             );
         }
         let eye_of_center = view.transform_point3(center) / radius;
+        if !eye_of_center.is_finite() {
+            bail!(
+                InvalidArgument,
+                "the volume's center is too far from the eye for a radius of {radius}: their quotient is not finite"
+            );
+        }
         let view = Mat4::from_cols(
             r.x_axis.extend(0.0),
             r.y_axis.extend(0.0),
@@ -292,6 +298,8 @@ mod tests {
         assert!((back.eye() - camera.eye()).length() < 1e-4);
         assert!(Camera::from_world_view(view * 2.0, center, radius).is_err());
         assert!(Camera::from_world_view(Mat4::NAN, center, radius).is_err());
+        let far = Mat4::from_translation(Vec3::new(0.0, 0.0, -1e30));
+        assert!(Camera::from_world_view(far, Vec3::ZERO, 1e-30).is_err());
         assert!(Camera::from_world_view(view, center, 0.0).is_err());
     }
 

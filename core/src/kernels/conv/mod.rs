@@ -125,7 +125,7 @@ impl Encoder {
         };
         let whole = if self.rest.is_empty() { f.lead + f.shape.output * f.out_plane } else { 0 };
         // The extra line keeps the reads of the last row, rounded up to whole vectors, inside the buffer.
-        [f.shape.kernel * f.plane + LINE, ring + LINE, whole + LINE, f.plane, f.row, f.phase]
+        [f.shape.kernel * f.plane + LINE, ring + LINE, whole + LINE, f.plane, f.row, f.phase, f.shape.padding]
             .into_iter()
             .chain(
                 self.rest.iter().flat_map(|l| [l.out_len.next_multiple_of(LINE), l.border, l.out_channels]),
