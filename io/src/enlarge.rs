@@ -3,7 +3,7 @@
 
 use crate::volume::{Volume, VolumeData};
 use anyhow::{Result, ensure};
-use entire_core::scene::VolumeView;
+use entire_core::scene::{MAX_VOLUME_EDGE, VolumeView};
 use rayon::prelude::*;
 
 /// Maximum enlargement factor along each axis.
@@ -15,7 +15,7 @@ pub const MAX_FACTOR: usize = 8;
 /// nearest value. The scalar range is that of the source.
 ///
 /// # Errors
-/// When `factor` is 0 or over [`MAX_FACTOR`].
+/// When `factor` is 0 or over [`MAX_FACTOR`], or the enlarged volume is too large for the program or the memory.
 pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
     ensure!(
         (1..=MAX_FACTOR).contains(&factor),
@@ -24,7 +24,13 @@ pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
     let view = volume.view();
     let from = volume.dims();
     let dims = from.map(|n| n * factor);
-    let data = of_the_same_type(volume, trilinear(&view, dims));
+    let [x, y, z] = dims;
+    ensure!(
+        dims.iter().all(|n| *n <= MAX_VOLUME_EDGE),
+        "enlarged {factor} times, the volume would have {x} x {y} x {z} voxels; at most {MAX_VOLUME_EDGE} along each axis \
+         are accepted"
+    );
+    let data = of_the_same_type(volume, trilinear(&view, dims)?);
     let spacing = volume.spacing().map(|s| s / factor as f32);
     let mut enlarged = Volume::new(data, dims, spacing, volume.name())?;
     enlarged.set_range(Some(view.range()))?;
@@ -45,7 +51,7 @@ pub fn resample(volume: &Volume, edge: usize) -> Result<Volume> {
     let view = volume.view();
     let from = volume.dims();
     let spacing = volume.spacing();
-    let data = of_the_same_type(volume, trilinear(&view, [edge; 3]));
+    let data = of_the_same_type(volume, trilinear(&view, [edge; 3])?);
     let spacing = std::array::from_fn(|a| spacing[a] * from[a] as f32 / edge as f32);
     let mut out = Volume::new(data, [edge; 3], spacing, volume.name())?;
     out.set_range(Some(view.range()))?;
@@ -61,7 +67,7 @@ fn of_the_same_type(volume: &Volume, values: Vec<f32>) -> VolumeData {
     }
 }
 
-fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Vec<f32> {
+fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Result<Vec<f32>> {
     // Per axis and target index: the two source indices and the weight of the second.
     let axes: [Vec<(usize, usize, f32)>; 3] = std::array::from_fn(|a| {
         let n = view.shape().dims[a];
@@ -73,8 +79,16 @@ fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Vec<f32> {
             })
             .collect()
     });
-    let mut out = vec![0.0f32; dims[0] * dims[1] * dims[2]];
-    let mix = |a: f32, b: f32, t: f32| if t == 0.0 { a } else { a + t * (b - a) };
+    let [x, y, z] = dims;
+    let count = dims.iter().try_fold(1usize, |n, d| n.checked_mul(*d)).unwrap_or(usize::MAX);
+    let mut out = Vec::new();
+    ensure!(
+        out.try_reserve_exact(count).is_ok(),
+        "{x} x {y} x {z} voxels of 4 bytes do not fit into this machine's memory"
+    );
+    out.resize(count, 0.0f32);
+    // Without the second condition, two infinities of one sign would give NaN.
+    let mix = |a: f32, b: f32, t: f32| if t == 0.0 || a.is_infinite() { a } else { a + t * (b - a) };
     out.par_chunks_mut(dims[0] * dims[1]).enumerate().for_each(|(z, slice)| {
         let (z0, z1, tz) = axes[2][z];
         for (y, row) in slice.chunks_mut(dims[0]).enumerate() {
@@ -85,7 +99,7 @@ fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Vec<f32> {
             }
         }
     });
-    out
+    Ok(out)
 }
 
 #[cfg(test)]
@@ -107,6 +121,24 @@ mod tests {
         assert!((e.view().shape().bounding_radius / v.view().shape().bounding_radius - 1.0).abs() < 1e-6);
         assert_eq!(e.view().range(), (0.0, 255.0));
         assert!(enlarge(&v, 0).is_err() && enlarge(&v, 9).is_err());
+        let long = Volume::new(VolumeData::U8(vec![0; 200_000]), [200_000, 1, 1], [1.0; 3], "v").unwrap();
+        let said = enlarge(&long, 8).unwrap_err().to_string();
+        assert!(said.contains("1600000 x 8 x 8 voxels"), "{said}");
+    }
+
+    #[test]
+    fn infinities_stay_in_either_direction() {
+        let (infinity, edge) = (f32::INFINITY, [3, 1, 1]);
+        let doubled = |voxels: [f32; 3]| {
+            let v = Volume::new(VolumeData::F32(voxels.to_vec()), edge, [1.0; 3], "v").unwrap();
+            match enlarge(&v, 2).unwrap().data() {
+                VolumeData::F32(d) => d[..6].to_vec(),
+                _ => panic!("the type changed"),
+            }
+        };
+        let row = doubled([infinity, infinity, 1.0]);
+        assert!(row.iter().all(|v| !v.is_nan()) && row[..3] == [infinity; 3], "{row:?}");
+        assert!(doubled([1.0, 3.0, infinity]).iter().all(|v| !v.is_nan()));
     }
 
     #[test]

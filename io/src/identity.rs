@@ -18,7 +18,7 @@ const WHOLE: u64 = 16 << 20;
 const PART: u64 = 1 << 20;
 
 /// Number of bytes at the beginning of a volume file in which names of data files are looked for.
-const HEADER: u64 = 1 << 16;
+const HEADER: u64 = 1 << 20;
 
 /// Nanoseconds per second.
 const SECOND: u64 = 1_000_000_000;
@@ -318,6 +318,10 @@ mod tests {
         assert_eq!(was.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["a.nhdr", "one.raw", "two.raw"]);
         std::fs::write(dir.path().join("two.raw"), "efgX").unwrap();
         assert!(difference(&was, &of_volume(&header).unwrap()).unwrap().contains("two.raw"));
+        // The list is read to its end, and its names count even if the sizes do not fit their number.
+        let list = "one.raw\n".repeat(9000) + "two.raw\n";
+        std::fs::write(&header, format!("{HEADER}data file: LIST\n{list}")).unwrap();
+        assert!(of_volume(&header).unwrap().iter().any(|f| f.name == "two.raw"));
     }
 
     #[test]

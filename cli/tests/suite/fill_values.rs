@@ -50,6 +50,24 @@ fn fill_values_do_not_decide_the_range() {
     assert!(nan.notes()[0].contains("1920 of 7680 voxels are NaN or infinite"), "{:?}", nan.notes());
 }
 
+/// Where fill values are hidden, the voxels in their place are not taken for fill values, whatever their number. Only
+/// bytes are said to have a narrow range.
+#[test]
+fn hidden_fill_values_are_not_looked_for_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let value = |i: usize| match i {
+        0 => 0.0,
+        i if i.is_multiple_of(4) => -9999.0,
+        i => 0.5 + (i % 1999) as f32 / 4000.0,
+    };
+    let path = folder.path().join("v.nrrd");
+    std::fs::write(&path, float_nrrd([16, 16, 16], (0..4096).map(value))).unwrap();
+    let volume = open(&path, Fill::Found);
+    assert_eq!((volume.view().range().0, volume.notes().len()), (0.0, 1), "{:?}", volume.notes());
+    let kept = open(&path, Fill::None);
+    assert_eq!((kept.view().range().0, kept.notes().len()), (-9999.0, 0), "{:?}", kept.notes());
+}
+
 /// A volume with a fill value is drawn like one with the low end in its place, whether the value is a minimum
 /// or a maximum.
 #[test]

@@ -649,6 +649,29 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
     }
 }
 
+/// Programs that write blocks of a fixed size fill the last one with zeros.
+#[test]
+fn bytes_after_the_last_gzip_member_are_ignored() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = std::fs::read(fixtures().join("nibabel_one_int16_big.nii")).unwrap();
+    let (head, tail) = whole.split_at(400);
+    let gz = |part: &[u8]| entire_io::files::gzip(part).unwrap();
+    for (name, bytes) in [
+        ("zeros.nii.gz", [gz(&whole), vec![0; 512]].concat()),
+        ("members.nii.gz", [gz(head), gz(tail), vec![0; 3]].concat()),
+        ("text.nii.gz", [gz(&whole), b"end".to_vec()].concat()),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        let (read, right) = (Volume::open(&path), Volume::open(fixtures().join("nibabel_one_int16_big.nii")));
+        let (read, right) = (read.unwrap_or_else(|e| panic!("{name}: {e:#}")), right.unwrap());
+        assert_eq!(read.data(), right.data(), "{name}");
+    }
+    let path = folder.path().join("cut.nii.gz");
+    std::fs::write(&path, &gz(&whole)[..300]).unwrap();
+    assert!(Volume::open(&path).is_err());
+}
+
 #[test]
 fn names_in_capitals_are_known() {
     let folder = tempfile::tempdir().unwrap();

@@ -58,7 +58,7 @@ fn is_understood(schema: u64) -> bool {
 pub fn stem(table: &Path) -> PathBuf {
     let bare =
         if table.extension().is_some_and(|e| e == "gz") { table.with_extension("") } else { table.into() };
-    bare.with_extension("")
+    if bare.extension().is_some_and(|e| e == "csv") { bare.with_extension("") } else { bare }
 }
 
 /// Returns the id of a VolumeNet: a hash of the first block's and the last layer's weights, eight hexadecimal

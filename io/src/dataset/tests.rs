@@ -284,6 +284,8 @@ fn manifests_keep_unknown_keys_and_refuse_other_formats() {
     let dir = folder();
     let table = dir.path().join("run.v2.csv");
     assert_eq!(Manifest::path_for(&table), dir.path().join("run.v2.manifest.json"));
+    assert_eq!(Manifest::path_for(&dir.path().join("run.v2.csv.gz")), Manifest::path_for(&table));
+    assert_eq!(Manifest::path_for(&dir.path().join("run.1")), dir.path().join("run.1.manifest.json"));
     assert_eq!(Manifest::read(&table).unwrap(), None);
     let mut manifest = Manifest {
         format: MANIFEST_FORMAT.into(),

@@ -185,7 +185,7 @@ impl Transfer {
     }
 
     fn mix(&self, other: &Self, t: f32) -> Self {
-        let go = |a: f32, b: f32| a + t * (b - a);
+        let go = |a, b| between(a, b, t);
         match (self, other) {
             (Self::Lobes(a), Self::Lobes(b)) => Self::Lobes(
                 a.iter()
@@ -212,9 +212,15 @@ impl Transfer {
     }
 }
 
+/// Returns the value between a and b at t, 0 to 1; finite for finite a and b.
+fn between(a: f32, b: f32, t: f32) -> f32 {
+    let step = t * (b - a);
+    if step.is_finite() { a + step } else { a * (1.0 - t) + b * t }
+}
+
 impl CameraPose {
     fn mix(self, other: Self, t: f32) -> Self {
-        let go = |a: f32, b: f32| a + t * (b - a);
+        let go = |a, b| between(a, b, t);
         // Rounding must not move the value out of [a, b]: outside, the camera may be refused.
         let grow = |a: f32, b: f32| go(a.ln(), b.ln()).exp().clamp(a.min(b), a.max(b));
         Self {

@@ -8,7 +8,7 @@ use anyhow::{Result, anyhow, bail, ensure};
 /// For any other text; the error names the accepted forms.
 pub fn parse_target(text: &str) -> Result<f64> {
     let lower = text.trim().to_ascii_lowercase();
-    let split = lower.find(|c: char| c.is_ascii_alphabetic() && c != 'e').unwrap_or(lower.len());
+    let split = lower.find(|c: char| c.is_alphabetic() && c != 'e').unwrap_or(lower.len());
     let (number, unit) = lower.split_at(split);
     let accepted = "give a time like 33ms or 0.033s, or a rate like 30fps";
     let value: f64 =
@@ -16,7 +16,7 @@ pub fn parse_target(text: &str) -> Result<f64> {
     let seconds = match unit.trim() {
         "ms" => value * 1e-3,
         "s" => value,
-        "us" | "µs" => value * 1e-6,
+        "us" | "µs" | "μs" => value * 1e-6,
         "fps" | "hz" => 1.0 / value,
         _ => bail!("target {text:?} has no known unit; {accepted}"),
     };

@@ -156,14 +156,38 @@ fn generated_paths_fit_any_volume() {
 
 #[test]
 fn targets_are_times_or_rates() {
-    for (text, seconds) in
-        [("33ms", 0.033), ("0.5 s", 0.5), ("500us", 5e-4), ("40fps", 0.025), ("25 Hz", 0.04), ("1e-2s", 0.01)]
-    {
+    for (text, seconds) in [
+        ("33ms", 0.033),
+        ("0.5 s", 0.5),
+        ("500us", 5e-4),
+        ("500µs", 5e-4),
+        ("500 μs", 5e-4),
+        ("40fps", 0.025),
+        ("25 Hz", 0.04),
+        ("1e-2s", 0.01),
+    ] {
         assert!((parse_target(text).unwrap() - seconds).abs() < 1e-12, "{text}");
     }
     for text in ["", "33", "ms", "-3ms", "0fps", "0ms", "nan s", "3 parsecs", "inf s"] {
         assert!(parse_target(text).is_err(), "{text}");
     }
+}
+
+#[test]
+fn every_frame_between_extreme_keyframes_has_a_camera() {
+    let key = |frame: usize, degrees: &str| {
+        format!(
+            "{{\"frame\": {frame}, \"camera\": {{\"rx_deg\": {degrees}, \"ry_deg\": 0, \"dz_radii\": 2}}, \
+             \"transfer\": {{\"lobes\": [{{\"center\": {degrees}, \"width\": 0.1, \"height\": 0.5}}]}}}}"
+        )
+    };
+    let text = format!(
+        "{{\"format\": \"entire-path-1\", \"frames\": 5, \"keyframes\": [{}, {}]}}",
+        key(0, "-3e38"),
+        key(4, "3e38")
+    );
+    let path = PathFile::parse(&text).unwrap().resolve().unwrap();
+    assert!((0..5).all(|i| path.camera(i).is_ok() && path.frames[i].transfer.function().to_table().is_ok()));
 }
 
 #[test]

@@ -306,7 +306,7 @@ impl Volume {
         }?;
         let spacing = parts.spacing.map(|s| s as f32);
         let mut notes = parts.notes;
-        notes.extend(hide_fill(&mut parts.data, parts.dims, &reading.fill)?);
+        notes.extend(hide_fill(&mut parts.data, parts.dims, reading)?);
         let mut volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
         notes.extend(non_finite(&volume.view()));
         notes.extend(narrow(&volume.view(), reading.range));

@@ -30,9 +30,8 @@ impl Reading {
         match self.range {
             Range::Given(low, high) => Some((low, high)),
             Range::Data => Some(view.own_range()),
-            // The view's default range leaves out values that look like fill values; here the user has said
-            // which values are data.
-            Range::Default => (!bytes && self.fill != Fill::Found).then(|| view.own_range()),
+            // Fill values are hidden already: the view's default range would look for them once more.
+            Range::Default => (!bytes).then(|| view.own_range()),
         }
     }
 
@@ -148,11 +147,17 @@ macro_rules! as_text {
 }
 as_text!(Fill Range);
 
-/// Replaces fill values by the minimum of all other voxels. Returns the note for the user, if any.
+/// Replaces fill values by the low end of the range, or by the minimum of all other voxels if that is lower. Returns the
+/// note for the user, if any.
 ///
 /// # Errors
 /// When every voxel holds one of the given values.
-pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) -> Result<Option<String>> {
+pub(super) fn hide_fill(
+    data: &mut VolumeData,
+    dims: [usize; 3],
+    reading: &Reading,
+) -> Result<Option<String>> {
+    let fill = &reading.fill;
     let (values, found) = match fill {
         Fill::Found => (VolumeView::new(data.scalars(), dims)?.fill_values(), true),
         Fill::None => return Ok(None),
@@ -171,12 +176,17 @@ pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) ->
         }
     }
     ensure!(low <= high, "every voxel holds a fill value ({fill}); give other values, or none");
+    let shown = match reading.range {
+        Range::Given(from, _) => low.min(from.floor()),
+        Range::Default if matches!(data, VolumeData::U8(_)) => 0.0,
+        Range::Default | Range::Data => low,
+    };
     macro_rules! replace {
         ($($kind:ident $number:ty),*) => {
             match data {
                 $(VolumeData::$kind(voxels) => {
                     for v in voxels.iter_mut().filter(|v| is_fill(f32::from(**v))) {
-                        *v = low as $number;
+                        *v = shown as $number;
                     }
                 })*
             }
@@ -198,7 +208,8 @@ pub(super) fn hide_fill(data: &mut VolumeData, dims: [usize; 3], fill: &Fill) ->
 /// Returns a note if the values of unsigned bytes fill only a small part of the range that maps to [0, 1].
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
-    let narrow = range == Range::Default && view.range() != (low, high) && high - low < NARROW;
+    let bytes = matches!(view.scalars(), Scalars::U8(_));
+    let narrow = bytes && range == Range::Default && view.range() != (low, high) && high - low < NARROW;
     narrow.then(|| {
         format!(
             "its bytes hold {low} to {high}, a small part of the range 0 to 255 that a transfer function \
@@ -244,16 +255,24 @@ mod tests {
     #[test]
     fn fill_values_become_the_low_end() {
         let mut data = VolumeData::U16((0..100).map(|i| if i < 40 { 65535 } else { i }).collect());
-        let note = hide_fill(&mut data, [10, 10, 1], &Fill::Found).unwrap().unwrap();
+        let with = |fill: Fill, range: Range| Reading { fill, range, ..Reading::default() };
+        let note = hide_fill(&mut data, [10, 10, 1], &Reading::default()).unwrap().unwrap();
         assert!(note.contains("40 of 100 voxels (40.0 %) hold 65535") && note.contains("40 to 99"), "{note}");
         assert_eq!(data, VolumeData::U16((0..100).map(|i| i.max(40)).collect()));
         let mut data = VolumeData::F32(vec![f32::NAN, 7.0, 1.0, 2.0]);
-        let note = hide_fill(&mut data, [4, 1, 1], &Fill::Values(vec![7.0, f32::NAN])).unwrap();
+        let values = with(Fill::Values(vec![7.0, f32::NAN]), Range::Default);
+        let note = hide_fill(&mut data, [4, 1, 1], &values).unwrap();
         assert_eq!((note, data), (None, VolumeData::F32(vec![1.0, 1.0, 1.0, 2.0])));
         let mut all = VolumeData::U8(vec![3; 8]);
-        assert!(hide_fill(&mut all, [8, 1, 1], &Fill::Values(vec![3.0])).is_err());
-        assert!(
-            hide_fill(&mut all, [8, 1, 1], &Fill::Values(vec![4.0])).unwrap().unwrap().contains("no voxel")
-        );
+        let values = |v: f32, range: Range| with(Fill::Values(vec![v]), range);
+        assert!(hide_fill(&mut all, [8, 1, 1], &values(3.0, Range::Default)).is_err());
+        let note = hide_fill(&mut all, [8, 1, 1], &values(4.0, Range::Default)).unwrap().unwrap();
+        assert!(note.contains("no voxel"));
+        // The low end is that of the range: 0 for bytes, the given number, or the minimum of the data.
+        for (range, low) in [(Range::Default, 0), (Range::Data, 50), (Range::Given(20.0, 90.0), 20)] {
+            let mut bytes = VolumeData::U8(vec![50, 200, 255, 60]);
+            hide_fill(&mut bytes, [4, 1, 1], &values(255.0, range)).unwrap();
+            assert_eq!(bytes, VolumeData::U8(vec![50, 200, low, 60]));
+        }
     }
 }

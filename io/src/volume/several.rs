@@ -135,9 +135,9 @@ impl Several {
         companions: &dyn Companions,
         mut read: impl FnMut(Stream<'_>, [usize; 3]) -> Result<VolumeData>,
     ) -> Result<VolumeData> {
+        companions.announce(&self.names);
         let each = [self.voxels_each(sizes)?, 1, 1];
         let mut all = None;
-        companions.announce(&self.names);
         for name in &self.names {
             append(&mut all, read(companions.open(name)?, each)?)?;
         }

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, anyhow, bail};
 use bzip2::bufread::MultiBzDecoder;
-use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
+use flate2::bufread::{GzDecoder, ZlibDecoder};
 use std::fmt;
 use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read};
@@ -236,9 +236,13 @@ impl<'a> Stream<'a> {
         Ok(bytes)
     }
 
-    /// Returns the rest of the stream, decompressed as gzip (one or several members).
+    /// Returns the rest of the stream, decompressed as gzip (one or several members). Bytes after the last member, such
+    /// as the zeros with which some programs fill blocks, are ignored.
     pub(crate) fn gunzip(self) -> Stream<'a> {
-        self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(reader))))
+        self.decompressed(|reader| {
+            let members = Members { member: Some(GzDecoder::new(reader)) };
+            Box::new(BufReader::with_capacity(1 << 16, members))
+        })
     }
 
     /// Returns the rest of the stream, decompressed as zlib, or as gzip if it starts with the magic bytes of
@@ -332,6 +336,30 @@ impl<'a> Stream<'a> {
             read: 0,
             label: self.label,
         }
+    }
+}
+
+/// The members of a gzip stream, one after another, up to the first bytes that begin no member.
+struct Members<R> {
+    /// The member that is being decompressed; `None` after the last one.
+    member: Option<GzDecoder<R>>,
+}
+
+impl<R: BufRead> Read for Members<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        while let Some(member) = &mut self.member {
+            let count = member.read(out)?;
+            if count > 0 || out.is_empty() {
+                return Ok(count);
+            }
+            let mut rest = self.member.take().map(GzDecoder::into_inner);
+            if let Some(reader) = &mut rest
+                && reader.fill_buf()?.starts_with(&[0x1f])
+            {
+                self.member = rest.map(GzDecoder::new);
+            }
+        }
+        Ok(0)
     }
 }
 
