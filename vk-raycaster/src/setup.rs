@@ -76,7 +76,8 @@ pub(crate) struct FrameSetup {
     pub(crate) block_shift: u32,
     /// First and last cell of the brick whose samples the dispatch takes.
     pub(crate) brick_low: [f32; 3],
-    pub(crate) pad_low: f32,
+    /// Number of runs of workgroups to which the rows of the dispatch are dealt in turn; 1 for none.
+    pub(crate) parts: u32,
     pub(crate) brick_high: [f32; 3],
     pub(crate) pad_high: f32,
     /// First voxel of the brick's texture, and number of voxels along each axis of the texture.
@@ -129,7 +130,7 @@ impl FrameSetup {
             blocks: blocks.map(|n| n as u32),
             block_shift: block_edge.trailing_zeros(),
             brick_low: [0.0; 3],
-            pad_low: 0.0,
+            parts: 1,
             brick_high: dims.map(|n| n as f32 - 1.0),
             pad_high: 0.0,
             brick_origin: [0.0; 3],

@@ -352,3 +352,33 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
     }
     assert!(succeeds(folder.path(), &["--version"]).starts_with("entire "));
 }
+
+/// A software device deals rows of workgroups to its threads: with any number of threads, each row is drawn once.
+#[test]
+fn pictures_do_not_depend_on_the_number_of_threads() {
+    let folder = workshop();
+    for size in ["61x83", "40x17", "8x8", "33x120"] {
+        let arguments = [
+            "render",
+            "ball.nrrd",
+            "--camera",
+            "10,20,2.2",
+            "--tf",
+            "0.7,0.2,0.5",
+            "--size",
+            size,
+            "--out",
+            "a.png",
+        ];
+        let drawn = |threads: &str| {
+            let output = entire_in(folder.path(), &[("LP_NUM_THREADS", threads)], &arguments);
+            assert!(output.status.success(), "{}", stderr(&output));
+            picture(&folder.path().join("a.png"))
+        };
+        let one = drawn("1");
+        assert!(one.2.iter().any(|v| *v > 0), "the picture is black");
+        for threads in ["2", "3", "5", "16"] {
+            assert!(drawn(threads) == one, "{size}, {threads} threads");
+        }
+    }
+}

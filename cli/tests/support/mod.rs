@@ -10,7 +10,7 @@ pub(crate) fn entire(folder: &Path, arguments: &[&str]) -> Output {
     entire_in(folder, &[], arguments)
 }
 
-fn entire_in(folder: &Path, environment: &[(&str, &str)], arguments: &[&str]) -> Output {
+pub(crate) fn entire_in(folder: &Path, environment: &[(&str, &str)], arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
     command.args(arguments).envs(environment.iter().copied()).current_dir(folder).output().unwrap()
 }

@@ -70,6 +70,9 @@ pub(crate) struct Gpu {
     /// Largest single allocation, bytes.
     pub(crate) max_allocation: u64,
     pub(crate) is_cpu: bool,
+    /// Number of threads among which the device splits a dispatch into runs of successive workgroups; 1 if it is no
+    /// software device.
+    pub(crate) threads: u32,
     /// True if compute shaders may compute minima and maxima over a subgroup.
     pub(crate) subgroup_arithmetic: bool,
     pub(crate) subgroup_size: u32,
@@ -219,6 +222,7 @@ impl Gpu {
             limits: chosen.limits,
             max_allocation: chosen.max_allocation,
             is_cpu,
+            threads: if is_cpu { software_threads() } else { 1 },
             longest_wait: options.longest_wait.unwrap_or(if is_cpu {
                 LONGEST_WAIT_SOFTWARE
             } else {
@@ -297,6 +301,15 @@ impl Gpu {
             found.contains(vk::FormatFeatureFlags::SAMPLED_IMAGE_FILTER_LINEAR),
         )
     }
+}
+
+/// Number of threads of the software device llvmpipe: `LP_NUM_THREADS`, which Mesa reads, else one per processor.
+fn software_threads() -> u32 {
+    /// Largest number of threads that llvmpipe starts.
+    const MOST: usize = 32;
+    let asked = std::env::var("LP_NUM_THREADS").ok().and_then(|n| n.trim().parse::<usize>().ok());
+    let all = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    asked.unwrap_or_else(all).clamp(1, MOST) as u32
 }
 
 impl Drop for Gpu {

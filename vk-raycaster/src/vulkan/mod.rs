@@ -383,7 +383,10 @@ impl VulkanRaycaster {
         let window = if self.is_software() { window(step, frame.shading) } else { FAR };
         let longest = longest_ray(step) as f32;
         Ok(Plan {
-            setup: FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame),
+            setup: FrameSetup {
+                parts: self.engine.gpu().threads,
+                ..FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame)
+            },
             class,
             key,
             window,

@@ -44,7 +44,7 @@ struct FrameSetup {
     blocks: vec3<u32>,
     block_shift: u32,
     brick_low: vec3<f32>,
-    pad_low: f32,
+    parts: u32,
     brick_high: vec3<f32>,
     pad_high: f32,
     brick_origin: vec3<f32>,
@@ -457,11 +457,24 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
     return sum;
 }
 
+// Row of workgroups that the dispatch's row `row` draws. A software device splits a dispatch into `parts` runs of
+// successive workgroups, one for each thread. The rows of the image are dealt to these runs in turn, so that every thread
+// gets a similar share of each region of the image. `parts` 1 changes nothing.
+fn dealt(row: u32, rows: u32) -> u32 {
+    let each = rows / setup.parts;
+    let more = rows % setup.parts;
+    let longer = more * (each + 1u);
+    if row < longer {
+        return row % (each + 1u) * setup.parts + row / (each + 1u);
+    }
+    return (row - longer) % each * setup.parts + more + (row - longer) / each;
+}
+
 // A workgroup is 8 × 8 pixels in Morton order: eight successive invocations cover 4 × 2 pixels.
 @compute @workgroup_size(64)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let x = group.x * 8u + ((lane & 1u) | ((lane >> 1u) & 2u) | ((lane >> 2u) & 4u));
-    let y = group.y * 8u + (((lane >> 1u) & 1u) | ((lane >> 2u) & 2u) | ((lane >> 3u) & 4u));
+    let y = dealt(group.y, (setup.tile_height + 7u) / 8u) * 8u + (((lane >> 1u) & 1u) | ((lane >> 2u) & 2u) | ((lane >> 3u) & 4u));
     dims = setup.dims;
     last = dims - 1.0;
     scale = setup.scale;
