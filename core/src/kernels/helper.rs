@@ -121,8 +121,8 @@ impl Helper {
         }
     }
 
-    /// Ends [`serve`](Self::serve) once the work in progress is done. Called before any thread serves, it
-    /// makes the next `serve` return at once.
+    /// Ends [`serve`](Self::serve) once the work in progress is done. If no thread serves yet, the next call
+    /// of `serve` returns at once.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }

@@ -9,8 +9,9 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
 ///
-/// Read once, and only with the feature `std`: at the first [`Level::detect`] or [`Level::check_override`] of
-/// the process. It can lower the level, but never raise it above the highest level of the CPU.
+/// The variable is read only with the feature `std`, and only once: at the first [`Level::detect`] or
+/// [`Level::check_override`] of the process. It can lower the level, but never raise it above the highest
+/// level of the CPU.
 pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 /// Instruction sets that kernels are written for, in rising order.

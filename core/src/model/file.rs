@@ -79,8 +79,8 @@ impl<'a> Source<'a> {
     }
 }
 
-/// A model file being written: named tensors and metadata. Unknown entries are kept, so that fine-tuning a
-/// file loses nothing (training's decoder tensors, notes, …).
+/// Editable content of a model file: named tensors and metadata. Unknown entries are kept, so that
+/// fine-tuning a file loses nothing (decoder tensors of the training, notes, …).
 ///
 /// The bytes depend only on the content, not on the order of insertion.
 #[derive(Clone, Debug, PartialEq)]

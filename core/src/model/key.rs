@@ -43,9 +43,10 @@ pub enum Key {
     /// `estimated_seconds` is computed from them. The names are `frame` and those in `COST_QUANTITIES` of
     /// `entire-steer`; a missing name costs nothing.
     UnitCosts,
-    /// `entire.cached_voxels`: number of touched voxels at which half of a frame's unshared reads wait for memory, for
-    /// the file's scene features and unit costs, as a decimal number. Without this entry it is `UnitCosts::CACHED_VOXELS` of
-    /// `entire-steer`.
+    /// `entire.cached_voxels`: number of voxels that the caches hold, for the file's scene features and unit
+    /// costs, as a decimal number. In a frame that touches this many voxels, half of the reads that no
+    /// neighboring ray shares wait for memory. Without this entry, the number is `UnitCosts::CACHED_VOXELS`
+    /// of `entire-steer`.
     CachedVoxels,
     /// `entire.probe_side`: number of rays along each side of the probe that measured the scene features, as
     /// a decimal number from 1 to `MAX_PROBE_SIDE` of `entire-steer`. Without this entry it is `PROBE_SIDE`

@@ -44,7 +44,8 @@ pub struct Model {
 }
 
 impl Model {
-    /// Reads a model file. The bytes need no alignment; unknown tensors and metadata are ignored.
+    /// Reads a model file. The bytes need no alignment. Unknown tensors are ignored; unknown metadata is kept
+    /// in `Model::metadata`.
     ///
     /// # Errors
     ///
@@ -509,7 +510,8 @@ fn index_of(flat: usize, shape: &[usize]) -> String {
     format!("{indices:?}")
 }
 
-/// The number in `prefix` + number + `.` + one of `suffixes`, written without leading zeros.
+/// Returns the number in a name that consists of `prefix`, a number without leading zeros, `.` and one of
+/// `suffixes`; `None` for any other name.
 fn numbered(name: &str, prefix: &str, suffixes: &[&str]) -> Option<usize> {
     let (number, suffix) = name.strip_prefix(prefix)?.split_once('.')?;
     if !suffixes.contains(&suffix) || (number.len() > 1 && number.starts_with('0')) {

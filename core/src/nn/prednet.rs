@@ -60,8 +60,8 @@ impl PredNet {
     /// `storage` is the weights' format in memory, `file` their format in the file.
     ///
     /// If no weight is rounded ([`Storage::F32`], or the file's own format), the bound is 1e-5 of the
-    /// prediction. Otherwise it is a fraction of the largest output over all inputs: 5e-3 for
-    /// [`Storage::F16`], 5e-2 for [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. The error of
+    /// prediction. Otherwise it is a fraction of the largest absolute prediction of all compared frames: 5e-3
+    /// for [`Storage::F16`], 5e-2 for [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. The error of
     /// [`Storage::Int8`] depends on the network: measure it on your own frames first.
     pub fn tolerance(storage: Storage, file: Dtype) -> f64 {
         match storage {
@@ -73,8 +73,8 @@ impl PredNet {
         }
     }
 
-    /// Builds the network for a given level and storage. A storage wider than the file's costs memory and
-    /// changes no result; a narrower storage rounds the weights.
+    /// Builds the network for a given level and storage. A storage that is wider than the format in the file
+    /// takes more memory and changes no result; a narrower storage rounds the weights.
     ///
     /// # Errors
     ///

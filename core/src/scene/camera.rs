@@ -112,7 +112,7 @@ impl Camera {
         Ok(Self { view, lens: Lens::DEFAULT })
     }
 
-    /// A perspective projection with a vertical field of view in degrees.
+    /// Sets a perspective projection with a vertical field of view in degrees.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless `degrees` lies in (0, 179].
@@ -124,9 +124,9 @@ impl Camera {
         Ok(self)
     }
 
-    /// A parallel (orthographic) projection. `scale` is half of the visible height in bounding-sphere radii:
-    /// VTK's `ParallelScale` divided by the world radius. The picture does not depend on the distance of an
-    /// eye that is in front of the volume.
+    /// Sets a parallel (orthographic) projection. `scale` is half of the visible height in bounding-sphere
+    /// radii: VTK's `ParallelScale` divided by the world radius. The picture does not depend on the distance
+    /// of an eye that is in front of the volume.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless `scale` lies in 1e-6 … 1e6.

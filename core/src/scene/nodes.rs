@@ -3,10 +3,10 @@
 //!
 //! Between two nodes, the left node's midpoint is the position at which the value is half way; its sharpness
 //! selects the curve. Below 0.01 the curve is linear on both sides of the midpoint. From 0.01 on, the
-//! position is first moved towards the midpoint by the power 1 + 10·sharpness and then interpolated by a
-//! cubic Hermite curve whose end slopes are (1 − sharpness) times the rise. Above 0.99, colors are a step at
-//! the midpoint; opacity keeps the curve, as in VTK's two classes. Agreement with VTK 9.7: 1e-6 on every
-//! table entry.
+//! position is first moved away from the midpoint, towards the nearer node, by the power 1 + 10·sharpness;
+//! the value there follows a cubic Hermite curve whose end slopes are (1 − sharpness) times the rise. Above
+//! 0.99, colors are a step at the midpoint; opacity keeps the curve, as in VTK's two classes. Every table
+//! entry agrees with VTK 9.7 within 1e-6.
 
 use super::transfer::{TABLE_LEN, TransferTable, ramp};
 use crate::Result;

@@ -42,8 +42,8 @@ impl VolumeView<'_> {
             let highs = left.len() - left.partition_point(|v| *v < high);
             let frequent = |count: usize| count >= 4 && count as f32 >= FREQUENT * sample.len() as f32;
             let candidates = [(low, lows, &left[lows..]), (high, highs, &left[..left.len() - highs])];
-            // Of the minimum and the maximum, the value that lies farther from all others is taken first:
-            // until it is removed, it widens the range with which the other one's distance is compared.
+            // The candidate that lies farther from all other values is taken first, because it widens the
+            // range with which the distance of the other candidate is compared.
             let far = |rest: &[f32], value: f32| {
                 let (Some(&least), Some(&most)) = (rest.first(), rest.last()) else { return None };
                 let gap = if value < least { half(least) - half(value) } else { half(value) - half(most) };

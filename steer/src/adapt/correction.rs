@@ -125,8 +125,9 @@ const FITTED_SHARE: f64 = 0.1;
 /// Range of the variance among scenes of the logarithm of a scene's own factor, for standard deviations from
 /// 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
-/// Prior variance of ln of an unknown common factor, by definition. Its standard deviation of 3 is a factor
-/// of 20, so that the first observed time determines the factor, whatever its order of magnitude.
+/// Prior variance of ln of the unit costs' common factor if this factor is unknown. The value is a choice:
+/// its standard deviation of 3 is a factor of 20, so that the first observed time determines the common
+/// factor, whatever its order of magnitude.
 const OPEN: f64 = 9.0;
 /// Upper bound of every variance in the filter, slightly above the prior variance of an unknown machine
 /// ([`OPEN`] plus that of a unit cost).
@@ -150,7 +151,7 @@ const DRIFT_SINGLE: f64 = 2.0e-6;
 /// Largest number of frames over which the load is averaged; more frames would hide a change of the load.
 const LOAD_FRAMES: f64 = 8.0;
 /// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
-/// longest burst in the recordings.
+/// longest burst of load by other programs in the recordings.
 const ESTABLISHED: u64 = 32;
 /// Variance added to ln of the unit costs' common factor when an established load becomes a part of that
 /// factor, as a share of the variance of the scenes' own factors ([`Correction::change`]): a guess, since few

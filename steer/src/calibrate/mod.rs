@@ -163,7 +163,7 @@ impl Calibration {
         self.kept.len()
     }
 
-    /// Adds a frame of a volume under a transfer function that took `seconds`.
+    /// Adds a frame of a volume under a transfer function; the frame took `seconds`.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`], and

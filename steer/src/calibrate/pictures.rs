@@ -89,8 +89,8 @@ pub struct FittedQuality {
     /// any setting with the same time, interpolated between drawn settings. Geometric mean over frame times;
     /// 1 is the best value.
     pub over_best: f64,
-    /// As `over_best`, if only the ray step is coarsened; over the frame times that coarser steps reach;
-    /// `None` if they reach none.
+    /// As `over_best`, for settings that coarsen only the ray step, over the frame times that such settings
+    /// reach; `None` if they reach none of these times.
     pub step_over_best: Option<f64>,
     /// Time at the coarsest step and full image size, as a share of the time at full quality.
     pub step_least_time: f64,
@@ -102,7 +102,8 @@ type Point = (f64, f64, f64);
 /// An image sample distance, and its points in the order of ascending steps.
 type Line = (f64, Vec<Point>);
 
-/// Seconds of every drawing at a setting, and the error of the last one, by the bits of distance and step.
+/// Map from the bits of distance and step to the seconds of every picture drawn at this setting, and the
+/// error of the last one.
 type Settings = BTreeMap<(u32, u32), (Vec<f64>, f64)>;
 
 /// Table for the fit: the drawn settings, each with the means of a [`Point`].

@@ -1,6 +1,7 @@
 //! Fits a model to frames of this machine, with a model of other machines as prior: unit costs and, if the
-//! prior has a learned factor, the last layer of this factor. Both are regularized towards the prior. The number of
-//! cached voxels is the one of [`CACHED_VOXELS`] with the smallest error in cross-validation.
+//! prior has a learned factor, the last layer of this factor. Both are regularized towards the prior. One of
+//! [`CACHED_VOXELS`] replaces the prior's number of cached voxels if it clearly reduces the error in
+//! cross-validation.
 //!
 //! [`CostFit`] does the fit. The prior standard deviation of the last layer's weights is [`FACTOR_SD`] times
 //! their root mean square.
@@ -39,8 +40,8 @@ const ZERO_SHARE: f64 = 0.1;
 /// voxel into four bytes.
 const CACHED_VOXELS: [f64; 4] = [2.0e6, 4.0e6, 8.0e6, 16.0e6];
 
-/// Share of the smallest error so far below which another kind of renderer, or another number of cached voxels, is
-/// taken.
+/// Share of the smallest error so far. A fit with another kind of renderer, or with another number of cached
+/// voxels, replaces the best fit if its error is below this share.
 const LESS_ERROR: f64 = 0.95;
 
 /// Largest number of folds in cross-validation.
@@ -86,7 +87,7 @@ pub struct Observed {
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
-    /// Group for cross-validation: frames of one volume are held out together.
+    /// Group for cross-validation: the frames of a group are held out together.
     pub group: u64,
 }
 
@@ -256,7 +257,8 @@ impl PriorModel {
         }
     }
 
-    /// Fits unit costs, the factor's weights and the speed to `frames`, whose work is that of `prior`'s cached voxels.
+    /// Fits unit costs, the weights of the learned factor and the common speed to `frames`. `prior` holds the
+    /// prior unit costs. The work of `frames` must be computed for the number of cached voxels in `prior`.
     fn fit(&self, prior: &UnitCosts, frames: &[&FitRow]) -> CostFit {
         let (weights, weight_sd): (&[f64], f64) = match &self.factor {
             Some(f) => (&f.weights, FACTOR_SD * f.root_mean_square),
@@ -266,12 +268,12 @@ impl PriorModel {
         CostFit::new(&Expected { costs: &prior.seconds, cost_sd, weights, weight_sd }, frames)
     }
 
-    /// Fits a model to frames of this machine. Each of `renderers` holds typical costs of a kind of renderer
-    /// that this one may be of; if there are several, the model is that of the first kind, unless another kind
-    /// has a clearly smaller error in cross-validation. For work whose cost the prior model lacks, a tenth of
-    /// the typical cost is the prior, scaled to the speed of the prior model. Costs that are 0 in both stay 0. Then
-    /// other numbers of cached voxels are compared, each by its error in cross-validation; without cross-validation,
-    /// the prior's number stays.
+    /// Fits a model to frames of this machine. `renderers` holds the typical costs of each kind of renderer
+    /// that may have drawn the frames. The model is that of the first kind, unless another kind has a clearly
+    /// smaller error in cross-validation. For work whose cost the prior model lacks, the prior is a tenth of
+    /// the typical cost, scaled to the speed of the prior model. Costs that are 0 in the prior model and in
+    /// the typical costs stay 0. Then other numbers of cached voxels are compared, each by its error in
+    /// cross-validation; without cross-validation, the prior's number stays.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, if
@@ -324,7 +326,7 @@ impl PriorModel {
             for renderer in others {
                 take_better(&mut best, fit(with_unknown(&self.costs, renderer)));
             }
-            // A factor keeps the number with which its inputs were computed.
+            // If inputs of the factor were computed with a number of cached voxels, this number is kept.
             let far = |factor: &Factor| factor.layout.scene_features.iter().any(|f| f.quantity.is_far());
             let compared = if self.factor.as_ref().is_some_and(far) { &[][..] } else { &CACHED_VOXELS };
             for &cached_voxels in compared {

@@ -1,6 +1,6 @@
 //! Divides the frame time of a window among the volumes that it draws.
 
-/// Number of frames over which the time outside of the passes is a median.
+/// Number of recent frames over which the median of the time outside of the passes is taken.
 const REST_FRAMES: usize = 5;
 /// Smallest share of the target that all passes together get, however long the window's other work takes.
 const LEAST_SHARE: f32 = 0.2;

@@ -79,7 +79,7 @@ impl Coarsening {
         }
     }
 
-    /// Sets the renderer's picture quality law, already checked.
+    /// Sets the renderer's picture quality law, which the caller has checked.
     pub(super) fn set_quality(&mut self, quality: Option<Quality>) {
         if self.quality != quality {
             self.quality = quality;

@@ -150,8 +150,9 @@ struct Last {
 /// five suffice.
 const EVALUATIONS: usize = 12;
 /// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames,
-/// unless a lower miss rate requires more: it covers 98 of 100 frames. Slower frames are due to other
-/// programs, and a step that is coarse enough for these frames would be too coarse for all others.
+/// unless a lower miss rate requires more. A bound with this margin covers 98 of 100 undisturbed frames.
+/// Slower frames are due to other programs, and a step that is coarse enough for these frames would be too
+/// coarse for all others.
 const WORTH: f64 = 2.0;
 /// Learning rate of the margins, which thus adapt over about twenty frames. A fixed margin has the same loss
 /// on the training paths, but does not keep a miss rate.
@@ -272,8 +273,8 @@ impl Hybrid {
         let mut coarsest = limits.coarsest;
         let mut f_high = excess(coarsest);
         if f_high > 0.0 {
-            // If the time hardly depends on the step, a bound that widens with the distance from the last step
-            // may fit there and not at the coarsest step.
+            // Bounds widen with the distance from the last step. So if the time hardly depends on the step,
+            // the bound may fit at the last step although it does not fit at the coarsest step.
             coarsest = last.filter(|step| limits.clamp(*step) == *step)?;
             f_high = excess(coarsest);
             if f_high > 0.0 {

@@ -146,7 +146,7 @@ pub struct Observed {
     pub step: f32,
     /// Target of the frame's plan.
     pub target: f32,
-    /// Changes between the frame before and this one.
+    /// Changes of the scene from the preceding frame to this one.
     pub changes: Changes,
     /// Uncorrected prediction of the frame.
     pub terms: CostTerms,

@@ -76,7 +76,7 @@ struct Pending {
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
     pub(super) controller: Box<dyn Controller + Send>,
-    /// Analytic model; its ratio of the times at two steps scales predictions that do not depend on the step.
+    /// Analytic model. The ratio of its times at two steps scales predictions that do not depend on the step.
     shape: AnalyticModel,
     volume: Option<VolumeSummary>,
     transfer: Option<TransferSummary>,
@@ -200,7 +200,7 @@ impl Session {
             transfer.follow(&volume)?;
         }
         self.volume = Some(volume);
-        // The probe's rays met the preceding time step.
+        // The rays of the last probe crossed the preceding time step, so their results are not reused.
         self.cast_for = None;
         if volume_features.is_some() {
             self.volume_features = volume_features;

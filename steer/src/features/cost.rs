@@ -37,12 +37,12 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::FarLongestShadowSamples,
 ];
 
-/// Number of unit costs that any renderer may have. The next one, for the conversion of stored values, is nonzero only
-/// for renderers like [`UnitCosts::CONVERTING`], the others, for the longest ray, only for those like
-/// [`UnitCosts::GPU`].
+/// Number of unit costs that any renderer may have. The next unit cost, for the conversion of stored values,
+/// is nonzero only for renderers like [`UnitCosts::CONVERTING`]. The unit costs after it, for the longest
+/// ray, are nonzero only for renderers like [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
-/// For each cost of the longest ray, the index of the cost of the same work of all rays.
+/// For each unit cost of the longest ray, the index of the unit cost of the same kind of work of all rays.
 const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 
 /// True for counts that are multiplied by the far share, in the order of [`UnitCosts::seconds`].
@@ -70,14 +70,15 @@ const TOUCHED: usize = {
 pub struct UnitCosts {
     /// Seconds per frame, then per unit of each of [`COST_QUANTITIES`].
     pub seconds: [f64; COSTS],
-    /// Number of touched voxels at which half of a frame's unshared reads wait for memory. The quantities are
-    /// computed with [`UnitCosts::CACHED_VOXELS`]; [`UnitCosts::time`] converts them to this number.
+    /// Number of voxels that the caches hold. In a frame that touches this many voxels, half of the reads that
+    /// no neighboring ray shares wait for memory. The quantities are computed with
+    /// [`UnitCosts::CACHED_VOXELS`]; [`UnitCosts::time`] converts them to this number.
     pub cached_voxels: f64,
 }
 
 impl UnitCosts {
-    /// Number of cached voxels with which the quantities of frames are computed. In the reference renderer, which packs
-    /// a voxel into four bytes, these are 32 MB.
+    /// Number of cached voxels with which the quantities of frames are computed. They take 32 MB in the
+    /// reference renderer, which packs a voxel into four bytes.
     pub const CACHED_VOXELS: f64 = 8.0e6;
 
     /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs, as
@@ -97,9 +98,10 @@ impl UnitCosts {
         costs
     };
 
-    /// Typical costs of the kinds of renderer that an unknown renderer may be of: its costs may include a conversion of
-    /// stored values, and on a GPU those of the longest ray. A sample of the longest ray has 10⁴ times the cost of a
-    /// sample, between those of a processor with two cores and of a large GPU.
+    /// Two sets of typical unit costs for a renderer of unknown kind. Both have a cost for the conversion of
+    /// stored values. The second set, for a GPU, also has costs for the longest ray. Each of these costs is
+    /// 10⁴ times the cost of the same kind of work of all rays, between the ratios of a processor with two
+    /// cores and of a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
         let mut costs = Self::CONVERTING;
         let mut longest = COMMON_COSTS + 1;
@@ -153,8 +155,9 @@ impl UnitCosts {
     }
 }
 
-/// Returns the far share with this number of cached voxels, divided by the share with [`UnitCosts::CACHED_VOXELS`], for a
-/// frame that touches `touched` voxels: the share is proportional to touched / (touched + cached).
+/// Returns the far share with `cached_voxels`, divided by the far share with [`UnitCosts::CACHED_VOXELS`],
+/// for a frame that touches `touched` voxels. The far share is proportional to touched / (touched + cached
+/// voxels).
 pub(crate) fn far_ratio(touched: f64, cached_voxels: f64) -> f64 {
     (touched + UnitCosts::CACHED_VOXELS) / (touched + cached_voxels)
 }

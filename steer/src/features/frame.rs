@@ -88,7 +88,8 @@ impl Changes {
     }
 }
 
-/// Estimated work of a whole frame. All values are counts, except the ray spacing; none is negative.
+/// Estimated work of a whole frame. All values are counts, except the ray spacing and the share of reads that
+/// wait for memory; none is negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Work {
     /// Number of pixels of the image.
@@ -127,8 +128,9 @@ pub(crate) struct Work {
     /// [`VOXELS_PER_READ`] times the number r of reads that no neighboring ray shares:
     /// w = 1 / (1 / n + 1 / ([`VOXELS_PER_READ`] r)).
     pub(crate) touched: f64,
-    /// Share of the unshared reads that wait for memory, 0…1: w / (w + [`UnitCosts::CACHED_VOXELS`]). A model file may
-    /// have another number of cached voxels ([`UnitCosts::cached_voxels`]).
+    /// Of the reads that no neighboring ray shares, the share that waits for memory, 0…1. For w touched
+    /// voxels, it is w / (w + [`UnitCosts::CACHED_VOXELS`]). A model file may have another number of cached
+    /// voxels ([`UnitCosts::cached_voxels`]).
     pub(crate) uncached: f64,
 }
 

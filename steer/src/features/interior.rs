@@ -114,7 +114,7 @@ fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: us
             to[w] = from[w] & (from[w] << 1 | before) & (from[w] >> 1 | after);
         }
     }
-    // Along y within slices, then along z.
+    // Second pass: erosion along y, within slices. Third pass: erosion along z.
     for (from, to) in to.chunks_exact(words * ny).zip(between.chunks_exact_mut(words * ny)) {
         all_three(from, to, words);
     }

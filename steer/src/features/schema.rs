@@ -51,7 +51,7 @@ macro_rules! quantities {
                 match self { $(Self::$variant => flag!($step),)* }
             }
 
-            /// True where the quantity needs probe rays. All other quantities follow from camera, image size,
+            /// True where the quantity needs probe rays. All other quantities follow from camera, setting,
             /// transfer function and volume alone.
             pub const fn needs_probe(self) -> bool {
                 match self { $(Self::$variant => flag!($probe),)* }
@@ -165,7 +165,8 @@ impl SceneQuantity {
     }
 }
 
-/// A quantity or its logarithm. In files: the quantity's name, or that name after `log_`.
+/// A quantity or its logarithm. In model files, a quantity has its own name, and its logarithm has this name
+/// with the prefix `log_`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SceneFeature {
     /// The quantity.

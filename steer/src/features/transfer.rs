@@ -36,9 +36,10 @@ pub(super) struct Optics {
 /// bits of mantissa, 5 of exponent, 2⁻²⁷ at least). The other bits hold the number of the edit in which the
 /// word was computed. With these bits cleared, the word is zero exactly for an empty cell.
 pub(super) mod packed {
-    /// Bits of the square root of the visible share.
+    /// Mask of the bits that hold the square root of the visible share.
     pub(crate) const SHOWS: u32 = 0x0000_03ff;
-    /// Bits of the extinction: at the positions of an f32's bits, with the exponent offset by [`EXPONENT`].
+    /// Mask of the bits that hold the extinction: the bits of the f32, minus [`EXPONENT`], at the same
+    /// positions.
     pub(crate) const EXTINCTION: u32 = 0x0fff_e000;
     /// Offset that, added to the bits of the extinction, gives the bits of the f32.
     pub(crate) const EXPONENT: u32 = (127 - 27) << 23;

@@ -230,13 +230,13 @@ impl AnalyticModel {
         })
     }
 
-    /// Number of costs without those at the end that are 0, at least `least`.
+    /// Number of unit costs up to the last one that is not 0, but at least `least`.
     fn used(&self, least: usize) -> usize {
         self.costs.seconds.iter().rposition(|&c| c != 0.0).map_or(least, |last| least.max(last + 1))
     }
 
     /// Returns the model as a file with one dense layer that predicts seconds. Its scene features are
-    /// [`COST_QUANTITIES`], without those at the end whose cost only some renderers have if these are 0.
+    /// [`COST_QUANTITIES`], without those at the end that only some renderers need and whose costs are 0.
     /// Calibration and range are stored under [`Key::Calibration`].
     ///
     /// # Errors
@@ -380,7 +380,8 @@ impl Predictor for AnalyticModel {
 
     fn identity(&self) -> u32 {
         // Bytes are little-endian on every machine, so that a saved state can be loaded on all of them.
-        // Costs of the longest ray count only where there are any, so that states saved without them stay valid.
+        // Trailing zero costs of the longest ray are left out, so that states saved without these costs stay
+        // valid.
         let bytes = self.costs.seconds.map(f64::to_le_bytes);
         let mut hash = crc32fast::Hasher::new();
         hash.update(bytes[..self.used(COMMON_COSTS + 1)].as_flattened());

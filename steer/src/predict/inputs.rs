@@ -134,8 +134,9 @@ pub trait Predictor {
         0
     }
 
-    /// True if the prediction depends on the ray step. Otherwise callers scale the prediction by the ratio of
-    /// the times that the analytic model predicts at the two steps.
+    /// True if the prediction depends on the ray step. If false, callers predict at the reference step, and
+    /// scale the prediction by the ratio of the analytic model's times at the frame's step and at the
+    /// reference step.
     fn knows_step(&self) -> bool {
         true
     }

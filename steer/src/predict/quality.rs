@@ -28,9 +28,9 @@ pub struct Quality {
     pub ray_share: f32,
 }
 
-/// Ratio of successive image sample distances: a compromise between many image sizes, each of which needs new
-/// buffers, and large jumps of the step where the size changes (by a factor of 1.2² = 1.44). Not tuned on
-/// recorded paths.
+/// Ratio of successive image sample distances. A smaller ratio gives more image sizes, each of which needs
+/// new buffers. A larger ratio gives larger jumps of the step where the size changes (here by a factor of
+/// 1.2² = 1.44). The value is a compromise, not tuned on recorded paths.
 pub(crate) const DISTANCE_RATIO: f64 = 1.2;
 
 /// Name, smallest and largest value of each parameter.
@@ -119,9 +119,9 @@ impl Quality {
                 }
             }
             if best.0 > taken {
-                // At this time, the distance `taken` has another value of step · distance² than the best one.
-                // The threshold is the geometric mean of both values. It is the best distance's value if that
-                // is smaller, or if `taken` does not reach this time.
+                // At this time, the distance `taken` has another value of step · distance² than the best
+                // distance. The threshold is the geometric mean of both values. It is the value of the best
+                // distance if this value is the smaller one, or if `taken` does not reach this time.
                 let square = distances[taken] * distances[taken];
                 let before = self.step_for(share, distances[taken]).map_or(best.2, |s| s * square);
                 let at = libm::sqrt(before.min(best.2) * best.2).max(from[taken]);

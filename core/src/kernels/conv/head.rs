@@ -4,7 +4,7 @@ use super::layout::LINE;
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;
 
-/// The dense layer after the convolutions: 16 partial sums per output.
+/// Kernel that computes the dense layer after the convolutions, with 16 partial sums per output.
 pub(super) struct Dense<'a> {
     pub(super) dense: core::slice::ChunksExact<'a, f32>,
     pub(super) bias: &'a [f32],

@@ -84,9 +84,10 @@ impl Cut {
 
 macro_rules! two_vectors {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
-        /// A tile of two vectors of channels. Integer instructions compete with the sums for execution ports,
-        /// so addresses are shared: with `TWO_APART`, positions are two floats apart and share a pointer;
-        /// with `CONTIGUOUS_CHANNELS`, channels are contiguous and are processed four at a time.
+        /// Computes a tile of two vectors of channels. Integer instructions compete with the sums for
+        /// execution ports, so addresses are shared: with `TWO_APART`, positions are two floats apart and
+        /// share a pointer; with `CONTIGUOUS_CHANNELS`, channels are contiguous and are processed four at a
+        /// time.
         #[inline(always)]
         unsafe fn $name<S: Simd, const TWO_APART: bool, const CONTIGUOUS_CHANNELS: bool>(s: S, tile: &Tile) {
             // SAFETY: the caller of `run_tile` guarantees that every pointer is valid for the reads and
@@ -134,7 +135,7 @@ macro_rules! two_vectors {
 
 macro_rules! one_vector {
     ($name:ident: $($p:literal $x:ident $a:ident),*) => {
-        /// A tile of one vector of channels.
+        /// Computes a tile of one vector of channels.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
             // SAFETY: the caller of `run_tile` guarantees that every pointer is valid for the reads and
@@ -165,8 +166,8 @@ macro_rules! one_vector {
 
 macro_rules! wide {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
-        /// A tile of 16 positions and one vector; positions p and p + 8 are as far apart as positions 0 and
-        /// 8.
+        /// Computes a tile of 16 positions and one vector. The distance from position p to p + 8 is the same
+        /// for every p.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
             // SAFETY: the caller of `run_tile` guarantees that every pointer is valid for the reads and
@@ -204,9 +205,9 @@ macro_rules! wide {
     };
 }
 
-/// A tile of 16 positions, whose inputs are two floats apart, and one vector, for kernels with rows of three
-/// taps. The three taps of a channel are added in one pass, so that an input that two neighboring positions
-/// share is read once.
+/// Computes a tile of 16 positions and one vector, for kernels with rows of three taps. The inputs of
+/// neighboring positions are two floats apart. The three taps of a channel are added in one pass, so that an
+/// input that two neighboring positions share is read once.
 #[inline(always)]
 unsafe fn sixteen_by_tap_triples<S: Simd>(s: S, tile: &Tile) {
     macro_rules! body {
@@ -301,7 +302,7 @@ pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vect
 
 macro_rules! row_step {
     ($name:ident: $($c:literal $a:ident $b:ident),*) => {
-        /// One step of a first-layer row: two vectors along x for every channel of the group.
+        /// Computes one step of a first-layer row: two vectors along x for every channel of the group.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, row: &Row, x: usize) {
             const GROUP: usize = [$($c),*].len();

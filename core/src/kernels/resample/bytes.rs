@@ -122,7 +122,8 @@ impl QuadRows<'_> {
             for y in self.y..self.y + self.ry {
                 let at = z * self.g.strides[2] + y * self.g.strides[1] + 4 * x;
                 let row = &self.src[at..at + 32 * S::LANES];
-                // The reads of each plane end after these rows; the plane's next rows are prefetched.
+                // In each plane, the present output row reads only these rows. The plane's next rows, which
+                // the next output row reads, are prefetched.
                 prefetch(self.src, at + self.ry * self.g.strides[1], 32 * S::LANES);
                 macro_rules! add {
                     ($($sum:ident $i:literal),*) => {$(
@@ -175,7 +176,8 @@ fn bytes_body(
             for z in (z0 + dz) * rz..(z0 + dz + 1) * rz {
                 let mut row = y * ry;
                 let end = row + ry;
-                // The reads of each plane end after these rows; the plane's next rows are prefetched.
+                // In each plane, the present output row reads only these rows. The plane's next rows, which
+                // the next output row reads, are prefetched.
                 for next in end..end + ry {
                     prefetch(src, z * g.strides[2] + next * g.strides[1], g.dims[0]);
                 }

@@ -1,4 +1,4 @@
-//! AVX2, FMA, F16C and POPCNT: the only file with these `#[target_feature]`s.
+//! Vector operations with AVX2, FMA, F16C and POPCNT. Only `enter` enables exactly these instructions.
 
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;

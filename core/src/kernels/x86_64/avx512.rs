@@ -1,4 +1,5 @@
-//! AVX-512 F, BW, DQ and VL, with and without VNNI: the only file with these `#[target_feature]`s.
+//! Vector operations with AVX-512 F, BW, DQ and VL, with and without VNNI. Only this file has functions that
+//! enable these instructions by `#[target_feature]`.
 
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;
@@ -280,7 +281,8 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         // SAFETY: the token proves AVX-512; `from` is not empty, and each index is clamped to its last word.
         unsafe {
             let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
-            // Scalar loads: gather instructions take two to three times as long on many machines.
+            // Scalar loads replace a gather instruction, which takes two to three times as long on many
+            // machines.
             let mut at = [0u32; 16];
             _mm512_storeu_si512(at.as_mut_ptr().cast(), index);
             let [low, high] = [eight_words(from, &at, 0), eight_words(from, &at, 8)];

@@ -8,8 +8,9 @@ use entire_core::bail;
 
 impl Session {
     /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
-    /// limits, recorded frames and the probe of [`Session::with_probe`] stay. VolumeNet's output stays too; for a predictor with another encoder,
-    /// set the volume again with the output of that encoder ([`Session::set_volume`]).
+    /// limits, recorded frames and the probe of [`Session::with_probe`] stay. VolumeNet's output stays too;
+    /// for a predictor with another encoder, set the volume again with the output of that encoder
+    /// ([`Session::set_volume`]).
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] if frames are being recorded with another probe than the

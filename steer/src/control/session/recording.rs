@@ -89,7 +89,7 @@ impl Session {
     /// analytic model times a learned factor that was fitted with the session's probe. Without a prior, the
     /// fit starts from unit costs of a software renderer. Frames are not recorded if their observation is
     /// unusual or cancelled, if they are the first of the session or of a volume, or if they lack an input of
-    /// the prior. Planning and observing still do not allocate.
+    /// the prior. Planning and observing do not allocate while frames are recorded.
     ///
     /// Frames that were timed earlier can be recorded too: with steering off ([`Session::set_enabled`]), plan
     /// each frame as it was drawn, and observe its time.

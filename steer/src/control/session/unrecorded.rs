@@ -1,10 +1,10 @@
-//! The recording of a session without the feature `calibrate`: there is none.
+//! Replacement for the recording of frames in builds without the feature `calibrate`, which record nothing.
 
 use crate::features::VolumeSummary;
 use crate::predict::Inputs;
 use entire_core::scene::TransferTable;
 
-/// Has no value, so that its methods are never called.
+/// Type without values: a session without the feature `calibrate` never holds a recording.
 pub(super) enum Recording {}
 
 impl Recording {

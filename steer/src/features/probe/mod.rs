@@ -297,8 +297,8 @@ impl Probe {
     }
 }
 
-/// The largest value of any ray, for each kind of work. Units are those of the fields of [`Probe`] with the same
-/// names.
+/// Largest value over all rays, for each kind of work. Units are those of the fields of [`Probe`] with the
+/// same names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Longest {
     pub(super) occupied: f32,

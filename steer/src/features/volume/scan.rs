@@ -34,7 +34,7 @@ impl Grid {
         self.edge.iter().product::<usize>() + 64
     }
 
-    /// Range of voxels of cell `i` (or of block `i`, by `size`) along an axis.
+    /// Range of voxels along an axis of cell `i`, or of block `i`; `size` is the edge of the cell or block.
     pub(super) fn span(&self, i: usize, size: usize, axis: usize) -> Range<usize> {
         i * size..((i + 1) * size).min(self.dims[axis])
     }
@@ -185,8 +185,8 @@ struct Layers<'a, T> {
     quantiles: &'a mut [[u8; QUANTILES + 1]],
     /// Bounds of the blocks of these layers.
     bounds: &'a mut [Bounds<T>],
-    /// Bounds of the voxels in the first plane of these layers, one pair per block of a plane. The blocks
-    /// before these layers are widened by them.
+    /// Bounds of the voxels in the first plane of these layers, one pair per block of a plane. The last
+    /// blocks before these layers include this plane too, so their bounds are widened by these bounds.
     back: Vec<Bounds<T>>,
     counts: [u64; 256],
     non_finite: u64,
