@@ -7,8 +7,8 @@ use entire_io::quiet;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-/// Predicts the render time of a volume-rendered frame before it is drawn, and picks the ray step that keeps
-/// the frame within its time budget.
+/// Predicts the render time of a volume-rendered frame before it is drawn, and picks the ray step and image
+/// size with which the frame meets its target time.
 #[derive(Debug, Parser)]
 #[command(name = "entire", version, propagate_version = true)]
 struct Cli {
@@ -19,40 +19,25 @@ struct Cli {
     command: Command,
 }
 
+/// The commands. Their texts in the help are the doc comments of their options.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Render many random frames of volumes and write their render times to a table.
     Collect(commands::collect::Options),
-    /// Fit a model to this machine in a minute and a half.
     Calibrate(commands::calibrate::Options),
-    /// Compute the scene features of collected frames and keep them beside the tables.
     Features(commands::features::Options),
-    /// Train or fine-tune a predictor on collected frames.
     Train(commands::train::Options),
-    /// Measure the errors of predictors on collected frames.
     Evaluate(commands::evaluate::Options),
-    /// Predict seconds for rows of model inputs.
     Predict(commands::predict::Options),
-    /// Turn a volume into its feature vector.
     Encode(commands::encode::Options),
-    /// Render one frame and time it.
     Render(commands::render::Options),
-    /// Measure this machine's rates for rays, samples and skips.
     Probe(commands::probe::Options),
-    /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
-    /// View a volume in an interactive window that holds a target frame time.
     Explore(commands::explore::Options),
-    /// Assign the tasks of a render farm to its nodes and predict when the last task ends.
     Schedule(commands::schedule::Options),
-    /// Render an image database on a farm and predict when it is complete.
     Farm(commands::farm::Options),
-    /// A worker of `entire farm`; engines start it.
     #[command(hide = true)]
     FarmWorker(commands::farm::WorkerOptions),
-    /// Calibrate, play a path under several controllers, and report.
     Demo(commands::demo::Options),
-    /// Report what is installed here and what works with it.
     Doctor(commands::doctor::Options),
 }
 

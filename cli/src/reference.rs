@@ -53,7 +53,8 @@ fn commands<'a>(command: &'a Command, name: &str) -> Vec<(String, &'a Command)> 
 
 fn sections(program: &Command, name: &str, out: &mut String) {
     for (command, definition) in commands(program, name) {
-        let about = definition.get_about().map(ToString::to_string).unwrap_or_default();
+        let about = definition.get_long_about().or(definition.get_about());
+        let about = about.map(ToString::to_string).unwrap_or_default();
         let _ = write!(out, "\n## {command}\n\n{}.\n\n", about.trim_end_matches('.'));
         out.push_str("| option | value | default | meaning |\n|---|---|---|---|\n");
         let shown = |a: &&Arg| !a.is_hide_set() && !matches!(a.get_id().as_str(), "help" | "version");

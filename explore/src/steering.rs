@@ -277,7 +277,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
     let expected = match (record.predicted.is_nan(), record.upper.is_nan()) {
         (true, _) => "without a prediction".to_owned(),
         (false, true) => format!("{} expected", ms(record.predicted)),
-        (false, false) => format!("{} expected, {} at most", ms(record.predicted), ms(record.upper)),
+        (false, false) => format!("{} expected, upper bound {}", ms(record.predicted), ms(record.upper)),
     };
     let target = ms(record.target);
     let why = match record.reason {
@@ -422,6 +422,6 @@ mod tests {
             full: 0.1,
         };
         let text = words(&record, "hybrid");
-        assert!(text.contains("1.5 × 1.5 pixels") && text.contains("31.0 ms at most"), "{text}");
+        assert!(text.contains("1.5 × 1.5 pixels") && text.contains("upper bound 31.0 ms"), "{text}");
     }
 }

@@ -29,7 +29,7 @@ pub fn source(job: &Job) -> String {
         }
         (_, Some(list)) => format!("the list {}", list.display()),
         _ if looks(job) => "the analytic model, its scale fitted to the first tasks".into(),
-        _ => "pixels / step, corrected by the first tasks".into(),
+        _ => "pixels divided by step, scaled to the measured times of the first tasks".into(),
     }
 }
 

@@ -72,8 +72,8 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     let mut page = Page::new(
         format!("Farm: {}", job.name),
         &format!(
-            "{images} of {} images, {} rendered in {} of node time; {failed} failures, {lost} losses, {} \
-             quarantined.",
+            "{images} of {} images are done. All runs together rendered {} images in {} of node time. \
+             {failed} attempts failed, {lost} tasks were lost with their workers, {} tasks are quarantined.",
             job.len(),
             all.len(),
             duration(work),
@@ -159,7 +159,11 @@ fn gantt(page: &mut Page, run: &Run, number: usize, of: usize) {
         .size(900.0, 90.0 + 22.0 * shown as f64)
         .series(Series::new("rendering", Mark::Stretches(frames)).color(0))
         .series(Series::new("loading", Mark::Stretches(loads)).color(1));
-    let text = format!("Tasks of each node in run {number} of {of}; {shown} of {} lanes.", names.len());
+    let text = format!(
+        "Tasks of each node in run {number} of {of}. A node that renders several tasks at once has several \
+         rows; {shown} of {} rows are shown.",
+        names.len()
+    );
     page.chart(&chart, &text);
 }
 
@@ -190,7 +194,7 @@ fn ends(page: &mut Page, run: &Run) {
     page.heading("The expected end over time");
     let band = known.iter().map(|(at, _, e)| (at - run.at, e[0] - run.at, e[2] - run.at)).collect();
     let line = known.iter().map(|(at, _, e)| (at - run.at, e[1] - run.at)).collect();
-    let axis = Axis::linear("end / s since the run began").from(0.0).to(2.0 * end);
+    let axis = Axis::linear("predicted end, seconds since the run began").from(0.0).to(2.0 * end);
     let chart = Chart::new("", Axis::linear("seconds since the run began"), axis)
         .series(Series::new("90 % interval", Mark::Band(band)).color(0))
         .series(Series::new("expected end", Mark::Line(line)).color(0))
@@ -226,7 +230,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let bound = lower_bound(&seconds, &speeds)?;
     let took = run.done.iter().map(|(a, _)| a.end - run.at).fold(0.0, f64::max);
     let mut table =
-        Table::new(vec![Column::text("order"), Column::number("end / s"), Column::number("over bound")]);
+        Table::new(vec![Column::text("order"), Column::number("end / s"), Column::number("end / bound")]);
     for (name, end) in [
         ("lower bound: no order is faster", bound),
         ("queue, longest predicted first", longest),

@@ -70,7 +70,7 @@ impl Show {
             let task = straggler.split(':').next().unwrap_or_default().to_owned();
             if !self.named.contains(&task) {
                 self.named.push(task);
-                self.note(&format!("slow: {straggler}"));
+                self.note(&format!("slower than expected: task {straggler}"));
             }
         }
         if self.lines && self.line_at.elapsed() >= LINE_EVERY {
@@ -99,7 +99,7 @@ fn text(view: &View) -> String {
     let mut out = format!("{:.2}/s", view.rate);
     if left.iter().all(|l| l.is_finite()) {
         out += &format!(
-            ", done in {} ({} to {}, 90 %)",
+            ", {} left (90 % interval {} to {})",
             duration(left[1]),
             duration(left[0]),
             duration(left[2])

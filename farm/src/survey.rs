@@ -73,7 +73,7 @@ pub fn text(
     );
     let bytes: u64 = job.volumes.iter().map(|v| v.bytes).sum();
     out += &format!(
-        "times from {}; {} of work on one node, {:.1} MB of volumes\n",
+        "expected times are from {}; the work takes {} on one node; the volumes have {:.1} MB\n",
         super::predict::source(job),
         duration(work),
         bytes as f64 / 1e6
@@ -127,8 +127,8 @@ pub fn text(
             }
             None => {
                 out += &format!(
-                    "no number of nodes up to {} is done within {} (95 % quantile); the longest task and the \
-                     loading of its volume may take that long\n",
+                    "even with {} nodes, the job does not end within {} (95 % quantile); the longest task, \
+                     with the loading of its volume, may take longer than that\n",
                     MOST.min(all - done),
                     duration(deadline)
                 );

@@ -13,7 +13,7 @@ pub enum Device {
     Auto,
     /// The Vulkan raycaster.
     Vulkan,
-    /// The CPU version of the raycaster: same pictures, with sample counts.
+    /// The CPU version of the raycaster, which draws the same pictures and counts their samples.
     Cpu,
 }
 

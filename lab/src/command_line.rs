@@ -17,33 +17,21 @@ struct Lab {
     command: Command,
 }
 
+/// The commands. Their texts in the help are the doc comments of their options.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Train and test every predictor of a study; report accuracy against latency.
     Study(commands::study::Options),
-    /// Reproduce every table and figure of the paper, beside our results.
     Paper(commands::paper::Options),
-    /// Measure the error of calibrations to few and many frames, on another type of machine.
     Frames(commands::frames::Options),
-    /// Record the time of every frame of a path at a grid of ray steps.
     Record(commands::record::Options),
-    /// Record the slowdown of frames while another program runs on the machine.
     Disturb(commands::disturb::Options),
-    /// Replay recorded time curves under every controller and target, beside an oracle.
     Replay(commands::replay::Options),
-    /// Search for better constants of the controller on recorded paths.
     Tune(commands::tune::Options),
-    /// Play stress scenes, in which methods of holding a frame time fail.
     Stress(commands::stress::Options),
-    /// Measure a device: pictures, rates, timing tables, models and steering, in one report.
     GpuStudy(commands::gpu_study::Options),
-    /// Compare methods of load balancing on a render farm.
     Farm(commands::farm::Options),
-    /// Measure those goals of render farms that can be measured without an engine.
     FarmBars(commands::farm_bars::BarsOptions),
-    /// Simulate a farm on a task list.
     FarmSimulate(commands::farm_bars::SimulateOptions),
-    /// Stand-in for a renderer in `entire farm`: sleeps for listed times.
     FarmStandIn(commands::farm_bars::StandInOptions),
 }
 

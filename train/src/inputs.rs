@@ -367,9 +367,9 @@ pub fn measure<T: Send>(
 pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
-            "volume {name} of {} was not found, neither in the working folder nor beside the table; run the \
-             command in the folder of the collection, copy the file there, or store the features beside the \
-             table with `entire features`",
+            "volume {name} of {} was not found, neither in the working folder nor beside the table; give \
+             its folder with --root, run the command in the folder where the table was collected, copy the \
+             file there, or store the features beside the table with `entire features`",
             table.path.display()
         )
     })?;

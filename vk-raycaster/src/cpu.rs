@@ -76,7 +76,7 @@ impl CpuRaycaster {
 
 impl Renderer for CpuRaycaster {
     fn device(&self) -> String {
-        format!("CPU twin, {} threads", rayon::current_num_threads())
+        format!("CPU raycaster, {} threads", rayon::current_num_threads())
     }
 
     fn backend(&self) -> &'static str {

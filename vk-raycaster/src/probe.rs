@@ -271,8 +271,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
             return Ok(seconds);
         }
         Err(Error::new(format!(
-            "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than its other \
-             parts together; probe with longer frames, on an idle machine",
+            "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than the sum of the \
+             times measured for its parts; probe with longer frames (--frame-ms), on an idle machine",
             options.frame_seconds * 1e3,
             seconds * -1e3
         )))

@@ -291,7 +291,8 @@ pub fn calibrate_to_tables(
         .unzip();
     ensure!(
         frames.len() >= FEWEST_FRAMES,
-        "{} frames with shading {}; at least {FEWEST_FRAMES} are needed",
+        "the tables have {} frames with shading {} and a time by the clock; at least {FEWEST_FRAMES} are \
+         needed: log more frames, or choose another --shade",
         frames.len(),
         shading
     );

@@ -33,12 +33,12 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate
-        no shading, the volumes in data/, into the user's data folder
+        measures without shading on the volumes in data/, and stores the model in the user's data folder
   entire calibrate --shade all
         one model for each shading mode, a minute and a half each
   entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
-        frames that a renderer of your own logged: nothing is rendered")]
+        fits the model to frames that your own renderer logged, and renders nothing")]
 pub(crate) struct Options {
     /// Volume files; default: all volumes in data/, but of ensembles only the training members.
     #[arg(value_name = "VOLUME")]

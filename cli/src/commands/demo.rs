@@ -49,7 +49,8 @@ const CONTROLLERS: [ControllerKind; 5] = [
     ControllerKind::Hybrid,
 ];
 
-/// Calibrate, play a path under several controllers, and report.
+/// Calibrate a model of this machine, play a path of cameras and transfer functions under several
+/// controllers, and write a report.
 ///
 /// If this machine has no model, the command calibrates one with other volumes. It then plays 120 frames of a
 /// volume that no model was trained on, with three abrupt switches of the transfer function, under five
@@ -89,7 +90,8 @@ pub(crate) struct Options {
     /// device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
-    /// Enlarge the volume by this factor at load, trilinearly; default: 2 for small volumes, 1 for others.
+    /// Enlarge the volume by this factor at load, trilinearly; default: 2 for volumes of fewer than 160³
+    /// voxels, else 1.
     #[arg(long, value_name = "FACTOR")]
     pub(crate) enlarge: Option<usize>,
     /// Coarsest image of entire's controller, in pixels between rays along each side; this controller
@@ -326,8 +328,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     println!("\n{}", table(&playback, &metrics).to_text());
     println!(
-        "* best of the column. At switches: the {SWITCH_FRAMES} frames from each switch on. Calm: all other \
-         frames except the first {SWITCH_FRAMES} of the path."
+        "* best of the column. T: target; t: frame time. At switches: mean |t-T|/T of the {SWITCH_FRAMES} \
+         frames from each switch on. Calm: the same mean of all other frames except the first \
+         {SWITCH_FRAMES} of the path."
     );
     println!("\n{verdict}");
     println!(

@@ -69,7 +69,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let shipped = shipped_models(shading)?.len();
         let model = match machine_model(shading)? {
             Some((path, _, clock)) => {
-                format!("{}, {} time", path.display(), clock.map_or("unstated", |c| c.name()))
+                format!("{}, clock: {}", path.display(), clock.map_or("not stated", |c| c.name()))
             }
             None => format!(
                 "{shipped} shipped, no model of this machine (`entire calibrate --shade {name}` makes {})",
@@ -109,7 +109,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     );
 
     heading("Render farms");
-    let engines = "several machines with `entire farm`";
+    let engines = "running `entire farm` on several machines";
     print("Slurm", &version_of("sbatch", &["--version"], engines, "apt-get install slurm-wlm"));
     print(
         "HyperQueue",
@@ -129,7 +129,9 @@ fn found(name: &str, text: &str) {
 fn print(name: &str, finding: &Finding) {
     match finding {
         Finding::There(text) => found(name, text),
-        Finding::Missing(used_for, remedy) => found(name, &format!("not found; for {used_for}: {remedy}")),
+        Finding::Missing(used_for, remedy) => {
+            found(name, &format!("not found; needed for {used_for}; to install it: {remedy}"));
+        }
     }
 }
 
@@ -232,7 +234,7 @@ fn python_package(
         (None, None) if package == "entire" => {
             Finding::Missing(used_for, "make wheel, then pip install out/wheels/entire-*.whl")
         }
-        (None, None) => Finding::Missing(used_for, "pip install it into this Python"),
+        (None, None) => Finding::Missing(used_for, "pip install the package into the Python of --python"),
     }
 }
 

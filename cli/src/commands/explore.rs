@@ -32,7 +32,8 @@ pub struct Options {
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, default_value = "33ms", value_name = "TIME", allow_hyphen_values = true)]
     pub target: String,
-    /// Model file, calibrated to this machine.
+    /// Model file, calibrated to this machine; default: the machine's model (`entire calibrate --clock
+    /// wall`), else the shipped model, corrected by the measured time of every frame.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
     /// Controller at the start. Controllers that change the image size in `entire steer` change the ray step

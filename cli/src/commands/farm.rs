@@ -53,7 +53,7 @@ pub enum OrderOption {
   entire farm job.toml --engine hyperqueue --slots 16 --python venv/bin/python
   entire farm job.toml --engine slurm --slots 4 --resume")]
 pub struct Options {
-    /// The job file.
+    /// The job file (TOML; its format is described in the book's page on render farms).
     #[arg(value_name = "JOB.toml")]
     pub job: PathBuf,
     /// The engine that runs the tasks.
@@ -93,7 +93,8 @@ pub struct Options {
     /// Overhead per bundle, seconds; default: the engine's usual overhead.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
-    /// Time limit of a bundle (90s, 30m, 2h): that of HyperQueue's workers or Slurm's partition.
+    /// Longest time that a bundle may take (90s, 30m, 2h): the time limit of HyperQueue's workers or of
+    /// Slurm's partition.
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub time_limit: Option<f64>,
     /// Python with HyperQueue's package [default: python3].
@@ -185,7 +186,7 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         save_tasks(&job, &planner, file)?;
     }
     println!(
-        "{} of {} images, {} of them in this run of {}",
+        "{} of {} images, {} of them rendered in this run, which took {}",
         summary.done,
         summary.tasks,
         summary.now,
@@ -366,7 +367,7 @@ fn export(
         })
         .collect();
     openjd::export(job, places, &bundles, database.run(), file)?;
-    println!("{} bundles of {} tasks", bundles.len(), tasks.len());
+    println!("{} bundles with {} tasks in all", bundles.len(), tasks.len());
     println!("{}", file.display());
     println!("to take over the rendered images: entire farm {} --resume", options.job.display());
     Ok(())

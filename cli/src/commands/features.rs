@@ -26,8 +26,9 @@ pub struct Options {
     /// Model files whose VolumeNet encodes the volumes, for models with volume features.
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
-    /// Rays along each side of additional probes, 1 to 24, for models with cheaper or finer probes than the
-    /// standard probe with 11, which is always computed.
+    /// Numbers of rays along each side of additional probes, comma-separated, each from 1 to 24. Models with
+    /// another probe than the standard probe of 11 x 11 rays need them. The standard probe is always
+    /// computed.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
     /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.

@@ -10,7 +10,7 @@ use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Predict seconds for rows of model inputs.
+/// Predict frame times, in seconds, from a table of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
 /// model's order. Inputs are not changed; sessions and `entire evaluate` clamp them to the range of the
@@ -22,9 +22,9 @@ use std::path::{Path, PathBuf};
   entire predict --model model.safetensors --inputs inputs.csv
   my-renderer --log-inputs | entire predict --model model.safetensors --inputs -
 
-The inputs are those of the model's metadata key entire.inputs, as entire_model_predict() takes them; the
-error for a wrong number of columns names their groups. `entire evaluate` predicts the frames of timing
-tables.")]
+The columns are the inputs that the model file lists in its metadata, under the key entire.inputs. If a
+row has another number of columns, the error names the input groups and their sizes. To predict the frames
+of timing tables, use `entire evaluate`.")]
 pub(crate) struct Options {
     /// Model file with a PredNet; default: the machine's model of --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
@@ -32,7 +32,7 @@ pub(crate) struct Options {
     /// Shading mode of the machine's model, if --model is not given.
     #[arg(long, value_enum, default_value_t, conflicts_with = "model")]
     pub(crate) shade: ShadeOption,
-    /// Table of inputs; `-` for standard input.
+    /// Table of inputs: CSV without a header line, one row per frame; `-` for standard input.
     #[arg(long, value_name = "X.csv")]
     pub(crate) inputs: PathBuf,
 }

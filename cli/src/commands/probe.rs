@@ -7,7 +7,7 @@ use serde_json::json;
 use std::fmt::Write as _;
 use std::io::Write;
 
-/// Measure this machine's rates for rays, samples and skips.
+/// Measure how many rays, samples and skips of empty space this machine renders per second.
 ///
 /// Renders known scenes, compares one with the CPU version of the raycaster, and prints the device, its
 /// limits, the quality of its timestamps, and five numbers that describe the machine to a predictor: fixed
@@ -139,7 +139,8 @@ fn as_text(found: &Probe) -> String {
             (Some((bits, period)), Some(t)) => line(
                 "timestamps",
                 format!(
-                    "{bits} bits of {period} ns; {:.3} times wall time, spread {:.1} % over the repeats",
+                    "{bits} valid bits, {period} ns per tick; device time is {:.3} times wall time; its \
+                     range over the repeats is {:.1} % of its median",
                     t.device_to_wall,
                     100.0 * t.spread
                 ),
@@ -153,9 +154,9 @@ fn as_text(found: &Probe) -> String {
         Some(c) => format!("{} samples, the CPU version {}", c.samples, a.twin.samples),
         None => "samples not counted".to_owned(),
     };
-    line("against CPU version", format!("up to {}/255, mean {:.4}/255, {counted}", a.largest, a.mean));
+    line("difference from CPU", format!("at most {}/255, mean {:.4}/255, {counted}", a.largest, a.mean));
     line("clock", format!("{} time", found.clock));
-    line("frame by itself", format!("{:.3} ms", found.frame_seconds * 1e3));
+    line("fixed time per frame", format!("{:.3} ms", found.frame_seconds * 1e3));
     line("rays", format!("{:.2} M/s", found.rays_per_second * 1e-6));
     line("coherent samples", format!("{:.1} M/s", found.coherent_samples_per_second * 1e-6));
     line("divergent samples", format!("{:.1} M/s", found.divergent_samples_per_second * 1e-6));

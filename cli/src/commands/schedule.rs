@@ -21,7 +21,9 @@ use std::path::PathBuf;
   entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out order.json
   entire schedule tasks.csv --nodes 8 --method affinity --window 32 --out order.csv")]
 pub(crate) struct Options {
-    /// The task list.
+    /// The task list: CSV with a header line, or a JSON array of objects (.json). Columns: `predicted_s` or
+    /// `measured_s`, in seconds on a node of speed 1; optionally `task` (a name), `volume`, and `load_s`, the
+    /// seconds to load the volume.
     #[arg(value_name = "TASKS")]
     pub(crate) tasks: PathBuf,
     /// Number of nodes, all of equal speed.
@@ -119,8 +121,8 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
         write_whole(out, &csv.into_inner()?)?;
     }
     println!(
-        "{} tasks on {} nodes: expected end after {:.3} s, 90 % interval {low:.3} to {high:.3} s (lower \
-         bound {bound:.3} s)",
+        "{} tasks on {} nodes: expected end after {:.3} s, 90 % interval {low:.3} to {high:.3} s; no \
+         schedule is expected to end before {bound:.3} s",
         tasks.len(),
         speeds.len(),
         middle

@@ -23,7 +23,8 @@ use entire_steer::control::StepLimits;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Play a path against a target frame time under several controllers.
+/// Play a path of cameras and transfer functions under several controllers, and compare the frame times with
+/// a target.
 ///
 /// First some random frames of the volume are rendered at several steps, to measure the time saved by coarser
 /// steps; the predictor is not fitted to these frames. Then the path is played: every frame is drawn under
@@ -96,8 +97,8 @@ pub(crate) struct Options {
     /// Renderings of each random scene at each step; the median time is used.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub(crate) repeats: usize,
-    /// Model file; default: the machine's model (`entire calibrate`), else the shipped model, which every
-    /// frame corrects.
+    /// Model file; default: the machine's model (`entire calibrate`), else the shipped model, corrected by
+    /// the measured time of every frame.
     #[arg(long, value_name = "M.safetensors")]
     pub(crate) model: Option<PathBuf>,
     /// Folder for the results.
@@ -286,7 +287,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     println!("{}", table(&playback, &metrics).to_text());
     println!("steered by {}", prepared.predictor.sentence());
     println!("frame times are {} time", draw.clock.name());
-    println!("* best of the column. Report: {}", options.out.join("report.html").display());
+    println!(
+        "* best of the column. T: target; t: frame time. Report: {}",
+        options.out.join("report.html").display()
+    );
     Ok(())
 }
 

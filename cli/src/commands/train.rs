@@ -215,7 +215,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let count = |p: Part| parts.get(&p).map_or(0, Vec::len);
     note(&format!(
-        "{} frames by {}: {} training, {} validation, {} test",
+        "{} frames, split by {}: {} for training, {} for validation, {} for testing",
         refs.len(),
         split.by.name(),
         count(Part::Training),
@@ -229,9 +229,11 @@ pub fn run(options: &Options) -> Result<()> {
                  data",
                 split.by.name()
             ),
-            false => "no --validation-groups: the loss of the training frames decides when training stops, and the upper \
-                      bound is fitted to these frames, so it is too tight"
-                .into(),
+            false => {
+                "no --validation-groups: the loss of the training frames decides when training stops, and \
+                 the upper bound is fitted to the training frames, so other frames exceed the bound too often"
+                    .into()
+            }
         });
     }
     let earlier = match &options.fine_tune {

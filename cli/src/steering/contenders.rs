@@ -21,7 +21,7 @@ pub enum ControllerKind {
     Last,
     /// The longer one of the last two frame times, converted to the reference step by G.
     LargerOfTwo,
-    /// Proportional, integral and differential feedback on the step, gains 0.3, 0.05, 0.1.
+    /// PID: proportional, integral and derivative feedback on the step, with gains 0.3, 0.05 and 0.1.
     Pid,
     /// The paper's Algorithm 1: prediction at the reference step, converted to other steps by G.
     Algorithm1,

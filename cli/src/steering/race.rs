@@ -78,7 +78,7 @@ pub(crate) fn steering_model(
         Some(given) => given,
         None => {
             let (name, file) = shipped_model(shading)?;
-            (format!("{name}, corrected by every frame"), file.to_model()?)
+            (format!("{name}, corrected by the measured time of every frame"), file.to_model()?)
         }
     };
     let model = SteeringModel::new(title, model, volume)?;

@@ -250,7 +250,8 @@ fn probe_prints_the_machine_in_five_numbers() {
     assert_eq!(json["agreement"]["counts"], json["agreement"]["counts_of_twin"]);
     assert_eq!((json["backend"].as_str(), json["clock"].as_str()), (Some("cpu"), Some("wall")));
     let text = probed(folder.path(), &[]);
-    for part in ["counts equal", "coherent samples", "divergent samples", "skips", "rays", "frame by itself"]
+    for part in
+        ["counts equal", "coherent samples", "divergent samples", "skips", "rays", "fixed time per frame"]
     {
         assert!(text.contains(part), "{text}");
     }

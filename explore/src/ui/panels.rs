@@ -46,16 +46,17 @@ fn steering(ui: &mut Ui, state: &mut State) {
         ui.label("and");
         let distance = DragValue::new(&mut steer.distance).range(1.0..=16.0).speed(0.1).max_decimals(1);
         state.changed.settings |= ui.add(distance).changed();
-        ui.label("pixel spacing");
+        ui.label("px between rays");
     });
     if let Some((seconds, upper)) = steer.full {
         let bound =
-            if upper.is_finite() { format!(", {:.0} ms at most", upper * 1e3) } else { String::new() };
-        ui.label(format!("full quality: {:.0} ms{bound}", seconds * 1e3));
+            if upper.is_finite() { format!(", upper bound {:.0} ms", upper * 1e3) } else { String::new() };
+        ui.label(format!("full quality: {:.0} ms expected{bound}", seconds * 1e3));
     }
     ui.weak(&state.predictor);
     ui.horizontal(|ui| {
-        if ui.button("Forget").on_hover_text("Resets all controllers").clicked() {
+        let discards = "Discards what all controllers have learned from measured frame times";
+        if ui.button("Forget").on_hover_text(discards).clicked() {
             state.commands.push(Command::Forget);
         }
         let copy = ui.button("Calibrate …").on_hover_text(

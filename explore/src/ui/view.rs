@@ -209,10 +209,10 @@ fn caption(painter: &Painter, state: &State, rect: Rect) {
             format!("full quality, drawn in {:.2} s", rest.took.unwrap_or_default())
         }
         (Some(rest), _) => {
-            format!("full quality in {:.1} s ({:.0} %)", rest.remaining, 100.0 * rest.share)
+            format!("refining: {:.1} s to full quality ({:.0} % done)", rest.remaining, 100.0 * rest.share)
         }
         (None, Some(last)) if state.picture.is_some() => format!(
-            "{:.1} ms · step {:.2} · one ray per {:.1}² pixels",
+            "{:.1} ms · step {:.2} · {:.1} pixels between rays",
             last.seconds * 1e3,
             last.step,
             last.image_sample_distance
@@ -225,7 +225,7 @@ fn caption(painter: &Painter, state: &State, rect: Rect) {
         painter.text(
             rect.right_bottom() + Vec2::new(-8.0, -8.0),
             Align2::RIGHT_BOTTOM,
-            "flying: W A S D Q E, drag to look; F ends it",
+            "flying: W A S D Q E to move, drag to look around, F to stop",
             FontId::proportional(13.0),
             Color32::from_white_alpha(200),
         );

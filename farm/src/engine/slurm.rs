@@ -160,8 +160,8 @@ impl Slurm {
         let limit = options.limit.or(longest_request(&listed, named.as_deref())).map(|l| l - GRACE);
         ensure!(
             limit.is_none_or(|l| l > 0.0),
-            "the longest time request is {} s, of which start and end take {GRACE} s; raise it with \
-             --time-limit",
+            "the time limit of a bundle is {} s, but the start and end of a bundle alone take {GRACE} s; \
+             give a longer limit with --time-limit",
             limit.unwrap_or(0.0) + GRACE
         );
         let text = places.state.to_string_lossy().into_owned();

@@ -35,11 +35,11 @@ pub struct Farm {
 /// Method of assigning tasks to nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
-    /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged
-    /// between nodes as long as that helps.
+    /// Assigned before the run: longest task first, each to the node that would finish it earliest; then
+    /// nodes exchange tasks as long as an exchange makes the end earlier.
     #[default]
     Static,
-    /// Fixed beforehand: longest first, without exchanges.
+    /// Assigned before the run: longest task first, without exchanges.
     Longest,
     /// A queue, longest first: a free node takes the next task.
     Queue,
@@ -60,10 +60,10 @@ entire_core::names! { Method:
 /// Task times that a schedule uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum By {
-    /// `predicted_s`.
+    /// The values of `predicted_s` in the task list.
     #[default]
     Predicted,
-    /// `measured_s`.
+    /// The values of `measured_s` in the task list.
     Measured,
     /// All tasks take equally long.
     Uniform,

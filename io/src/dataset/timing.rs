@@ -59,7 +59,8 @@ impl Timing {
 /// Clock that gives a frame's time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Clock {
-    /// The device's timestamps, else wall time.
+    /// The clock that the text of this option names for `auto`; without such a text, the device's timestamps
+    /// if all frames have them, else wall time.
     #[default]
     Auto,
     /// Device timestamps.
@@ -162,9 +163,9 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
         .collect();
     ensure!(
         !frames.is_empty(),
-        "none of {} frames has {} and a time by the clock {:?}; choose another --clock{}",
+        "none of {} frames has {}a time by the clock {:?}; choose another --clock{}",
         all().count(),
-        shading.map_or("any shading".to_owned(), |s| format!("shading {s}")),
+        shading.map_or(String::new(), |s| format!("shading {s} and ")),
         clock.name(),
         if shading.is_some() { " or --shade" } else { "" },
     );
@@ -228,10 +229,10 @@ impl NoiseFloor {
     /// Describes the noise floor in words.
     pub fn describe(&self) -> String {
         let drift =
-            self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
+            self.drift.map_or(String::new(), |d| format!(", passes differ by {:.1} %", 100.0 * d.exp_m1()));
         format!(
-            "repeats of a frame differ by {:.1} % (standard deviation; {:.1} % for their median), the first repeat \
-             takes {:.1} % longer than the last{drift}; {} repeated frames",
+            "standard deviation {:.1} % for one repeat of a frame, {:.1} % for the median of its repeats; \
+             the first repeat takes {:.1} % longer than the last{drift}; computed from {} repeated frames",
             100.0 * self.log_sd.exp_m1(),
             100.0 * self.log_sd_of_median.exp_m1(),
             100.0 * self.warm_up.exp_m1(),

@@ -30,7 +30,11 @@ impl Writer {
         }
         let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| {
             if e.kind() == std::io::ErrorKind::AlreadyExists {
-                anyhow!("{} exists already; resume it, remove it or choose another name", path.display())
+                anyhow!(
+                    "{} exists already; remove it, choose another name, or resume it (`entire collect \
+                     --resume`)",
+                    path.display()
+                )
             } else {
                 anyhow!("cannot write {}: {e}", path.display())
             }

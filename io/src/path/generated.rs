@@ -9,7 +9,7 @@ use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, VolumeView};
 pub enum Generated {
     /// An orbit with three abrupt transfer-function switches.
     Switches,
-    /// One turn with one transfer function: a calm phase.
+    /// One turn around the volume with one transfer function, without abrupt changes.
     Orbit,
     /// A slow orbit while a lobe is dragged over the scalar range and back.
     Drag,

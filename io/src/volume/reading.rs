@@ -197,8 +197,9 @@ pub(super) fn hide_fill(
     let (share, all) = (100.0 * hidden as f64 / data.len() as f64, data.len());
     Ok(match (found, hidden) {
         (true, _) => Some(format!(
-            "{hidden} of {all} voxels ({share:.1} %) hold {list}, far from other values ({low} to {high}): \
-             taken as a fill value and shown as the low end; `--fill none` takes it as data"
+            "{hidden} of {all} voxels ({share:.1} %) hold {list}, far from all other values ({low} to \
+             {high}), which is taken as a fill value: these voxels are shown as the low end of the range. \
+             With `--fill none`, they are shown as data"
         )),
         (false, 0) => Some(format!("no voxel holds the fill value {list}")),
         (false, _) => None,
@@ -212,8 +213,8 @@ pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let narrow = bytes && range == Range::Default && view.range() != (low, high) && high - low < NARROW;
     narrow.then(|| {
         format!(
-            "its bytes hold {low} to {high}, a small part of the range 0 to 255 that a transfer function \
-             spans; `--range data` spans the voxels' own range"
+            "its bytes hold {low} to {high}, a small part of the range 0 to 255 that the transfer function \
+             covers; with `--range data`, the transfer function covers only the range of the voxel values"
         )
     })
 }

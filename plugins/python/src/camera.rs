@@ -124,7 +124,7 @@ impl Placement {
         let (x, y, z) = (axes.x_axis / scales[0], axes.y_axis / scales[1], axes.z_axis / scales[2]);
         if x.dot(y).abs() > SQUARE || y.dot(z).abs() > SQUARE || z.dot(x).abs() > SQUARE {
             return Err(PyValueError::new_err(
-                "the volume's matrix shears the volume; rotations, translations and scales can be predicted",
+                "the volume's matrix shears the volume; use only rotations, translations and scales",
             ));
         }
         // Makes the axes a right-handed orthonormal basis. So the prediction for a mirrored volume is that of

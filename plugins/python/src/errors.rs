@@ -21,15 +21,15 @@ create_exception!(
     entire,
     NotReadyError,
     PyRuntimeError,
-    "The call needs something that was not set before it: a volume, a transfer function."
+    "The call came too early: no volume or transfer function is set, or too few frames were recorded."
 );
 
 create_exception!(
     entire,
     RejectedObservationError,
     PyValueError,
-    "A time that was rejected: of an unknown plan, of a plan observed before, or not finite and positive. \
-     Nothing has changed."
+    "A frame time was rejected, because its plan is unknown or was observed before, or because the time is \
+     not finite and positive. The session is unchanged."
 );
 
 /// The exception for an error of the library.

@@ -53,7 +53,7 @@ impl Plan {
 impl Plan {
     fn __repr__(&self) -> String {
         format!(
-            "Plan(step {:.3}, {} x {} pixels, {:.2} ms expected of {:.2} ms: {})",
+            "Plan(step {:.3}, {} x {} pixels, {:.2} ms expected, target {:.2} ms: {})",
             self.step,
             self.size.0,
             self.size.1,

@@ -169,8 +169,7 @@ std::string Refusal(vtkAbstractVolumeMapper* mapper)
     if (ospray || mode == AnariMode<vtkSmartVolumeMapper>(0))
     {
       return std::string("vtkSmartVolumeMapper is told to draw by ") + (ospray ? "OSPRay" : "ANARI") +
-        ", outside of VTK's mappers, where there is no sample distance to set; the modes Default, GPU and RayCast can "
-        "be steered";
+        ", which has no sample distance that could be set; the modes Default, GPU and RayCast can be steered";
     }
     return {};
   }

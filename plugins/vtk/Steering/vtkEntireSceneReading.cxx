@@ -116,7 +116,7 @@ std::string ReadGrid(
   grid.Type = ScalarType(grid.Scalars->GetDataType());
   if (grid.Type == 0)
   {
-    return std::string("scalars of type ") + grid.Scalars->GetDataTypeAsString() + " cannot be predicted";
+    return std::string("scalars of type ") + grid.Scalars->GetDataTypeAsString() + " are not supported";
   }
   VolumeKey& key = grid.Key;
   key = VolumeKey();
@@ -329,7 +329,7 @@ std::string ReadCamera(
   if (std::fabs(vtkMath::Dot(axes[0], axes[1])) > 0.02 || std::fabs(vtkMath::Dot(axes[1], axes[2])) > 0.02 ||
     std::fabs(vtkMath::Dot(axes[2], axes[0])) > 0.02)
   {
-    return "the volume's matrix shears the volume; rotations, translations and scales can be predicted";
+    return "the volume's matrix shears the volume; use only rotations, translations and scales";
   }
   // Makes the axes a right-handed orthonormal basis. So the prediction for a mirrored volume is that of its mirror
   // image.

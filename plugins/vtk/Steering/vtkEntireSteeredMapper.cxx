@@ -294,7 +294,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   if (!image)
   {
     return std::string("the mapper's input is ") + (input ? input->GetClassName() : "missing") +
-      "; vtkImageData can be predicted";
+      "; only vtkImageData is supported";
   }
   std::string failure = this->Internals->MakeSession(*this);
   if (!failure.empty())

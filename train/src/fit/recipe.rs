@@ -33,7 +33,7 @@ pub enum Kind {
     Prednet,
     /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
     Analytic,
-    /// The analytic model times a learned factor: a small network on ln(measured / analytic).
+    /// The analytic model times a factor from a small network, which is trained on ln(measured / analytic).
     Residual,
 }
 

@@ -19,7 +19,7 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum GroupBy {
-    /// All frames of an ensemble member (of a volume, if it belongs to none).
+    /// All frames of an ensemble member; for a volume that belongs to no ensemble, all frames of the volume.
     #[default]
     Member,
     /// All frames of a volume.

@@ -127,7 +127,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     said.into_iter().flatten().for_each(|text| note(&text));
     if options.unseen {
         for m in models.iter().filter(|m| m.splits.is_empty()) {
-            note(&format!("{} does not state its training data, so --unseen cannot leave it out", m.name));
+            note(&format!(
+                "{} does not state its training data, so --unseen cannot leave out its training frames",
+                m.name
+            ));
         }
         frames.retain(|(f, _)| !models.iter().any(|m| m.has_seen(f)));
         ensure!(
@@ -192,7 +195,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
     let mut sessions = BTreeMap::new();
     if let Some(heard) = options.observed {
-        ensure!(heard < refs.len(), "--observed is {heard}; there are only {} frames", refs.len());
+        ensure!(
+            heard < refs.len(),
+            "--observed is {heard}; it must be smaller than the number of frames, {}",
+            refs.len()
+        );
         for m in &models {
             let predicted =
                 in_session(&m.model, &tables, &refs, &measured).with_context(|| m.name.clone())?;

@@ -280,8 +280,10 @@ pub(super) fn write_report(
     let mut page = Page::new("Evaluation of predictors", &lead);
     page.table(
         overall,
-        "RMSE over SD is 1 for a predictor that always gives the mean. MdAPE: median absolute percentage \
-         error. Latency: median of warm calls in one thread, scene features included.",
+        "RMSE/SD is the RMSE divided by the standard deviation of the measured times; it is 1 for a \
+         predictor that always gives their mean. MdAPE, p95 and p99 are the median, the 95th and the 99th \
+         percentile of the absolute percentage error. A time per prediction is the median of warm calls in \
+         one thread, scene features included.",
     );
     page.table(
         more,

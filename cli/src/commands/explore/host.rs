@@ -82,7 +82,7 @@ const WINDOW: Clock = Clock::Wall;
 
 impl Steering for Predicts {
     fn title(&self) -> String {
-        let corrected = if self.calibrated { "" } else { ", corrected by every frame" };
+        let corrected = if self.calibrated { "" } else { ", corrected by the measured time of every frame" };
         let mut out = format!("predicted by {}{corrected}", self.model.title());
         if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
             out += &format!(
@@ -317,7 +317,7 @@ mod tests {
             assert!(title.contains(part), "{part}: {title}");
         }
         (predicts.clock, predicts.left_out) = (Some(WINDOW), None);
-        assert_eq!(predicts.title(), "predicted by m, corrected by every frame");
+        assert_eq!(predicts.title(), "predicted by m, corrected by the measured time of every frame");
         assert!(predicts.session("hybrid").is_ok());
     }
 

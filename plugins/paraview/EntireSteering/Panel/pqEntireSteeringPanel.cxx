@@ -122,7 +122,7 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
 
   auto* buttons = new QHBoxLayout;
   auto* save = new QPushButton("Save learned state...");
-  auto* reset = new QPushButton("Forget");
+  auto* reset = new QPushButton("Discard learned state");
   buttons->addWidget(save);
   buttons->addWidget(reset);
   column->addLayout(buttons);

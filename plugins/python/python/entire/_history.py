@@ -127,7 +127,7 @@ def _svg(history: History) -> str:
             _TOP,
             [(predicted, "#d95f02", ""), (measured, "#1b6ca8", ""), (target, "#555", "5 3")],
         ),
-        ("samples saved (x)", _TOP + _HEIGHT + _GAP, [(coarsening, "#2a7f3f", "")]),
+        ("sample reduction (x)", _TOP + _HEIGHT + _GAP, [(coarsening, "#2a7f3f", "")]),
     )
     for label, top, lines in series:
         finite = np.concatenate([y[np.isfinite(y)] for y, _, _ in lines])

@@ -90,7 +90,7 @@ class Holder:
         lens = type(scene.camera.lens).__name__
         if lens not in ("PerspectiveLens", "PlaneParallelLens"):
             raise CannotSteer(
-                f"{lens} has no single field of view; perspective and plane-parallel lenses can be predicted"
+                f"{lens} has no single field of view; use a perspective or plane-parallel lens"
             )
         self.volume = _fixed_resolution(self.source, edge)
         self.session = Session(self.volume, model=model, tolerance=0.25)

@@ -161,8 +161,8 @@ def _smart_refusal(smart: Any) -> str:
     outside = {kind.OSPRayRenderMode: "OSPRay", getattr(kind, "AnariRenderMode", -1): "ANARI"}.get(mode)
     if outside:
         return (
-            f"the vtkSmartVolumeMapper is told to draw by {outside}, outside of VTK's mappers, where there is no sample "
-            "distance to set; choose the default mode, or steer with entire.Session around its frames"
+            f"the vtkSmartVolumeMapper is told to draw by {outside}, which has no sample distance that could "
+            "be set; choose the default mode, or steer with entire.Session around its frames"
         )
     if mode not in (kind.DefaultRenderMode, kind.GPURenderMode):
         return (

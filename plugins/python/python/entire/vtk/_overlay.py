@@ -38,7 +38,8 @@ class Overlay:
             self._actor.SetInput(
                 f"volume: expected {1e3 * steering.predicted:.1f} ms, took {1e3 * steering.measured:.1f} ms\n"
                 f"frame: {1e3 * steering.frame_time:.1f}{target} ms\n"
-                f"step {steering.sample_distance:.2f}, pixel {steering.image_sample_distance:.2f}: "
+                f"sample distance {steering.sample_distance:.2f}, "
+                f"{steering.image_sample_distance:.2f} pixels between rays: "
                 f"{steering.reason}"
             )
 

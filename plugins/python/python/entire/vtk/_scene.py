@@ -54,7 +54,7 @@ def input_of(mapper: Any) -> Any:
     if data is None:
         raise Unreadable("the mapper has no input yet")
     if not data.IsA("vtkImageData"):
-        raise Unreadable(f"the mapper's input is {data.GetClassName()}; vtkImageData can be predicted")
+        raise Unreadable(f"the mapper's input is {data.GetClassName()}; only vtkImageData is supported")
     return data
 
 
@@ -81,7 +81,7 @@ class Grid:
             values = vtk_to_numpy(scalars)
         except (AssertionError, ValueError, TypeError) as error:
             raise Unreadable(
-                f"scalars of type {scalars.GetDataTypeAsString()} cannot be predicted: {error}"
+                f"scalars of type {scalars.GetDataTypeAsString()} are not supported: {error}"
             ) from None
         voxels = values.reshape(dims[2], dims[1], dims[0], components)[..., component]
         spacing = [abs(s) for s in image.GetSpacing()]
