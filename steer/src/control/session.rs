@@ -411,7 +411,7 @@ impl Session {
         let Some(pending) = slot.as_mut().filter(|p| p.id == id) else {
             return Err(Error::new(
                 ErrorKind::RejectedObservation,
-                "no plan has this id, or too many plans were made after it; report the time of each frame \
+                "no plan has this id, or too many plans came after it; report the time of each frame \
                  with the id of its plan, soon after the frame",
             ));
         };
