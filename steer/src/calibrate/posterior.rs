@@ -331,7 +331,9 @@ impl PriorModel {
             let compared = if self.factor.as_ref().is_some_and(far) { &[][..] } else { &CACHED_VOXELS };
             for &cached_voxels in compared {
                 let prior = UnitCosts { cached_voxels, ..best.1 };
-                take_better(&mut best, fit(prior));
+                if prior != best.1 {
+                    take_better(&mut best, fit(prior));
+                }
             }
         }
         Ok(best.2)
@@ -388,7 +390,7 @@ impl Chosen {
 }
 
 /// Replaces the best fit so far, with its error, by one whose error is clearly smaller.
-fn take_better<T>(best: &mut (f64, UnitCosts, T), other: Result<(f64, UnitCosts, T)>) {
+fn take_better(best: &mut (f64, UnitCosts, Chosen), other: Result<(f64, UnitCosts, Chosen)>) {
     if let Ok(other) = other
         && other.0 < LESS_ERROR * best.0
     {

@@ -45,17 +45,6 @@ pub(crate) const COMMON_COSTS: usize = 21;
 /// For each unit cost of the longest ray, the index of the unit cost of the same kind of work of all rays.
 const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 
-/// True for counts that are multiplied by the far share, in the order of [`UnitCosts::seconds`].
-const FAR: [bool; COSTS] = {
-    let mut far = [false; COSTS];
-    let mut i = 1;
-    while i < COSTS {
-        far[i] = COST_QUANTITIES[i - 1].is_far();
-        i += 1;
-    }
-    far
-};
-
 /// Index of [`SceneQuantity::TouchedVoxels`] in [`UnitCosts::seconds`].
 const TOUCHED: usize = {
     let mut i = 1;
@@ -149,7 +138,8 @@ impl UnitCosts {
         let mut out = *work;
         if self.cached_voxels != Self::CACHED_VOXELS {
             let ratio = far_ratio(work[TOUCHED], self.cached_voxels);
-            out.iter_mut().zip(FAR).filter(|(_, far)| *far).for_each(|(w, _)| *w *= ratio);
+            let counts = out[1..].iter_mut().zip(&COST_QUANTITIES);
+            counts.filter(|(_, quantity)| quantity.is_far()).for_each(|(w, _)| *w *= ratio);
         }
         out
     }
