@@ -2,7 +2,8 @@
 //! and the low-resolution copy that the baseline LVRP renders.
 
 use crate::volume::{Volume, VolumeData};
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
+use entire_core::memory::filled;
 use entire_core::scene::{MAX_VOLUME_EDGE, VolumeView};
 use rayon::prelude::*;
 
@@ -81,12 +82,8 @@ fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Result<Vec<f32>> {
     });
     let [x, y, z] = dims;
     let count = dims.iter().try_fold(1usize, |n, d| n.checked_mul(*d)).unwrap_or(usize::MAX);
-    let mut out = Vec::new();
-    ensure!(
-        out.try_reserve_exact(count).is_ok(),
-        "{x} x {y} x {z} voxels of 4 bytes do not fit into this machine's memory"
-    );
-    out.resize(count, 0.0f32);
+    let fail = || format!("{x} x {y} x {z} voxels of 4 bytes do not fit into this machine's memory");
+    let mut out = filled(count, 0.0f32).with_context(fail)?;
     // Without the second condition, two infinities of one sign would give NaN.
     let mix = |a: f32, b: f32, t: f32| if t == 0.0 || a.is_infinite() { a } else { a + t * (b - a) };
     out.par_chunks_mut(dims[0] * dims[1]).enumerate().for_each(|(z, slice)| {

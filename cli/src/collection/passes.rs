@@ -2,7 +2,7 @@
 
 use super::{Job, Outcome, Protocol, collect};
 use anyhow::{Context, Result, ensure};
-use entire_io::dataset::{Scene, Table, Timing, Writer, feature_table::stem};
+use entire_io::dataset::{Scene, Table, Timing, Writer, feature_table::beside};
 use entire_io::volume::Volume;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
@@ -13,12 +13,7 @@ use std::path::{Path, PathBuf};
 /// pass.
 pub(crate) fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
     let count = if passes > 1 { passes } else { 0 };
-    let of = |pass| {
-        let mut name = stem(out).into_os_string();
-        name.push(format!(".pass{pass}.csv"));
-        name.into()
-    };
-    (1..=count).map(of).collect()
+    (1..=count).map(|pass| beside(out, &format!(".pass{pass}.csv"))).collect()
 }
 
 /// Runs [`collect`] once for each pass of the protocol. Each pass has its own table beside `out`, so that it

@@ -54,11 +54,14 @@ fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }
 
-/// Returns a table's path without `.csv` or `.csv.gz`.
-pub fn stem(table: &Path) -> PathBuf {
+/// Returns the path of a file beside a table: the table's path with `ending` in place of `.csv` or `.csv.gz`.
+pub fn beside(table: &Path, ending: &str) -> PathBuf {
     let bare =
         if table.extension().is_some_and(|e| e == "gz") { table.with_extension("") } else { table.into() };
-    if bare.extension().is_some_and(|e| e == "csv") { bare.with_extension("") } else { bare }
+    let bare = if bare.extension().is_some_and(|e| e == "csv") { bare.with_extension("") } else { bare };
+    let mut name = bare.into_os_string();
+    name.push(ending);
+    name.into()
 }
 
 /// Returns the id of a VolumeNet: a hash of the first block's and the last layer's weights, eight hexadecimal
@@ -86,9 +89,7 @@ pub fn code_column(id: &str, feature: usize) -> String {
 impl FeatureTable {
     /// Returns the path of a timing table's features.
     pub fn path_for(table: &Path) -> PathBuf {
-        let mut name = stem(table).into_os_string();
-        name.push(".features.csv.gz");
-        name.into()
+        beside(table, ".features.csv.gz")
     }
 
     /// Returns a table of frame numbers with one row of values each, in the columns' order. This version of

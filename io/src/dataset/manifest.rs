@@ -1,6 +1,6 @@
 //! Manifest of a table: machine, renderer and settings of its measurement.
 
-use super::feature_table::stem;
+use super::feature_table::beside;
 use crate::files::{read_text, write_json};
 use crate::identity::{self, Identity};
 use crate::volume::Reading;
@@ -56,9 +56,7 @@ pub struct Manifest {
 impl Manifest {
     /// Returns the manifest's path beside a table: `NAME.csv` or `NAME.csv.gz` → `NAME.manifest.json`.
     pub fn path_for(table: &Path) -> PathBuf {
-        let mut name = stem(table).into_os_string();
-        name.push(".manifest.json");
-        name.into()
+        beside(table, ".manifest.json")
     }
 
     /// Writes the manifest beside `table`, whole or not at all.
