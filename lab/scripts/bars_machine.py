@@ -214,8 +214,8 @@ def found(machine, test):
 
 
 def noise(machine, split, mode):
-    """Yields, for processor and wall time, the median and the ninth decile of max / min - 1 over the passes of each
-    frame."""
+    """Yields, for processor and wall time, the seconds of all frames (mean of the passes), and the median and the ninth
+    decile of max / min - 1 over the passes of each frame."""
     path = machine.out / f"{split}-{mode}.csv"
     if not path.exists():
         return
@@ -226,7 +226,8 @@ def noise(machine, split, mode):
         for row in rows:
             seconds.setdefault(row["frame"], []).append(float(row[f"seconds_{clock}"]))
         apart = sorted(max(s) / min(s) - 1 for s in seconds.values())
-        yield clock, apart[len(apart) // 2], apart[len(apart) * 9 // 10]
+        whole = sum(sum(s) / len(s) for s in seconds.values())
+        yield clock, whole, apart[len(apart) // 2], apart[len(apart) * 9 // 10]
 
 
 def invalid(machine, test):
@@ -288,8 +289,8 @@ def main():
             if interval:
                 print(f"interval {name} {interval[0]:.4g} {interval[1]:.4g}", flush=True)
         for mode in MODES:
-            for clock, median, decile in noise(machine, "members", mode):
-                print(f"passes {mode}/members {clock} differ by {median:.1%} (median), {decile:.1%} (ninth decile)")
+            for clock, whole, median, decile in noise(machine, "members", mode):
+                print(f"passes {mode}/members {clock} take {whole:.1f} s, differ by {median:.1%} (median), {decile:.1%} (ninth decile)")
         undone = [name for name, (stamp, _) in steps.items() if not (machine.out / stamp).exists()]
         why = f"steps are not done: {', '.join(undone)}" if undone else "a test or an evaluation gave no value"
         bars.lacking(f"{why}; run the same command again to continue")
