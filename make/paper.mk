@@ -2,6 +2,7 @@
 # volumes. PAPER_FLAGS: more options of `entire-lab paper all`, such as --budget 30 --python venv/bin/python.
 PAPER_DATA ?= data
 PAPER_OUT ?= out/paper
+PAPER_GPU_OUT ?= out/paper-gpu
 PAPER_KEPT ?= $(wildcard data/timings/paper-results.json.gz)
 
 .PHONY: paper
@@ -21,4 +22,7 @@ paper-frames: build ## Train by the paper's recipe on different numbers of frame
 
 .PHONY: bars-paper
 bars-paper: ## Write the paper's report from the stored results and print its bars (fails if one is missed): bar NAME VALUE LIMIT ok|short (INTERVAL)
-	@$(LAB) paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars
+	@rc=0; $(LAB) paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars || rc=1; \
+	echo "On a GPU, with variants of the volumes by sparsity:"; \
+	$(LAB) paper report --description data/timings/paper-gpu.json --out "$(PAPER_GPU_OUT)" --kept data/timings/paper-gpu-results.json.gz --bars || rc=1; \
+	exit $$rc

@@ -1,10 +1,11 @@
 //! Bars of the paper's study.
 
-use super::description::{BASE_MODE, Panel, Paper, Rule, YT};
+use super::description::{BASE_MODE, DataSet, Panel, Paper, Rule, YT};
 use super::encode::{ALL, SHIPPED};
 use super::judge::{NETWORK, OURS};
 use super::material::Reconstruction;
 use super::results::{Results, Row};
+use super::train::FEATURE_VECTOR;
 use super::trials::AS_IT_IS;
 use super::{cases, control, interval};
 use crate::bars::Bar;
@@ -51,7 +52,12 @@ pub(crate) fn bars(
 ) -> Vec<Bar> {
     let limits = &paper.limits;
     let missing = shown.iter().filter(|s| !s.there || s.command.is_empty()).count();
-    let mut out = vec![Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0)];
+    let mut out = Vec::new();
+    if !paper.partial {
+        out.push(Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0));
+        // A person compares the paper's sentences with the results; no program does.
+        out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
+    }
     // Only results with at least as many frames as the study's description specifies are used.
     let full = |r: &&Results| r.panel == Panel::Overall && complete(r);
     let overall: Vec<&Results> = all.iter().filter(full).collect();
@@ -65,7 +71,11 @@ pub(crate) fn bars(
     for (set, limit) in &limits.over_constant {
         let name = format!("{set}/network-over-constant");
         let bar = at_most(name, over_constant(set, BASE_MODE), *limit);
-        let tried = if bar.value.is_none() { by_one_network(paper, all, set) } else { None };
+        let tried = if bar.value.is_none() {
+            on_fewer_frames(paper, all, set).or_else(|| by_one_network(paper, all, set))
+        } else {
+            None
+        };
         out.push(match tried {
             Some(note) => bar.with_note(note),
             None => bar,
@@ -103,9 +113,12 @@ pub(crate) fn bars(
     if overall.is_empty() {
         out.push(at_most("ours-over-network".into(), (None, None), limits.ours_over_network));
     }
-    // Not measured: no data set has its volumes at several sparsity thresholds.
     let (ablation, alone) = limits.feature_vector;
-    out.push(Bar::at_least("paper/without-over-with-feature-vector", None, ablation));
+    for d in paper.data_sets.iter().filter(|d| !d.only_tests) {
+        let name = format!("paper/{}/without-over-with-feature-vector", d.name);
+        out.push(Bar::at_least(name, without_over_with(all, d), ablation));
+    }
+    // Not measured: no study varies the volume alone where volumes have variants of different sparsity.
     out.push(Bar::at_least("paper/without-over-with-feature-vector-volume-alone", None, alone));
     let main = |r: &&Reconstruction| {
         r.encoder.channels.is_empty() && (r.encoder.size, r.encoder.features) == paper.encoders.main
@@ -135,10 +148,31 @@ pub(crate) fn bars(
     }
     let slowest = cases::slowest_node(all, NETWORK);
     out.push(Bar::at_most("paper/slowest-node-by-network", slowest, limits.slowest_node));
-    // A person compares the paper's sentences with the results; no program does.
-    out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
     out.push(Bar::at_most("paper/report-seconds", Some(seconds), limits.report_seconds));
+    if paper.partial {
+        out.retain(|b| b.value.is_some() || !b.note.is_empty());
+    }
     out
+}
+
+/// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it, on the paper's split of
+/// a data set. `None` if the volumes have no variants of different sparsity: without them, volumes hardly differ.
+fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
+    let of = |r: &&Results| r.panel == Panel::Ablation && r.set == set.name && r.mode == BASE_MODE;
+    let found = all.iter().find(of).filter(|_| set.variants)?;
+    let rmse = |name: &str| Some(found.row(set.rule.split(), name)?.rmse);
+    Some(rmse(&format!("without {FEATURE_VECTOR}"))? / rmse(NETWORK)?)
+}
+
+/// Returns a note with the ratio to the constant prediction that was measured on fewer frames than the study's
+/// description specifies.
+fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
+    let of = |r: &&Results| r.panel == Panel::Overall && r.set == set && r.mode == BASE_MODE;
+    let found = all.iter().find(of)?;
+    let row = found.row(paper.rule(set).split(), NETWORK)?;
+    let [expected, frames] = frames_of(found)?;
+    let brackets = interval::in_brackets(found.over_constant_interval(row));
+    Some(format!("{:.4} {brackets} with {frames} of {expected} frames", row.over_constant?))
 }
 
 /// Returns a note with the error of the one network that was trained on all data sets, on the held-out
@@ -172,10 +206,13 @@ fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
 
 /// True if there are at least as many frames as the study's description specifies.
 fn complete(results: &Results) -> bool {
-    let times = results.facts.iter().find(|f| f.name == "times");
-    let expected = times.and_then(|t| t.values.get("expected frames")).copied();
-    let frames = times.and_then(|t| t.values.get("frames")).copied();
-    expected.zip(frames).is_some_and(|(e, f)| f >= e)
+    frames_of(results).is_some_and(|[expected, frames]| frames >= expected)
+}
+
+/// Numbers of frames: those that the study's description specifies, and those that there are.
+fn frames_of(results: &Results) -> Option<[f64; 2]> {
+    let times = results.facts.iter().find(|f| f.name == "times")?;
+    Some([*times.values.get("expected frames")?, *times.values.get("frames")?])
 }
 
 #[cfg(test)]

@@ -22,6 +22,10 @@ pub(super) const BY_MODALITY: &str = "modality";
 pub(crate) struct Paper {
     /// Title of the report.
     pub(crate) title: String,
+    /// True if the study measures only a part of the paper: goals that it does not measure are those of another
+    /// study, and are not printed.
+    #[serde(default)]
+    pub(crate) partial: bool,
     /// Clock of the frame times.
     pub(crate) clock: String,
     /// Seed of the scenes.
@@ -122,6 +126,9 @@ pub(crate) struct DataSet {
     /// The members of the split by member.
     #[serde(default)]
     pub(crate) members: Option<MemberSplit>,
+    /// True if every volume has variants of different sparsity.
+    #[serde(default)]
+    pub(crate) variants: bool,
     /// True to train and test by the paper's split alone.
     #[serde(default)]
     pub(crate) only_rule: bool,
@@ -292,7 +299,8 @@ pub(crate) struct Change {
     pub(crate) name: String,
     /// True to sort the Gaussian lobes by ascending center.
     pub(crate) sorted_lobes: bool,
-    /// True to train on every frame with its Gaussian lobes in each order, with the same number of optimizer steps.
+    /// True to train on every frame once for each permutation of its Gaussian lobes. The number of epochs
+    /// decreases accordingly, so that the number of optimizer steps stays the same.
     pub(crate) every_order: bool,
     /// True to take logarithms of image sides, and of widths and heights of lobes.
     pub(crate) log_inputs: bool,
@@ -369,7 +377,7 @@ pub(crate) struct Label {
     pub(crate) label: String,
     /// Title of the table or figure.
     pub(crate) title: String,
-    /// The part of the study with our counterpart.
+    /// Part of the study that contains our counterpart of the table or figure.
     pub(crate) panel: Panel,
     /// Command that makes this project's counterpart of the table or figure.
     pub(crate) command: String,

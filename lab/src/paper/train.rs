@@ -24,6 +24,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+/// Name of VolumeNet's feature vector among the inputs that an ablation leaves out.
+pub(super) const FEATURE_VECTOR: &str = "feature vector";
+
 /// Parts of the study that have separate results for each data set and mode.
 const BY_SET: [Panel; 7] = [
     Panel::Overall,
@@ -513,7 +516,7 @@ impl At<'_> {
 /// Name of an input group in words.
 fn plain(input: &str) -> String {
     match input {
-        "volume_features" => "feature vector".into(),
+        "volume_features" => FEATURE_VECTOR.into(),
         "resolution" => "image resolution".into(),
         "transfer_function" => "transfer function".into(),
         "camera" => "camera pose".into(),
