@@ -14,7 +14,7 @@ fn main() {
     let out = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
     let source = fs::read_to_string(SOURCE).unwrap_or_else(|e| panic!("{SOURCE}: {e}"));
     let mut table = String::from("[\n");
-    for shading in 0..3u32 {
+    for shading in 0..4u32 {
         for skipping in 0..3u32 {
             for fetch in 0..3u32 {
                 for [counting, packets, bricks] in [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1]] {
@@ -22,13 +22,14 @@ fn main() {
                     if packets == 1 && (fetch != 2 || skipping == 0) {
                         continue;
                     }
-                    // Shadow rays (SHADING 2) would leave the brick, and packed volumes are not cut into
-                    // bricks.
-                    if bricks == 1 && (fetch == 2 || shading == 2) {
+                    // Shadow rays would leave the brick, and packed volumes are not cut into bricks.
+                    if bricks == 1 && (fetch == 2 || shading >= 2) {
                         continue;
                     }
                     let constants = [
                         ("SHADING", shading),
+                        ("LIT", shading % 2),
+                        ("SCATTERS", shading / 2),
                         ("SKIPPING", skipping),
                         ("FETCH", fetch),
                         ("COUNTING", counting),

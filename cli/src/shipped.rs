@@ -1,10 +1,10 @@
 //! The selected shipped models of each shading mode. They are built into the program, so that it needs no
 //! files for them.
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
-use entire_steer::predict::UnitCosts;
+use entire_steer::predict::{AnalyticModel, UnitCosts};
 
 /// A name, and the bytes of `models/NAME-selected.safetensors`.
 macro_rules! selected {
@@ -45,16 +45,19 @@ pub(crate) fn shipped_priors(shading: Shading, typical: &UnitCosts) -> Result<Ve
     if *typical == UnitCosts::GPU { Ok(Vec::new()) } else { shipped_models(shading) }
 }
 
-/// The shipped model that was selected for a shading mode, with its name.
+/// The shipped model that was selected for a shading mode, with its name. For a mode without one, a model of the
+/// typical unit costs of software renderers.
 ///
 /// # Errors
-/// When the mode has no shipped model.
+/// When a file holds no model.
 pub(crate) fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
-    let selected = files(shading).into_iter().next();
-    read(
-        selected
-            .with_context(|| format!("no shipped model predicts shading {shading}; name one with --model"))?,
-    )
+    match files(shading).into_iter().next() {
+        Some(selected) => read(selected),
+        None => {
+            let typical = AnalyticModel::from_costs(UnitCosts::SOFTWARE)?;
+            Ok((format!("typical unit costs, shading {shading}"), typical.to_model_file()?))
+        }
+    }
 }
 
 #[cfg(test)]
@@ -74,7 +77,7 @@ mod tests {
                 there.insert(name.to_owned(), std::fs::read(&path).unwrap());
             }
         }
-        let built: BTreeMap<String, Vec<u8>> = [Shading::None, Shading::Local, Shading::Scatter]
+        let built: BTreeMap<String, Vec<u8>> = Shading::ALL
             .into_iter()
             .flat_map(files)
             .map(|(name, bytes)| (name.to_owned(), bytes.to_vec()))
@@ -84,8 +87,9 @@ mod tests {
 
     #[test]
     fn every_mode_has_a_model_that_predicts() {
-        for shading in [Shading::None, Shading::Local, Shading::Scatter] {
-            for (name, file) in shipped_models(shading).unwrap() {
+        for shading in Shading::ALL {
+            let selected = shipped_model(shading).unwrap();
+            for (name, file) in shipped_models(shading).unwrap().into_iter().chain([selected]) {
                 let loaded = entire_steer::predict::load(&file.to_model().unwrap());
                 assert!(loaded.is_ok(), "{name}: {}", loaded.err().unwrap());
             }

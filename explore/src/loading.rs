@@ -43,7 +43,7 @@ pub(crate) struct Job {
 pub(crate) struct Loaded {
     pub(crate) scene: Scene,
     pub(crate) summary: VolumeSummary,
-    pub(crate) steering: [Arc<dyn Steering>; 3],
+    pub(crate) steering: Vec<Arc<dyn Steering>>,
     pub(crate) curve: Curve,
     /// Seconds from the request to the end of the load.
     pub(crate) seconds: f64,
@@ -150,7 +150,7 @@ impl Worker {
                 let summary = VolumeSummary::new(&view)?;
                 let histogram = Histogram::of(&view);
                 let of = |shading| self.host.steering(&view, shading);
-                let steering = [of(Shading::None)?, of(Shading::Local)?, of(Shading::Scatter)?];
+                let steering = Shading::ALL.into_iter().map(of).collect::<Result<_>>()?;
                 Ok((summary, histogram, steering))
             });
             self.stage.store(2, Ordering::Relaxed);

@@ -68,7 +68,8 @@ struct Loop {
 /// Inputs of the sessions.
 struct Known {
     summary: VolumeSummary,
-    steering: [Arc<dyn Steering>; 3],
+    /// The predictor of each mode of [`Shading::ALL`].
+    steering: Vec<Arc<dyn Steering>>,
     table: Option<(TransferTable, Option<Vec<GaussianLobe>>)>,
 }
 
@@ -96,12 +97,9 @@ pub(crate) struct Steer {
     other: VecDeque<f64>,
 }
 
+/// Index of a shading mode's predictor in [`Known::steering`].
 fn shading_index(shading: Shading) -> usize {
-    match shading {
-        Shading::None => 0,
-        Shading::Scatter => 2,
-        _ => 1,
-    }
+    Shading::ALL.iter().position(|s| *s == shading).unwrap_or(0)
 }
 
 impl Steer {
@@ -129,10 +127,10 @@ impl Steer {
     }
 
     /// Sets a volume and its predictors. A session keeps its correction if its predictor stays the same.
-    pub(crate) fn set_volume(&mut self, summary: VolumeSummary, steering: [Arc<dyn Steering>; 3]) {
+    pub(crate) fn set_volume(&mut self, summary: VolumeSummary, steering: Vec<Arc<dyn Steering>>) {
         if let Some(known) = &self.known {
-            let same = [0, 1, 2].map(|i| known.steering[i].identity() == steering[i].identity());
-            self.loops.retain(|(_, shading), _| same[*shading]);
+            let old = &known.steering;
+            self.loops.retain(|&(_, shading), _| old[shading].identity() == steering[shading].identity());
         }
         self.known = Some(Known { summary, steering, table: None });
         self.volume += 1;
@@ -335,7 +333,7 @@ mod tests {
         let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).unwrap();
         let one: Arc<dyn Steering> = Arc::new(Untrained(identity));
         let summary = VolumeSummary::new(&view).unwrap();
-        steer.set_volume(summary, [one.clone(), one.clone(), one]);
+        steer.set_volume(summary, vec![one; Shading::ALL.len()]);
     }
 
     fn steer() -> (Steer, Frame) {

@@ -1,10 +1,9 @@
 //! Contents of a job file, before checks and expansion into tasks.
 
-use anyhow::{Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
 use entire_io::device::Device;
-use entire_io::options::{ShadeOption, SkipOption};
 use entire_io::volume::{Fill, Range, Reading};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -252,20 +251,17 @@ pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Dev
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
         bail!("the renderer is not the project's raycaster, so it has no such settings")
     };
-    fn word<T: ValueEnum>(what: &str, text: &str) -> Result<T> {
-        T::from_str(text, false).map_err(|_| {
-            let all: Vec<String> = T::value_variants()
-                .iter()
-                .filter_map(|v| v.to_possible_value().map(|p| p.get_name().to_owned()))
-                .collect();
-            anyhow!("renderer: {what} is {text:?}; accepted are {}", all.join(", "))
-        })
-    }
+    let known = |text: &str| {
+        let all = Device::value_variants().iter().filter_map(|v| v.to_possible_value());
+        let names = all.map(|p| p.get_name().to_owned()).collect::<Vec<_>>().join(", ");
+        Device::from_str(text, false)
+            .map_err(|_| anyhow!("renderer: device is {text:?}; accepted are {names}"))
+    };
     ensure!(
         termination.is_finite() && (0.0..=1.0).contains(termination),
         "renderer: termination is {termination}; it must lie in 0 to 1"
     );
-    let shade: ShadeOption = word("shade", shade)?;
-    let skip: SkipOption = word("skip", skip)?;
-    Ok((shade.into(), skip.into(), *termination, word("device", device)?))
+    let shade = shade.parse().context("renderer: shade")?;
+    let skip = skip.parse().context("renderer: skip")?;
+    Ok((shade, skip, *termination, known(device)?))
 }

@@ -32,6 +32,8 @@ pub const ENTIRE_SHADING_NONE: entire_shading = 1;
 pub const ENTIRE_SHADING_LOCAL: entire_shading = 2;
 /// Single scattering: a shadow ray per visible sample.
 pub const ENTIRE_SHADING_SCATTER: entire_shading = 3;
+/// Local lighting with gradients, and single scattering.
+pub const ENTIRE_SHADING_LOCAL_SCATTER: entire_shading = 4;
 
 /// Skipping of empty space: one of the `ENTIRE_SKIPPING_*` numbers.
 pub type entire_skipping = u32;
@@ -164,10 +166,11 @@ pub(crate) fn shading(number: u32) -> Result<Shading, Failure> {
         ENTIRE_SHADING_NONE => Ok(Shading::None),
         ENTIRE_SHADING_LOCAL => Ok(Shading::Local),
         ENTIRE_SHADING_SCATTER => Ok(Shading::Scatter),
+        ENTIRE_SHADING_LOCAL_SCATTER => Ok(Shading::LocalScatter),
         other => Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
             format!(
-                "shading is {other}; it must be one of ENTIRE_SHADING_NONE (1) to ENTIRE_SHADING_SCATTER (3)"
+                "shading is {other}; it must be one of ENTIRE_SHADING_NONE (1) to ENTIRE_SHADING_LOCAL_SCATTER (4)"
             ),
         )),
     }

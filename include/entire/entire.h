@@ -656,6 +656,11 @@ typedef struct entire_plan {
 #define ENTIRE_SHADING_SCATTER 3
 
 /**
+ * Local lighting with gradients, and single scattering.
+ */
+#define ENTIRE_SHADING_LOCAL_SCATTER 4
+
+/**
  * Every sample is taken.
  */
 #define ENTIRE_SKIPPING_NONE 1

@@ -59,6 +59,8 @@ pub enum ShadeOption {
     Local,
     /// Single scattering.
     Scatter,
+    /// Local lighting and single scattering.
+    LocalScatter,
 }
 
 impl From<ShadeOption> for Shading {
@@ -67,6 +69,7 @@ impl From<ShadeOption> for Shading {
             ShadeOption::None => Self::None,
             ShadeOption::Local => Self::Local,
             ShadeOption::Scatter => Self::Scatter,
+            ShadeOption::LocalScatter => Self::LocalScatter,
         }
     }
 }

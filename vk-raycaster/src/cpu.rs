@@ -12,7 +12,7 @@ use crate::renderer::{FrameTime, Image, Preparation, Rendered, Renderer, WorkCou
 use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, check, is_shaded};
 use crate::table::{Classifier, StepTable};
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
-use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
+use entire_core::scene::{Frame, Skipping, TransferTable, VolumeView};
 use rayon::prelude::*;
 
 /// The CPU version: renders the picture that the crate documentation defines, with exact counts, on all
@@ -214,11 +214,13 @@ impl<V: Voxel> Caster<'_, V> {
                 counts.samples += 1;
                 let [r, g, b, alpha] = self.classify(self.position(&p));
                 if alpha > 0.0 {
-                    let color = match self.frame.shading {
-                        Shading::None => [r, g, b],
-                        Shading::Scatter => self.scatter(&p, [r, g, b], counts),
-                        _ => self.light(&p, &ray.direction, [r, g, b]),
-                    };
+                    let mut color = [r, g, b];
+                    if self.frame.shading.is_lit() {
+                        color = self.light(&p, &ray.direction, color);
+                    }
+                    if self.frame.shading.scatters() {
+                        color = self.scatter(&p, color, counts);
+                    }
                     counts.shaded += u64::from(is_shaded(self.frame));
                     let weight = (1.0 - sum[3]) * alpha;
                     for c in 0..3 {

@@ -101,7 +101,7 @@ fn parallel_rays_draw_the_limit_of_a_narrow_lens_far_away() {
     let dims = [40, 32, 36];
     let data = field_bytes(dims);
     let r = twin(&bytes(&data, dims), &medium());
-    for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+    for shading in Shading::ALL {
         let p = parallel((25.0, 40.0, 500.0), 0.9, 60, 48);
         let p = Frame { shading, ..p };
         let (straight, counts) = r.render_linear(&p).unwrap();
@@ -224,7 +224,7 @@ fn skipping_changes_nothing_but_the_work() {
     let view = VolumeView::with(Scalars::U8(&data), dims, spacing).unwrap();
     for table in [transparent(), medium(), opaque(), constant(0.0)] {
         let r = twin(&view, &table);
-        for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+        for shading in Shading::ALL {
             for step in [0.5, 1.0, 3.0] {
                 for base in [
                     frame(20.0, -35.0, 3.0, 33, 21),
@@ -333,7 +333,7 @@ fn thin_and_constant_volumes_render() {
             bytes(&ramp, dims),
         ] {
             let r = twin(&view, &constant(0.5));
-            for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+            for shading in Shading::ALL {
                 let f = Frame { shading, step: 0.25, ..frame(33.0, 20.0, 3.0, 31, 17) };
                 let (p, counts) = r.render_linear(&f).unwrap();
                 assert!(counts.samples > 0, "{dims:?}");
@@ -396,8 +396,12 @@ fn lighting_dims_edges_and_scattering_casts_shadows() {
     let (plain, alpha, none) = sum(Shading::None);
     let (local, alpha_local, lit) = sum(Shading::Local);
     let (scatter, alpha_scatter, shadowed) = sum(Shading::Scatter);
-    assert!(alpha == alpha_local && alpha == alpha_scatter);
+    let (both, alpha_both, lit_and_shadowed) = sum(Shading::LocalScatter);
+    assert!(alpha == alpha_local && alpha == alpha_scatter && alpha == alpha_both);
     assert!(local < plain && scatter < plain && scatter > 0.2 * plain);
+    // Shadows attenuate the lit color, to a quarter at least.
+    assert!(both < local && both < scatter && both > 0.2 * local);
+    assert_eq!(lit_and_shadowed, shadowed);
     assert!(none.shaded == 0 && lit.shaded > 0 && lit.shaded == shadowed.shaded);
     assert!(lit.samples == none.samples && shadowed.samples > none.samples + shadowed.shaded / 2);
 }
@@ -429,6 +433,9 @@ fn shadow_of_a_slab_has_its_closed_form() {
     }
     assert!((f64::from(p[0][0]) - color).abs() < 1e-4, "{} {color}", p[0][0]);
     assert_eq!(counts.samples, n as u64 + shadow_samples);
+    // Where the gradient is zero, local lighting leaves the color as it is.
+    let both = Frame { shading: Shading::LocalScatter, ..f };
+    assert_eq!(r.render_linear(&both).unwrap(), (p, counts));
 }
 
 #[test]

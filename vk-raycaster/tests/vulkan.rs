@@ -128,9 +128,6 @@ fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
     (largest, sum as f64 / a.len() as f64)
 }
 
-const SHADINGS: [Shading; 3] = [Shading::None, Shading::Local, Shading::Scatter];
-const SKIPPINGS: [Skipping; 3] = [Skipping::None, Skipping::Blocks, Skipping::Distance];
-
 /// Compares device and CPU version in all scenes and modes, with one source of voxels in the shader.
 fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     let mut gpu = open_validated(Some(fetch))?;
@@ -144,8 +141,8 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
         for scene in scenes().into_iter().take(if kind == "u8" { usize::MAX } else { 3 }) {
             gpu.set_transfer(&scene.table)?;
             twin.set_transfer(&scene.table)?;
-            for shading in SHADINGS {
-                for skipping in SKIPPINGS {
+            for shading in Shading::ALL {
+                for skipping in Skipping::ALL {
                     let frame = Frame { shading, skipping, ..scene.frame };
                     let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
                     let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
@@ -191,7 +188,7 @@ fn odd_volumes() -> Outcome {
             for table in [medium(), constant(0.3)] {
                 gpu.set_transfer(&table)?;
                 twin.set_transfer(&table)?;
-                for shading in SHADINGS {
+                for shading in Shading::ALL {
                     let f = Frame { shading, step: 0.3, ..frame(33.0, 20.0, 2.0, 31, 17) };
                     let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
                     let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
@@ -218,7 +215,7 @@ fn blocks_of_every_edge_match_the_twin() -> Outcome {
             twin.set_volume(&view)?;
             gpu.set_transfer(&opaque())?;
             twin.set_transfer(&opaque())?;
-            for skipping in SKIPPINGS {
+            for skipping in Skipping::ALL {
                 let f = Frame { skipping, shading: Shading::Local, ..frame(20.0, 35.0, 2.5, 61, 47) };
                 let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
                 let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
@@ -268,7 +265,7 @@ fn skipping_changes_nothing() -> Outcome {
     for table in [transparent(), medium(), opaque()] {
         gpu.set_transfer(&table)?;
         let f = frame(25.0, -50.0, 2.5, 64, 48);
-        let [none, blocks, distance] = SKIPPINGS.map(|s| gpu.render(&Frame { skipping: s, ..f }));
+        let [none, blocks, distance] = Skipping::ALL.map(|s| gpu.render(&Frame { skipping: s, ..f }));
         let (none, blocks, distance) = (none?, blocks?, distance?);
         if none.image != blocks.image || none.image != distance.image {
             return Err("the pictures differ".into());
@@ -305,7 +302,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
             gpu.set_transfer(&scene.table)?;
             twin.set_transfer(&scene.table)?;
             for shading in [Shading::None, Shading::Local] {
-                for skipping in SKIPPINGS {
+                for skipping in Skipping::ALL {
                     let frame = Frame { shading, skipping, ..scene.frame };
                     let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
                     let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
@@ -498,8 +495,8 @@ fn counting_changes_no_picture() -> Outcome {
     gpu.set_volume(&view)?;
     for scene in scenes() {
         gpu.set_transfer(&scene.table)?;
-        for shading in SHADINGS {
-            for skipping in SKIPPINGS {
+        for shading in Shading::ALL {
+            for skipping in Skipping::ALL {
                 let frame = Frame { shading, skipping, ..scene.frame };
                 let [counted, timed] = [true, false].map(|count| {
                     gpu.count_work(count);
@@ -518,7 +515,7 @@ fn counting_changes_no_picture() -> Outcome {
     // Rays that are cast in several windows, with each shader variant.
     let frame = Frame { step: 1.0 / 64.0, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 19, 14) };
     gpu.set_transfer(&transparent().with_unit_distance(16.0).unwrap())?;
-    for skipping in SKIPPINGS {
+    for skipping in Skipping::ALL {
         let [counted, timed] = [true, false].map(|count| {
             gpu.count_work(count);
             gpu.render(&Frame { skipping, ..frame })
@@ -541,7 +538,7 @@ fn long_rays_are_cast_in_windows() -> Outcome {
     let thin = transparent().with_unit_distance(4.0).unwrap();
     gpu.set_transfer(&thin)?;
     twin.set_transfer(&thin)?;
-    for skipping in SKIPPINGS {
+    for skipping in Skipping::ALL {
         let f = Frame { step: 0.125, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 5, 4) };
         let (a, b) = (gpu.render(&Frame { skipping, ..f })?, twin.render(&Frame { skipping, ..f })?);
         let (largest, _) = difference(&a.image.rgba, &b.image.rgba);

@@ -64,7 +64,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     found("raycaster", &raycaster());
 
     heading("Models");
-    for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+    for shading in Shading::ALL {
         let name: &str = shading.into();
         let shipped = shipped_models(shading)?.len();
         let model = match machine_model(shading)? {

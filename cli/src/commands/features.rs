@@ -126,7 +126,7 @@ mod tests {
         let csv = folder.path().join("t.csv");
         let mut writer = Writer::create(&csv).unwrap();
         let skipping = [Skipping::None, Skipping::Blocks, Skipping::Distance];
-        let shading = [Shading::None, Shading::Local, Shading::Scatter];
+        let shading = [Shading::None, Shading::LocalScatter, Shading::Scatter];
         for i in 0..12u16 {
             let f = f32::from(i);
             let scene = Scene {

@@ -1,9 +1,10 @@
 //! One frame: camera, image size, ray step and shading.
 
 use super::Camera;
-use crate::Result;
 use crate::error::bail;
 use crate::names::names;
+use crate::{Error, Result};
+use core::str::FromStr;
 
 /// Largest image width or height of a frame, in pixels.
 pub const MAX_IMAGE_SIDE: u32 = 16384;
@@ -18,12 +19,44 @@ pub enum Shading {
     Local,
     /// Single scattering: one shadow ray towards the light per visible sample.
     Scatter,
+    /// Local lighting and single scattering: the shadow ray attenuates the lit color.
+    LocalScatter,
 }
 
 names! { Shading:
     None "none",
     Local "local",
     Scatter "scatter",
+    LocalScatter "local-scatter",
+}
+
+impl Shading {
+    /// All variants.
+    pub const ALL: [Self; 4] = [Self::None, Self::Local, Self::Scatter, Self::LocalScatter];
+
+    /// True with local lighting.
+    pub const fn is_lit(self) -> bool {
+        matches!(self, Self::Local | Self::LocalScatter)
+    }
+
+    /// True with shadow rays.
+    pub const fn scatters(self) -> bool {
+        matches!(self, Self::Scatter | Self::LocalScatter)
+    }
+}
+
+impl FromStr for Shading {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        match Self::ALL.into_iter().find(|s| s.name() == name) {
+            Some(found) => Ok(found),
+            None => bail!(
+                InvalidArgument,
+                "shading is {name:?}; none, local, scatter or local-scatter is expected"
+            ),
+        }
+    }
 }
 
 /// Method of skipping empty space.
@@ -42,6 +75,22 @@ names! { Skipping:
     None "none",
     Blocks "blocks",
     Distance "distance",
+}
+
+impl Skipping {
+    /// All variants.
+    pub const ALL: [Self; 3] = [Self::None, Self::Blocks, Self::Distance];
+}
+
+impl FromStr for Skipping {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        match Self::ALL.into_iter().find(|s| s.name() == name) {
+            Some(found) => Ok(found),
+            None => bail!(InvalidArgument, "skipping is {name:?}; none, blocks or distance is expected"),
+        }
+    }
 }
 
 /// Settings of a frame, apart from its volume and transfer function. [`Frame::new`] sets the usual modes;

@@ -13,7 +13,7 @@ use crate::transfer::{Curve, Opacity};
 use anyhow::{Context, Result, bail};
 use ash::vk;
 use entire_core::GaussianLobe;
-use entire_core::scene::{Arcball, Shading, Skipping};
+use entire_core::scene::Arcball;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use winit::dpi::PhysicalSize;
@@ -209,17 +209,11 @@ impl App {
                 state.changed.settings = true;
             }
             Action::Shading(name) => {
-                let modes = [Shading::None, Shading::Local, Shading::Scatter];
-                let found = modes.into_iter().find(|m| <&str>::from(*m) == name);
-                state.shading = found
-                    .with_context(|| format!("shading is {name:?}; none, local or scatter is expected"))?;
+                state.shading = name.parse()?;
                 state.changed.settings = true;
             }
             Action::Skipping(name) => {
-                let modes = [Skipping::None, Skipping::Blocks, Skipping::Distance];
-                let found = modes.into_iter().find(|m| <&str>::from(*m) == name);
-                state.skipping = found
-                    .with_context(|| format!("skipping is {name:?}; none, blocks or distance is expected"))?;
+                state.skipping = name.parse()?;
                 state.changed.settings = true;
             }
             Action::Size([width, height]) => {

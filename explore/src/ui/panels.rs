@@ -74,14 +74,14 @@ fn steering(ui: &mut Ui, state: &mut State) {
 fn modes(ui: &mut Ui, state: &mut State) {
     ui.horizontal(|ui| {
         ui.label("shading");
-        for mode in [Shading::None, Shading::Local, Shading::Scatter] {
+        for mode in Shading::ALL {
             state.changed.settings |=
                 ui.selectable_value(&mut state.shading, mode, mode.to_string()).clicked();
         }
     });
     ui.horizontal(|ui| {
         ui.label("skipping");
-        for mode in [Skipping::None, Skipping::Blocks, Skipping::Distance] {
+        for mode in Skipping::ALL {
             state.changed.settings |=
                 ui.selectable_value(&mut state.skipping, mode, mode.to_string()).clicked();
         }

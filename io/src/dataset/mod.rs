@@ -22,7 +22,7 @@ pub use compared::read_pictures;
 pub use groups::Groups;
 pub use manifest::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE};
 pub(crate) use scene::format_lobes;
-pub use scene::{Scene, parse_lobes, parse_shading, parse_skipping};
+pub use scene::{Scene, parse_lobes};
 pub use table::{COLUMNS, Table, parse as parse_table, read_tables};
 pub use timing::{Clock, NoiseFloor, Timed, TimedFrame, Timing, left_out, noise_floor, timed};
 pub use writer::Writer;

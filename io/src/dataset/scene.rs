@@ -87,28 +87,6 @@ impl Scene {
     }
 }
 
-/// Reads a shading mode's name.
-///
-/// # Errors
-/// For any other name; the error lists the accepted names.
-pub fn parse_shading(name: &str) -> Result<Shading> {
-    [Shading::None, Shading::Local, Shading::Scatter]
-        .into_iter()
-        .find(|s| s.to_string() == name)
-        .ok_or_else(|| anyhow!("shading is {name:?}; none, local or scatter is expected"))
-}
-
-/// Reads a skipping mode's name.
-///
-/// # Errors
-/// For any other name; the error lists the accepted names.
-pub fn parse_skipping(name: &str) -> Result<Skipping> {
-    [Skipping::None, Skipping::Blocks, Skipping::Distance]
-        .into_iter()
-        .find(|s| s.to_string() == name)
-        .ok_or_else(|| anyhow!("skipping is {name:?}; none, blocks or distance is expected"))
-}
-
 /// Reads Gaussian lobes from `c w h;c w h;…`. An empty text gives no lobes.
 ///
 /// # Errors

@@ -1,7 +1,7 @@
 //! Reading of timing tables: rows grouped into frames, every wrong field named with its line and column.
 
 use super::feature_table::FeatureTable;
-use super::{Manifest, Scene, TimedFrame, Timing, parse_lobes, parse_shading, parse_skipping};
+use super::{Manifest, Scene, TimedFrame, Timing, parse_lobes};
 use crate::files::{fnv1a, read_decompressed};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::scene::Arcball;
@@ -240,8 +240,8 @@ impl Row<'_> {
             width: self.number("width_px", WHOLE)?,
             height: self.number("height_px", WHOLE)?,
             step: self.number("step_ref", NUMBER)?,
-            shading: parse_shading(self.text("shading")).context("column shading")?,
-            skipping: parse_skipping(self.text("skipping")).context("column skipping")?,
+            shading: self.text("shading").parse().context("column shading")?,
+            skipping: self.text("skipping").parse().context("column skipping")?,
             termination: self.number("termination", NUMBER)?,
             lobes: parse_lobes(self.text("tf")).context("column tf")?,
         };

@@ -7,7 +7,7 @@ use super::volumes::Place;
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::collection::{Job, Protocol, differences, time_scene};
 use entire_core::scene::{Arcball, Skipping};
-use entire_io::dataset::{Manifest, Scene, Writer, parse_shading};
+use entire_io::dataset::{Manifest, Scene, Writer};
 use entire_io::files::make_folder;
 use entire_io::identity;
 use entire_io::machine;
@@ -52,7 +52,7 @@ pub(crate) fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol>
             max_size: own.max_size.unwrap_or(paper.scenes.max_size),
             ..paper.scenes.clone()
         },
-        shading: parse_shading(mode)?,
+        shading: mode.parse()?,
         skipping: Skipping::Blocks,
         termination: 0.99,
         enlarge: if low { 1 } else { paper.enlarge },

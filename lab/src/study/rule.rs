@@ -80,9 +80,9 @@ pub(crate) fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &
 /// unit costs of work that occurs in frames of this mode.
 pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
     let held = |quantity: &str| match quantity {
-        "local_samples" | "far_local_samples" => shading == Shading::Local,
+        "local_samples" | "far_local_samples" => shading.is_lit(),
         "scatter_samples" | "shadow_samples" | "lane_shadow_samples" | "far_shadow_samples" => {
-            shading == Shading::Scatter
+            shading.scatters()
         }
         _ => true,
     };

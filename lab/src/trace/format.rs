@@ -6,7 +6,6 @@ use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::Clock;
 use entire_io::files::{gzip, read_decompressed, write_whole};
 use entire_io::identity::Identity;
-use entire_io::options::{ShadeOption, SkipOption};
 use entire_io::path::PathFile;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -92,14 +91,8 @@ impl TraceDraw {
     /// # Errors
     /// When the name of the clock or of a mode is unknown.
     pub fn modes(&self) -> Result<(Clock, Shading, Skipping)> {
-        fn known<T: ValueEnum>(name: &str, what: &'static str) -> Result<T> {
-            T::from_str(name, true).map_err(anyhow::Error::msg).context(what)
-        }
-        Ok((
-            known(&self.clock, "clock")?,
-            known::<ShadeOption>(&self.shading, "shading")?.into(),
-            known::<SkipOption>(&self.skipping, "skipping")?.into(),
-        ))
+        let clock = Clock::from_str(&self.clock, true).map_err(anyhow::Error::msg).context("clock")?;
+        Ok((clock, self.shading.parse()?, self.skipping.parse()?))
     }
 }
 

@@ -1,7 +1,8 @@
 //! Files that are written completely or not at all.
 
 use crate::detach::detached;
-use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
+use crate::frame::mode;
+use pyo3::exceptions::{PyFileNotFoundError, PyOSError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
@@ -28,7 +29,7 @@ pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResul
 /// Parameters
 /// ----------
 /// shading : str
-///     `"none"`, `"local"` or `"scatter"`.
+///     `"none"`, `"local"`, `"scatter"` or `"local-scatter"`.
 ///
 /// Returns
 /// -------
@@ -42,8 +43,7 @@ pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResul
 ///     If the machine was not calibrated for the mode; the text gives the command to do so.
 #[pyfunction]
 pub(crate) fn machine_file(shading: &str) -> PyResult<PathBuf> {
-    let shading = entire_io::dataset::parse_shading(shading)
-        .map_err(|error| PyValueError::new_err(format!("{error:#}")))?;
+    let shading = mode(shading)?;
     entire_cli::calibrate::place::machine_file(shading)
         .map_err(|error| PyFileNotFoundError::new_err(format!("{error:#}")))
 }

@@ -7,6 +7,7 @@ use entire_core::scene::{Camera as CoreCamera, Frame, Shading, Skipping};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use std::str::FromStr;
 
 /// Parameters of a frame besides its camera.
 #[derive(Clone, Copy)]
@@ -18,6 +19,11 @@ pub(crate) struct Shape {
     pub(crate) termination: f32,
 }
 
+/// Reads the name of a mode.
+pub(crate) fn mode<T: FromStr<Err = entire_core::Error>>(name: &str) -> PyResult<T> {
+    name.parse().map_err(|error: T::Err| PyValueError::new_err(error.to_string()))
+}
+
 impl Shape {
     pub(crate) fn new(
         size: (i64, i64),
@@ -26,26 +32,7 @@ impl Shape {
         skipping: &str,
         termination: f32,
     ) -> PyResult<Self> {
-        let shading = match shading {
-            "none" => Shading::None,
-            "local" => Shading::Local,
-            "scatter" => Shading::Scatter,
-            other => {
-                return Err(PyValueError::new_err(format!(
-                    "shading is {other:?}; it must be \"none\", \"local\" or \"scatter\""
-                )));
-            }
-        };
-        let skipping = match skipping {
-            "none" => Skipping::None,
-            "blocks" => Skipping::Blocks,
-            "distance" => Skipping::Distance,
-            other => {
-                return Err(PyValueError::new_err(format!(
-                    "skipping is {other:?}; it must be \"none\", \"blocks\" or \"distance\""
-                )));
-            }
-        };
+        let (shading, skipping) = (mode(shading)?, mode(skipping)?);
         Ok(Self { size: sides(size), step, shading, skipping, termination })
     }
 

@@ -262,7 +262,7 @@ impl Session {
     ///     Target time of the frame in seconds, positive.
     /// step : float, optional
     ///     The frame's own step in reference steps, which the plan returns if steering is off. Default 1.
-    /// shading : {"none", "local", "scatter"}, optional
+    /// shading : {"none", "local", "scatter", "local-scatter"}, optional
     ///     Shading of samples: none, local lighting, or single scattering.
     /// skipping : {"blocks", "none", "distance"}, optional
     ///     Method by which the renderer skips empty space.

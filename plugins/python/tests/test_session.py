@@ -310,7 +310,7 @@ def test_the_machines_model(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     with pytest.raises(FileNotFoundError, match="entire calibrate --shade local"):
         entire.Model.machine("local")
-    with pytest.raises(ValueError, match="none, local or scatter"):
+    with pytest.raises(ValueError, match="none, local, scatter or local-scatter"):
         entire.Model.machine("phong")
     (tmp_path / "entire").mkdir()
     shipped = entire.Model("local-selected")

@@ -156,7 +156,8 @@ pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 ///
 /// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step,
 /// skipping mode and image size (of the same aspect ratio) without marching again. It also evaluates other
-/// shading modes, except that single scattering requires a frame measured with it. Nothing here allocates.
+/// shading modes. Single scattering and skipping by a distance map require a frame measured with them. Nothing
+/// here allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe_side: usize,
@@ -293,7 +294,7 @@ impl FrameFeatures {
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
         let (mut shadow, mut shadow_skips, mut shadow_segments) = (0.0, 0.0, 0.0);
-        if setting.shading == Shading::Scatter {
+        if setting.shading.scatters() {
             let length = if skipping { p.shadow } else { p.shadow_all };
             // Length / shadow step, less 0.25 samples per shadow ray: the ray begins one shadow step away
             // from the visible sample, and it takes the sample that crosses the threshold.
@@ -303,7 +304,7 @@ impl FrameFeatures {
         }
         let longest_length = if skipping { p.longest.occupied } else { p.longest.all };
         let (mut longest_segments, mut longest_shadow) = (p.longest.segments, 0.0);
-        if setting.shading == Shading::Scatter {
+        if setting.shading.scatters() {
             let length = if skipping { p.longest.shadow } else { p.longest.shadow_all };
             longest_shadow = inv * inv * length * (1.0 / SHADOW_STEP);
             longest_segments += p.longest.shadow_segments * inv;
@@ -331,7 +332,7 @@ impl FrameFeatures {
         };
         // Adjacent rays less than about two voxels apart shade at the same time, so they hardly wait.
         work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared(UNSHARED_SPACING) * (waiting - 1.0));
-        let local = if setting.shading == Shading::Local { work.shaded } else { 0.0 };
+        let local = if setting.shading.is_lit() { work.shaded } else { 0.0 };
         let reads = work.samples * work.unshared(UNSHARED_SPACING)
             + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
         let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
@@ -353,7 +354,7 @@ impl FrameFeatures {
         use SceneQuantity as Q;
         let p = &self.probe;
         let per_pixel = |v: f64| v / work.pixels.max(1.0);
-        let only = |shading: Shading, v: f64| if setting.shading == shading { v } else { 0.0 };
+        let only = |counts: bool, v: f64| if counts { v } else { 0.0 };
         let far = |spacing: f64| work.unshared(spacing) * work.uncached;
         match quantity {
             Q::Pixels => work.pixels,
@@ -363,15 +364,15 @@ impl FrameFeatures {
             Q::LaneSamples => work.lane_samples,
             Q::Runs => work.runs,
             Q::Segments => work.segments,
-            Q::LocalSamples => only(Shading::Local, work.shaded),
-            Q::ScatterSamples => only(Shading::Scatter, work.shaded),
+            Q::LocalSamples => only(setting.shading.is_lit(), work.shaded),
+            Q::ScatterSamples => only(setting.shading.scatters(), work.shaded),
             Q::ShadowSamples => work.shadow_samples,
             Q::LaneShadowSamples => work.lane_shadow_samples,
             Q::FarSkips => work.skips * far(UNSHARED_SPACING),
             Q::FarSamples => work.lane_samples * far(UNSHARED_SPACING),
             Q::TouchedVoxels => work.touched,
             Q::FarSegments => work.segments * far(UNSHARED_SPACING),
-            Q::FarLocalSamples => only(Shading::Local, work.shaded) * far(UNSHARED_SHADING),
+            Q::FarLocalSamples => only(setting.shading.is_lit(), work.shaded) * far(UNSHARED_SHADING),
             Q::FarShadowSamples => work.parted_shadow_samples * far(UNSHARED_SHADING),
             Q::FarX => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.x),
             Q::FarY => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.y),

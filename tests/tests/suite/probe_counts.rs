@@ -60,6 +60,7 @@ fn estimated_work_is_the_counted_work() {
         (Shading::Local, Skipping::Blocks, false),
         (Shading::None, Skipping::Distance, false),
         (Shading::Scatter, Skipping::Blocks, false),
+        (Shading::LocalScatter, Skipping::Blocks, false),
         (Shading::None, Skipping::None, true),
         (Shading::Local, Skipping::Blocks, true),
         (Shading::None, Skipping::Distance, true),
@@ -95,7 +96,7 @@ fn estimated_work_is_the_counted_work() {
                 features.measure(&summary, &mut transfer, &frame).expect("a frame");
                 let of = features.quantities(Setting::from(&frame));
                 let samples = of(SceneQuantity::Samples) + of(SceneQuantity::ShadowSamples);
-                let shaded = of(SceneQuantity::LocalSamples) + of(SceneQuantity::ScatterSamples);
+                let shaded = of(SceneQuantity::LocalSamples).max(of(SceneQuantity::ScatterSamples));
                 let pairs = [
                     (of(SceneQuantity::Rays), counts.rays),
                     (samples, counts.samples),
@@ -112,11 +113,11 @@ fn estimated_work_is_the_counted_work() {
         }
         for (name, errors) in ["rays", "samples", "skips", "shaded"].iter().zip(&mut errors) {
             // Skips of shadow rays are estimated roughly: they cost little compared with the rays' samples.
-            let rough = *name == "skips" && shading == Shading::Scatter;
+            let rough = *name == "skips" && shading.scatters();
             if errors.len() >= 6 && !rough {
                 let m = median(errors);
                 let tolerance =
-                    if shading == Shading::Scatter { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
+                    if shading.scatters() { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
                 assert!(
                     m < tolerance,
                     "{shading:?} {skipping:?}, parallel {parallel}: median error of {name} is {m}"

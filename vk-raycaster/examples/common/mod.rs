@@ -2,7 +2,7 @@
 
 use entire_core::scene::{ControlPoint, TransferFunction, TransferTable};
 
-/// A hash of a lattice point in [0, 1).
+/// Returns the hash of a lattice point, a number in [0, 1).
 fn lattice(x: i32, y: i32, z: i32) -> f32 {
     let mut h = (x as u32).wrapping_mul(0x8da6_b343)
         ^ (y as u32).wrapping_mul(0xd816_3841)

@@ -150,7 +150,7 @@ pub struct VulkanRaycaster {
     /// Number of non-empty blocks under the current transfer function, and of all blocks.
     occupied: Option<(usize, usize)>,
     /// Edge of the tiles for each shading mode, in pixels.
-    tile: [u32; 3],
+    tile: [u32; Shading::ALL.len()],
     /// Frames that were enqueued and not yet collected.
     in_flight: VecDeque<Enqueued>,
 }
@@ -242,7 +242,7 @@ impl VulkanRaycaster {
             table_step: None,
             has_skip_map: false,
             occupied: None,
-            tile: [edge; 3],
+            tile: [edge; Shading::ALL.len()],
             in_flight: VecDeque::new(),
         })
     }
@@ -353,7 +353,7 @@ impl VulkanRaycaster {
             ));
         }
         let bricked = volume.bricks.len() > 1;
-        if bricked && frame.shading == Shading::Scatter {
+        if bricked && frame.shading.scatters() {
             return Err(Error::new(format!(
                 "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or \
                  downsample it, or render on the CPU",
@@ -574,16 +574,13 @@ fn window(step: f64, shading: Shading) -> f32 {
     let shadow = longest_ray(step * f64::from(crate::setup::SHADOW_STEP));
     // A sample costs one iteration of its own loop and at most one of the enclosing loop; so does each
     // shadow sample.
-    let turns = if shading == Shading::Scatter { 2.0 + 2.0 * shadow } else { 2.0 };
+    let turns = if shading.scatters() { 2.0 + 2.0 * shadow } else { 2.0 };
     (LOOP_LIMIT / turns).floor().max(1.0) as f32
 }
 
+/// The shader's number of a shading mode: 1 for local lighting, plus 2 for shadow rays.
 fn shading_index(shading: Shading) -> usize {
-    match shading {
-        Shading::None => 0,
-        Shading::Scatter => 2,
-        _ => 1,
-    }
+    usize::from(shading.is_lit()) + 2 * usize::from(shading.scatters())
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 // documentation defines the picture.
 
 // Lines that start with # are directives of build.rs, which makes one module per mode:
-// SHADING   0 none, 1 local, 2 scatter
+// SHADING   0 none, 1 local, 2 scatter, 3 local and scatter
 // SKIPPING  0 none, 1 blocks, 2 distance
 // FETCH     source of voxels: 0 sampler, 1 eight texels, 2 two texels of four packed bytes
 // COUNTING  1 to count the work of each pixel
@@ -306,7 +306,7 @@ fn classify(position: f32) -> vec4<f32> {
 #endif
 }
 
-#if SHADING == 1
+#if LIT == 1
 // Returns `color` with Blinn–Phong lighting by a headlight, which shines along the ray.
 fn light(p: vec3<f32>, view: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let x = (position(p + vec3<f32>(1.0, 0.0, 0.0)) - position(p - vec3<f32>(1.0, 0.0, 0.0))) * setup.gradient_scale.x;
@@ -327,7 +327,7 @@ fn light(p: vec3<f32>, view: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 }
 #endif
 
-#if SHADING == 2
+#if SCATTERS == 1
 // Returns `color` after single scattering: a shadow ray towards the light attenuates it.
 fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let face = select(vec3<f32>(0.0), dims, setup.light > vec3<f32>(0.0));
@@ -423,10 +423,12 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
                 sum += weight * vec4<f32>(found.xyz, 1.0);
 #else
                 if found.w > 0.0 {
-#if SHADING == 1
-                    let color = light(p, direction, found.xyz);
-#else
-                    let color = scatter(p, found.xyz);
+                    var color = found.xyz;
+#if LIT == 1
+                    color = light(p, direction, color);
+#endif
+#if SCATTERS == 1
+                    color = scatter(p, color);
 #endif
                     counts.shaded += 1u;
                     let weight = (1.0 - sum.w) * found.w;

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from typing_extensions import Self
 
-    Shading = Literal["none", "local", "scatter"]
+    Shading = Literal["none", "local", "scatter", "local-scatter"]
     Skipping = Literal["blocks", "none", "distance"]
 
 _FOLDER = Path(__file__).parent / "models"
@@ -88,7 +88,7 @@ class Model(_native.Model):
 
         Parameters
         ----------
-        shading : {"none", "local", "scatter"}, optional
+        shading : {"none", "local", "scatter", "local-scatter"}, optional
             Shading mode, as in ``--shade``.
 
         Returns

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import Self
 
-_Shading = Literal["none", "local", "scatter"]
+_Shading = Literal["none", "local", "scatter", "local-scatter"]
 _Skipping = Literal["blocks", "none", "distance"]
 _Triple = tuple[float, float, float] | Sequence[float]
 

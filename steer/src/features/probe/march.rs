@@ -5,7 +5,7 @@ use crate::features::{TransferSummary, VolumeSummary};
 use entire_core::kernels::Level;
 use entire_core::memory::chunks;
 use entire_core::scene::Shape;
-use entire_core::scene::{Frame, Shading};
+use entire_core::scene::{Frame, Skipping};
 use glam::Vec3;
 
 /// Indices of a ray's fields; each field of all rays is stored in one array. `U` and `V` are image
@@ -149,6 +149,8 @@ pub(super) struct March<'a> {
     /// Half a voxel, in units of cells; cells begin at voxel centers.
     pub(super) shift: Vec3,
     pub(super) scatters: bool,
+    /// True if the frame skips by a distance map.
+    maps: bool,
     /// Reference steps per scene unit.
     pub(super) per_step: f32,
     /// Optical depth at which a ray ends.
@@ -219,10 +221,11 @@ impl<'a> March<'a> {
             half_extent: shape.half_extent,
             scale: 1.0 / (voxel * edge),
             shift: 0.5 / edge,
-            scatters: frame.shading == Shading::Scatter,
+            scatters: frame.shading.scatters(),
             per_step: 1.0 / shape.reference_step,
             depth_end: if termination < 1.0 { -libm::log1pf(-termination) } else { f32::INFINITY },
             shadow_end: -libm::log1pf(-SHADOW_OPACITY),
+            maps: frame.skipping == Skipping::Distance,
             block: (block != edge).then_some(block * voxel),
             block_skips: ChordCounts::NOTHING,
             distance_skips: ChordCounts::NOTHING,
@@ -231,7 +234,7 @@ impl<'a> March<'a> {
 
     /// True where the transfer function has a distance map, whose jumps are counted separately.
     pub(super) fn maps_distance(&self) -> bool {
-        self.transfer.distance().is_some()
+        self.maps && self.transfer.distance().is_some()
     }
 
     /// Marches the first `count` rays, in packets where a level is given. With a distance map, rays are
@@ -370,7 +373,7 @@ impl<'a> March<'a> {
                 if mean_block_chord.is_none() {
                     self.block_skips.add_one(length);
                 }
-                if let Some(distance) = self.transfer.distance() {
+                if let Some(distance) = self.transfer.distance().filter(|_| self.maps) {
                     let index = walk.index;
                     let (nx, ny) = (self.grid[0], self.grid[1]);
                     let place = [index % nx, index / nx % ny, index / nx / ny];

@@ -169,7 +169,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
             let far = Camera::from_arcball(Arcball { rx, ry, dz: 1000.0 }).unwrap();
             let lens = far.with_fov_y_degrees(2.0 * (scale / 1000.0).atan().to_degrees()).unwrap();
             let parallel = far.with_parallel_scale(scale).unwrap();
-            for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+            for shading in Shading::ALL {
                 let [one, other] = [lens, parallel].map(|camera| {
                     let frame = Frame { shading, ..Frame::new(camera, 200, 150).unwrap() };
                     let mut features = FrameFeatures::default();
@@ -198,11 +198,11 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
                             | SceneQuantity::LongestShadowSamples
                             | SceneQuantity::FarLongestShadowSamples
                     );
-                    let tolerance = if longest && shading == Shading::Scatter {
+                    let tolerance = if longest && shading.scatters() {
                         LONGEST_LIMIT_TOLERANCE
-                    } else if segments && shading == Shading::Scatter {
+                    } else if segments && shading.scatters() {
                         SEGMENTS_LIMIT_TOLERANCE
-                    } else if shadows && shading == Shading::Scatter {
+                    } else if shadows && shading.scatters() {
                         SHADOW_LIMIT_TOLERANCE
                     } else {
                         LIMIT_TOLERANCE
@@ -269,7 +269,7 @@ fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
     let s = summary(&noise(n, 3), [64, 64, 64], 8);
     let mut transfer = TransferSummary::new(&s, &table(|i| if i >= 128 { 2.0e-3 } else { 0.0 })).unwrap();
     let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 50.0, dz: 2.0 }).unwrap();
-    for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+    for shading in Shading::ALL {
         let frame = Frame { shading, ..Frame::new(camera, 256, 256).unwrap() };
         let mut features = FrameFeatures::default();
         features.measure(&s, &mut transfer, &frame).unwrap();
