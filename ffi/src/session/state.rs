@@ -11,10 +11,10 @@ use std::ffi::c_char;
 
 /// Names the renderer whose frames are observed and the clock that times them, such as
 /// "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
-/// another: it is forgotten if a name that was not empty changes, saved states contain both names, and
-/// entire_session_load_state refuses states with other names. Both names are empty in a new session; a state
-/// saved with empty names loads only into a session with empty names. Call this function before states are
-/// loaded or saved. A clock named "cpu", "wall" or "device" is compared with the model's
+/// another: it is forgotten, with all recorded frames, if a name that was not empty changes. Saved states
+/// contain both names, and entire_session_load_state refuses states with other names. Both names are empty in
+/// a new session; a state saved with empty names loads only into a session with empty names. Call this
+/// function before states are loaded or saved. A clock named "cpu", "wall" or "device" is compared with the model's
 /// (entire_session_clocks); if the result of the comparison changes, the learned correction is forgotten,
 /// too.
 ///

@@ -158,6 +158,14 @@ impl Calibration {
         &self.prior
     }
 
+    /// Drops all frames and pictures.
+    pub(crate) fn clear(&mut self) {
+        self.rows.clear();
+        self.kept.clear();
+        self.pictures.clear();
+        self.offered = 0;
+    }
+
     /// Number of kept frames.
     pub fn frames(&self) -> usize {
         self.kept.len()

@@ -54,6 +54,9 @@ fn a_withdrawn_plan_leaves_no_trace() {
         let plan = session.plan(&f, 1e-6).unwrap();
         session.withdraw(plan.id);
     }
+    // Nor does its size remain.
+    let small = session.plan(&Frame { width: 256, height: 256, ..f }, 0.02).unwrap();
+    session.withdraw(small.id);
     assert_eq!(std::format!("{:?}", session.plan(&f, 0.02).unwrap()), expected);
 }
 

@@ -91,7 +91,9 @@ impl Coarsening {
     fn lay(&mut self) {
         let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / LN_RATIO + 1.0e-6) as usize;
         let (distance, step_alone) = self.largest;
-        let first = if self.quality.is_some() { 1 } else { (powers(step_alone) / 2).max(1) };
+        let first = if self.quality.is_some() { 1 } else { powers(step_alone) / 2 };
+        // The first level is one that the largest distance allows.
+        let first = first.min(powers(distance)).max(1);
         self.levels = (powers(distance) + 1).saturating_sub(first).min(LEVELS - 1);
         self.from[0] = 0.0;
         for level in 1..=self.levels {
@@ -198,6 +200,13 @@ mod tests {
         assert_eq!(path.take(path.limits().finest), (0.5, 1.0));
         let (step, distance) = path.take(path.limits().coarsest);
         assert!((step - 8.0).abs() < 1e-4 && distance > 3.5 && distance <= 4.0, "{step} {distance}");
+    }
+
+    #[test]
+    fn a_distance_below_that_of_the_step_alone_is_used_too() {
+        let mut path = path(1.0, 16.0, 2.0, 8.0);
+        let (step, distance) = path.take(path.limits().coarsest);
+        assert!((step - 16.0).abs() < 1e-3 && distance > 1.5 && distance <= 2.0, "{step} {distance}");
     }
 
     #[test]

@@ -44,6 +44,8 @@ pub(super) struct History {
     frames: [(f64, f64); 3],
     len: usize,
     next: usize,
+    /// True if the last frame is doubtful.
+    doubtful: bool,
     spread: f64,
     /// Mean |ln(measured / forecast)| over frames that do not follow a change.
     history_error: f64,
@@ -59,6 +61,7 @@ impl History {
             frames: [(1.0, 1.0); 3],
             len: 0,
             next: 0,
+            doubtful: false,
             spread: SPREAD,
             history_error: 0.0,
             own_error: 0.0,
@@ -111,12 +114,14 @@ impl History {
         }
     }
 
-    /// Adds a measured frame; if it follows a change, the earlier frames are dropped.
-    pub(super) fn push(&mut self, step: f32, seconds: f64, changed: bool) {
-        if changed {
+    /// Adds a measured frame; if it follows a change, the earlier frames are dropped. A `doubtful` frame, whose
+    /// time may include compilation and uploads, is dropped with the next frame.
+    pub(super) fn push(&mut self, step: f32, seconds: f64, changed: bool, doubtful: bool) {
+        if changed || self.doubtful {
             self.len = 0;
             self.next = 0;
         }
+        self.doubtful = doubtful;
         self.frames[self.next] = (f64::from(step), seconds);
         self.next = (self.next + 1) % 3;
         self.len = (self.len + 1).min(3);

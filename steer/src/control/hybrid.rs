@@ -67,8 +67,8 @@ impl Default for HybridOptions {
 }
 
 impl HybridOptions {
-    /// Returns the options if every value is valid. [`Hybrid::new`] does not check the options; it clamps the
-    /// miss rate.
+    /// Returns the options if miss rate, tolerance and trust limit are valid; the other options are not
+    /// checked. [`Hybrid::new`] checks nothing; it clamps the miss rate.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`], naming the option, its value and its range.
@@ -207,6 +207,19 @@ impl Hybrid {
     /// Returns the corrected prediction for the present frame, with bounds that do not depend on the step.
     fn judge(&self, terms: &CostTerms) -> Expected {
         self.judge_at(terms, f64::NAN)
+    }
+
+    /// Returns the corrected prediction for a frame with these changes since the present frame. As in
+    /// [`Hybrid::novelty`], only the first of several successive frames with changes begins a scene.
+    fn judge_after(&self, terms: &CostTerms, changes: Changes) -> Expected {
+        if changes.first || changes.any() && !self.announced {
+            let mut next = self.clone();
+            next.correction.advance(1.0);
+            next.scene = SceneMark { first: true, ..self.scene };
+            next.judge(terms)
+        } else {
+            self.judge(terms)
+        }
     }
 
     /// Returns the corrected prediction for the present frame at `step`. Within a scene the bounds widen with
@@ -462,7 +475,7 @@ impl Controller for Hybrid {
             }
         }
         if standing != Standing::Past {
-            self.history.push(observed.step, seconds, changed);
+            self.history.push(observed.step, seconds, changed, observed.changes.first);
         }
         if libm::fabs(error) > CLIP { Verdict::Clipped } else { Verdict::Learned }
     }
@@ -511,26 +524,18 @@ impl Controller for Hybrid {
     }
 
     fn fits(&self, prediction: &Prediction, target: f32) -> bool {
-        let target = target * self.ignored_load() as f32;
         let ceiling = target * (1.0 + self.options.tolerance.max(0.0));
         prediction.seconds <= target && prediction.upper <= ceiling
     }
 
     fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
-        let Expected { seconds, upper, .. } = if changes.any() {
-            let mut next = self.clone();
-            next.correction.advance(1.0);
-            next.scene = SceneMark { first: true, ..self.scene };
-            next.judge(terms)
-        } else {
-            self.judge(terms)
-        };
-        Prediction {
-            seconds: (seconds as f32).clamp(1.0e-9, 1.0e9),
-            upper: upper as f32,
-            out_of_range: terms.out_of_range,
-            source: terms.source,
-        }
+        let Expected { seconds, upper, .. } = self.judge_after(terms, changes);
+        prediction_of(terms, seconds, upper)
+    }
+
+    fn judged(&self, terms: &CostTerms, changes: Changes) -> Prediction {
+        let Expected { choice, choice_upper, .. } = self.judge_after(terms, changes);
+        prediction_of(terms, choice, choice_upper)
     }
 
     fn save(&self, out: &mut Vec<u8>) {
@@ -553,6 +558,16 @@ impl Controller for Hybrid {
         r.end()?;
         *self = next;
         Ok(())
+    }
+}
+
+/// Returns a prediction of `seconds` by these terms.
+fn prediction_of(terms: &CostTerms, seconds: f64, upper: f64) -> Prediction {
+    Prediction {
+        seconds: (seconds as f32).clamp(1.0e-9, 1.0e9),
+        upper: upper as f32,
+        out_of_range: terms.out_of_range,
+        source: terms.source,
     }
 }
 

@@ -68,6 +68,51 @@ fn an_ignored_load_changes_no_step_until_it_is_the_machines_speed() {
 }
 
 #[test]
+fn settings_are_judged_by_the_bound_that_chooses_steps() {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
+    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
+    let mut cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
+    let (mut judged, mut bounded) = (0, 0);
+    for i in 0..120 {
+        let changes = Changes { first: i == 0, ..Changes::default() };
+        let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let terms = cost(plan.step);
+        if plan.reason == Reason::Fits {
+            let calm = Changes::default();
+            judged += usize::from(!hybrid.fits(&hybrid.judged(&terms, calm), 0.02));
+            bounded += usize::from(!hybrid.fits(&hybrid.correct(&terms, calm), 0.02));
+        }
+        // Every third frame stalls, so the upper bound is wide and the machine is not loaded.
+        let seconds = terms.seconds() * if i % 3 == 2 { 3.0 } else { 1.0 };
+        let (scene, step) = (hybrid.scene(), plan.step);
+        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
+    }
+    assert_eq!(judged, 0);
+    assert!(bounded > 5, "{bounded}");
+}
+
+#[test]
+fn a_doubtful_first_frame_is_not_forecast_from() {
+    let mut hybrid = Hybrid::new(HybridOptions::default());
+    let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
+    // Out of range, so recent frames lead.
+    let mut cost = |step: f32| CostTerms::whole(0.01 / step, 9.0, Source::Network);
+    let mut steps = Vec::new();
+    for i in 0..6 {
+        let changes = Changes { first: i == 0, ..Changes::default() };
+        let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let terms = cost(plan.step);
+        // The first frame includes two seconds of compilation.
+        let seconds = if i == 0 { 2.0 } else { terms.seconds() };
+        let (scene, step) = (hybrid.scene(), plan.step);
+        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
+        steps.push(plan.step);
+    }
+    assert!(steps[1] > 8.0 && steps[2..].iter().all(|s| *s < 4.0), "{steps:?}");
+}
+
+#[test]
 fn a_load_belongs_to_the_machine_and_says_nothing_of_the_bound() {
     let switched = |i: usize| Changes { transfer: i == 70, ..Changes::default() };
     let quiet = played(75, switched, |_| 1.0);

@@ -200,7 +200,13 @@ pub trait Controller {
         SceneMark::default()
     }
 
-    /// True where a frame with this corrected prediction is expected to meet the target.
+    /// Returns the prediction by which settings are chosen: that of [`Controller::correct`], without a load of
+    /// the machine that the controller ignores, and with the bound that chooses steps.
+    fn judged(&self, terms: &CostTerms, changes: Changes) -> Prediction {
+        self.correct(terms, changes)
+    }
+
+    /// True where a frame with this prediction of [`Controller::judged`] is expected to meet the target.
     fn fits(&self, prediction: &Prediction, target: f32) -> bool {
         let bound = if prediction.upper.is_nan() { prediction.seconds } else { prediction.upper };
         bound <= target

@@ -63,9 +63,21 @@ struct Pending {
     /// Expected seconds of the plan; NaN where unknown.
     expected: f32,
     scene: SceneMark,
-    /// Coarsening level before the plan was made.
-    level: usize,
     observed: bool,
+    /// State before the plan was made, for [`Session::withdraw`].
+    before: Before,
+}
+
+/// State of a session before a plan.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    /// Coarsening level.
+    level: usize,
+    /// Changes that the caller had announced.
+    changes: Changes,
+    /// Setting and termination of the last planned frame.
+    last: Option<Setting>,
+    last_termination: f32,
 }
 
 /// Predicts and steers one render loop.
@@ -350,7 +362,7 @@ impl Session {
             }
         }
         // One probe serves all settings. It casts shadow rays only if a setting has single scattering.
-        let scatters = settings.iter().any(|s| s.shading == Shading::Scatter);
+        let scatters = settings.iter().any(|s| s.shading.scatters());
         let distance = settings.iter().any(|s| s.skipping == Skipping::Distance);
         let mut widest = *frame;
         if scatters {
@@ -367,7 +379,7 @@ impl Session {
         for (i, setting) in settings.iter().enumerate() {
             let terms = self.terms_at(changes, setting)?;
             let p = self.controller.correct(&terms, Changes::default());
-            if self.controller.fits(&p, target) {
+            if self.controller.fits(&self.controller.judged(&terms, Changes::default()), target) {
                 chosen = Some((i, terms, p));
                 break;
             }
@@ -405,7 +417,7 @@ impl Session {
     /// # Errors
     /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or already observed,
     /// and for a time that is not finite, not positive or over [`crate::predict::LONGEST_FRAME`]. A rejected
-    /// observation has no effect. Only the error's message allocates.
+    /// observation has no effect.
     pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Result<Verdict> {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         let Some(pending) = slot.as_mut().filter(|p| p.id == id) else {
@@ -453,9 +465,10 @@ impl Session {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         if let Some(plan) = slot.take_if(|p| p.id == id && !p.observed) {
             self.next_id = id;
-            self.coarsening.set_level(plan.level);
+            self.coarsening.set_level(plan.before.level);
             self.controller.withdraw();
-            self.mark(plan.changes);
+            (self.last, self.last_termination) = (plan.before.last, plan.before.last_termination);
+            self.mark(plan.before.changes);
         }
     }
 
@@ -546,8 +559,13 @@ impl Session {
             terms,
             expected: decision.seconds,
             scene: self.controller.scene(),
-            level,
             observed: false,
+            before: Before {
+                level,
+                changes: self.changes,
+                last: self.last,
+                last_termination: self.last_termination,
+            },
         });
         self.changes = Changes::default();
         self.last = Some(Setting::from(frame));

@@ -1,8 +1,8 @@
 //! Converts every network's output to a finite, positive number of seconds, or returns an error.
 
 use core::ops::RangeInclusive;
-use entire_core::Result;
 use entire_core::bail;
+use entire_core::{Error, ErrorKind, Result};
 
 /// Range to which predictions are clamped, in seconds. A network trained on seconds predicts zero or less for
 /// cheap frames, and the exponential of a network trained on log-seconds can underflow.
@@ -22,11 +22,12 @@ pub(crate) const CLAMPED_SCORE: f32 = 1000.0;
 /// [`crate::ErrorKind::InvalidModel`] for NaN or infinity: the weights are so large that sums overflow `f32`.
 pub(crate) fn checked_seconds(raw: f32) -> Result<(f32, bool)> {
     if !raw.is_finite() {
-        bail!(
-            InvalidModel,
-            "the network's prediction is {raw} seconds; a finite number is expected: its weights are too large for these \
-             inputs, train the model again or use another"
-        );
+        // A text without numbers is not allocated: a plan may evaluate such a network many times.
+        return Err(Error::new(
+            ErrorKind::InvalidModel,
+            "the network's prediction is no finite number of seconds: its weights are too large for these \
+             inputs, train the model again or use another",
+        ));
     }
     let seconds = raw.clamp(*PREDICTED_SECONDS.start(), *PREDICTED_SECONDS.end());
     Ok((seconds, seconds != raw))

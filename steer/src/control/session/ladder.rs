@@ -29,6 +29,7 @@ pub(super) struct Cast {
     termination: f32,
     eye: Vec3,
     axis: Vec3,
+    up: Vec3,
     /// Height of the visible region at distances 0 and 1 from the eye, in scene units.
     heights: [f32; 2],
 }
@@ -41,12 +42,18 @@ impl Cast {
             termination: frame.termination,
             eye: camera.eye(),
             axis: camera.view().row(2).truncate(),
+            up: camera.view().row(1).truncate(),
             heights: [camera.height_at(0.0), camera.height_at(1.0)],
         }
     }
 
     /// True if rays cast for this view may be reused for `other`, within the tolerance.
     fn serves(&self, other: &Self, tolerance: f32) -> bool {
+        let distance = self.eye.length();
+        let height = self.heights[0] + distance * (self.heights[1] - self.heights[0]);
+        // A view that shows less than half of its distance from the volume's center is moved by a smaller turn
+        // to other parts of the volume.
+        let tolerance = tolerance * (2.0 * height / distance).min(1.0);
         let least = libm::cosf(TURN * tolerance);
         let near =
             |a: Vec3, b: Vec3| a.dot(b) >= least * libm::sqrtf(a.length_squared() * b.length_squared());
@@ -56,6 +63,7 @@ impl Cast {
             && self.heights == other.heights
             && near(self.eye, other.eye)
             && near(self.axis, other.axis)
+            && near(self.up, other.up)
             && approach <= APPROACH * tolerance
     }
 }
@@ -81,7 +89,8 @@ impl Session {
     /// coarsest step does not. While the view has hardly turned since rays were cast, plans reuse the rays'
     /// results and recompute only the volume's place in the image. So `side` bounds the time of a plan, and
     /// most plans take less. [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the
-    /// last probe. [`Session::predict`] and [`Session::choose`] use the finest probe.
+    /// last probe. [`Session::predict`] and [`Session::choose`] use the finest probe, and so do plans while
+    /// frames are recorded ([`Session::record`]).
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance
@@ -139,7 +148,10 @@ impl Session {
 
     /// Measures a frame with as few rays as its plan needs.
     pub(super) fn measure_for(&mut self, frame: &Frame, target: f32) -> Result<()> {
-        let Some(ladder) = self.ladder else { return self.cast(frame) };
+        // Recorded frames are measured with the probe of the model that is fitted to them.
+        let Some(ladder) = self.ladder.filter(|_| self.recording.is_none()) else {
+            return self.measure(frame);
+        };
         let view = Cast::of(frame);
         let serves = self.cast_for.is_some_and(|cast| cast.serves(&view, ladder.tolerance));
         let serves = serves && !self.changes_for(frame).any();
@@ -176,7 +188,7 @@ impl Session {
         let changes = self.changes_for(frame);
         let limits = self.coarsening.limits();
         let (controller, mut cost) = self.costing(changes, Setting::from(frame))?;
-        let finest = controller.correct(&cost.at(limits.finest), changes);
+        let finest = controller.judged(&cost.at(limits.finest), changes);
         let slower = Prediction {
             seconds: finest.seconds * (1.0 + error),
             upper: finest.upper * (1.0 + error),
@@ -185,7 +197,7 @@ impl Session {
         if controller.fits(&slower, target) {
             return Ok(true);
         }
-        let coarsest = controller.correct(&cost.at(limits.coarsest), changes);
+        let coarsest = controller.judged(&cost.at(limits.coarsest), changes);
         Ok(coarsest.seconds > target * (1.0 + error))
     }
 }

@@ -37,6 +37,12 @@ impl Recording {
         (id % PENDING_PLANS as u64) as usize
     }
 
+    /// Drops all recorded frames and pictures.
+    pub(super) fn clear(&mut self) {
+        self.calibration.clear();
+        self.planned.iter_mut().for_each(|p| p.id = 0);
+    }
+
     /// Sets the present volume.
     pub(super) fn set_volume(&mut self, volume: &VolumeSummary) {
         self.shown = Shown { volume: volume.fingerprint(), transfer: 0 };
@@ -268,6 +274,21 @@ mod tests {
         let plan = session.plan(&frame(10), 1.0).unwrap();
         session.record(None, 100).unwrap();
         session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
+        assert_eq!(session.recorded(), Some(0));
+    }
+
+    #[test]
+    fn recorded_frames_are_of_one_clock_and_of_the_finest_probe() {
+        let mut session = Session::untrained().with_probe(12, Some(1.0)).unwrap();
+        session.set_volume(summary(24), None);
+        session.set_transfer(&table(0.3), None).unwrap();
+        play(&mut session, 0..1);
+        assert_eq!(session.features().probe_side(), 4);
+        session.record(None, 100).unwrap();
+        session.set_timing_source("mine", "wall").unwrap();
+        play(&mut session, 1..5);
+        assert_eq!((session.features().probe_side(), session.recorded()), (12, Some(4)));
+        session.set_timing_source("mine", "device").unwrap();
         assert_eq!(session.recorded(), Some(0));
     }
 

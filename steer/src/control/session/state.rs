@@ -16,8 +16,8 @@ const MAX_NAME: usize = 256;
 
 impl Session {
     /// Names the renderer whose frames are observed and the clock of their times. Both names are empty
-    /// initially. Learned state is valid for one renderer and clock only, so it is forgotten if a name that
-    /// was not empty changes. Saved states contain both names, and [`Session::load_state`] refuses states
+    /// initially. Learned state and recorded frames are of one renderer and clock, so they are forgotten if a
+    /// name that was not empty changes. Saved states contain both names, and [`Session::load_state`] refuses states
     /// with other names.
     ///
     /// A clock named `cpu`, `wall` or `device` is compared with the model's clock ([`Session::model_clock`]).
@@ -40,6 +40,9 @@ impl Session {
             self.timing.iter().zip([renderer, clock]).any(|(old, new)| !old.is_empty() && old != new);
         self.timing = [renderer.to_owned(), clock.to_owned()];
         self.weigh_pictures();
+        if let Some(recording) = self.recording.as_mut().filter(|_| renamed) {
+            recording.clear();
+        }
         if self.reconcile_clocks() || renamed {
             self.reset();
         }

@@ -12,6 +12,10 @@ impl Recording {
         match *self {}
     }
 
+    pub(super) fn clear(&mut self) {
+        match *self {}
+    }
+
     pub(super) fn set_volume(&mut self, _: &VolumeSummary) {
         match *self {}
     }
