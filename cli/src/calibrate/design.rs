@@ -76,14 +76,16 @@ impl Design {
         while out.len() < most && spent < budget {
             let free = |i: &usize| !self.taken[*i] && affordable(*i) && spent + seconds[*i] <= 1.05 * budget;
             let next = if out.len() % 2 == 0 { random_order.iter().copied().find(free) } else { None };
-            let next = next.or_else(|| {
+            // Random candidates are left for the random draws as long as there are others, so that the frames on
+            // which the error is estimated are not chosen by their gain.
+            let best = |random: bool| {
                 (0..self.vectors.len())
-                    .filter(|i| free(i))
+                    .filter(|&i| free(&i) && pool.candidates[i].random == random)
                     .map(|i| (i, self.gain(i) / seconds[i].max(1e-4).powf(exponent)))
                     .max_by(|a, b| a.1.total_cmp(&b.1))
                     .map(|c| c.0)
-            });
-            let Some(next) = next else { break };
+            };
+            let Some(next) = next.or_else(|| best(false)).or_else(|| best(true)) else { break };
             self.take(next);
             spent += seconds[next];
             out.push(next);

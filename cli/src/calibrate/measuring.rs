@@ -207,10 +207,11 @@ impl<'a> Measuring<'a> {
                 self.bar.set_position(self.start.elapsed().as_secs());
             }
             let (wall, others) = snapshot.others();
-            self.others.add(wall, others);
             // The counters of processor time have a resolution of 0.01 s, too coarse for stretches of less
             // than 0.1 s.
-            let disturbed = wall > 0.1 && others.is_some_and(|o| o > super::others::DISTURBED);
+            let others = others.filter(|_| wall > 0.1);
+            self.others.add(wall, others);
+            let disturbed = others.is_some_and(|o| o > super::others::DISTURBED);
             for (i, repeats) in seen {
                 self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
             }

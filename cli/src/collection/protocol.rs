@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
-use entire_io::dataset::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE, Scene, parse_shading, parse_skipping};
+use entire_io::dataset::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE, Scene};
 use entire_io::enlarge::{enlarge, resample};
 use entire_io::identity::{self, Identity};
 use entire_io::machine;
@@ -123,6 +123,8 @@ impl Protocol {
             path: PathBuf,
             member: String,
             time_step: Option<u32>,
+            #[serde(default)]
+            seed_name: Option<String>,
         }
         fn one() -> u32 {
             1
@@ -151,16 +153,27 @@ impl Protocol {
             warm_up_repeats: s.warm_up_repeats_discarded_per_frame,
             seed: manifest.seed,
             scenes: s.scenes,
-            shading: parse_shading(&s.shading).with_context(|| unknown("shading", &s.shading))?,
-            skipping: parse_skipping(&s.skipping).with_context(|| unknown("skipping", &s.skipping))?,
+            shading: s.shading.parse().with_context(|| unknown("shading", &s.shading))?,
+            skipping: s.skipping.parse().with_context(|| unknown("skipping", &s.skipping))?,
             termination: s.termination,
             enlarge: s.enlarged_trilinearly_by,
             proxy: s.resampled_to_edge,
             reading: s.reading,
         };
-        let jobs =
-            s.volumes.into_iter().map(|v| Job { path: v.path, member: v.member, time_step: v.time_step });
-        Ok((protocol, jobs.collect()))
+        let mut jobs = Vec::new();
+        for v in s.volumes {
+            let job = Job { path: v.path, member: v.member, time_step: v.time_step };
+            // Scenes are drawn from this name.
+            let name = job.seed_name();
+            ensure!(
+                v.seed_name.as_ref().is_none_or(|seed_name| *seed_name == name),
+                "the frames of {} depend on the names of its folders, {:?}; put the file into folders of these names",
+                job.name(),
+                v.seed_name.unwrap_or_default()
+            );
+            jobs.push(job);
+        }
+        Ok((protocol, jobs))
     }
 
     /// Returns the scene of frame `index` of a job whose rendered volume has `dims` voxels (x, y, z).

@@ -214,6 +214,10 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     other.settings["shading"] = json!("path tracing");
     let error = Protocol::of_manifest(&other).unwrap_err().to_string();
     assert_eq!(error, "the manifest's shading is \"path tracing\", which this version does not know");
+    let mut moved = back.clone();
+    moved.settings["volumes"][0]["seed_name"] = json!("elsewhere/t.nrrd");
+    let error = Protocol::of_manifest(&moved).unwrap_err().to_string();
+    assert!(error.contains("depend on the names of its folders, \"elsewhere/t.nrrd\""), "{error}");
     let changed = |f: &dyn Fn(&mut Protocol)| {
         let mut p = protocol();
         f(&mut p);

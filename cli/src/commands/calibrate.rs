@@ -54,7 +54,7 @@ pub(crate) struct Options {
             "max_size", "steps", "device", "picture_error", "seed", "array", "fill", "range"]
     )]
     pub(crate) data: Vec<PathBuf>,
-    /// Shading of each sample, or all modes one after another.
+    /// Shading of each sample; `all` calibrates none, local and scatter, one after another.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) shade: ShadeOrAll,
     /// Clock of the predicted seconds: processor time of all threads, wall time, or the device's timestamps;
@@ -124,7 +124,9 @@ pub(crate) enum ShadeOrAll {
     Local,
     /// Single scattering.
     Scatter,
-    /// All modes, one after another.
+    /// Local lighting and single scattering.
+    LocalScatter,
+    /// Unshaded, local lighting and single scattering, one after another.
     All,
 }
 
@@ -134,6 +136,7 @@ impl ShadeOrAll {
             Self::None => &[Shading::None],
             Self::Local => &[Shading::Local],
             Self::Scatter => &[Shading::Scatter],
+            Self::LocalScatter => &[Shading::LocalScatter],
             Self::All => &[Shading::None, Shading::Local, Shading::Scatter],
         }
     }
@@ -190,6 +193,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
     let clock = entire_io::clock::waited_for(options.clock, renderer.as_ref());
+    ensure!(
+        clock != Clock::Device || renderer.limits().is_some_and(|l| l.timestamps.is_some()),
+        "--clock device: {} has no clock device, since it has no timestamps; choose --clock wall",
+        renderer.device()
+    );
     say_prior_clock(options, clock)?;
     let begin = |file: &PathBuf| make_folder_of(file).and_then(|()| Writer::create(file));
     let mut table = options.table.as_ref().map(begin).transpose()?;
@@ -215,6 +223,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let stopped = || interrupt::requested(&stop);
         let Calibrated { file, report, frames } =
             calibrate(&settings, &priors, renderer.as_mut(), &threads, &stopped, &bar)?;
+        write_whole(out, &file.to_bytes()?)?;
         if let Some(table) = &mut table {
             for f in &frames {
                 table.append(written, &f.scene, &f.repeats)?;
@@ -224,7 +233,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         if let Some(path) = &options.table {
             manifest_of_table(options, &report, renderer.as_ref()).write(path)?;
         }
-        write_whole(out, &file.to_bytes()?)?;
         print!("{}", report.text());
         for warning in report.warnings() {
             println!("{:<11}{warning}", "note");

@@ -327,7 +327,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         manifest.write(&options.out)?;
         bail!("interrupted after {} of {} {}; {go_on}", outcome.done, outcome.total, protocol.counted());
     }
-    let frames = Table::read(&options.out, 0)?.frames;
+    // Feature tables of earlier frames may lie beside a resumed table.
+    let frames = Table::read_without_features(&options.out, 0)?.frames;
     let mut noise = serde_json::Map::new();
     let mut said = Vec::new();
     for clock in [Clock::Auto, Clock::Cpu] {

@@ -19,7 +19,7 @@ use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
 use entire_io::dataset::Clock;
 use entire_io::device;
 use entire_io::enlarge::enlarge;
-use entire_io::files::{open_volume, write_json, write_whole};
+use entire_io::files::{make_folder, open_volume, write_json, write_whole};
 use entire_io::interrupt;
 use entire_io::machine::Provenance;
 use entire_io::options::{RenderArgs, VolumeArgs, parse_distance, parse_size, thread_pool};
@@ -218,6 +218,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
     };
     ensure!(options.scenes >= 4, "--scenes is {}; at least 4 scenes are needed", options.scenes);
+    make_folder(&options.out)?;
     let shown = file.display().to_string();
     let volume = open_volume(&file, &options.volume_args.reading())?;
     // By default, a small volume is enlarged, so that its frames take as long as those of larger volumes.
@@ -233,7 +234,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let stop = || interrupt::requested(&stop);
     let mut renderer = device::open(options.render.device)?;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
-    let (machines, clock) = machine_model_for(options.render.shade.into(), options.clock)?;
+    let (machines, clock) = machine_model_for(options.render.shade.into(), options.clock, renderer.as_ref())?;
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     println!("clock      {}", clock.name());
     let asked = DrawSettings::new(options.size, &options.render, clock);

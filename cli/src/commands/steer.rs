@@ -1,6 +1,6 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
-use crate::collection::manifest_of;
+use crate::collection::{Job, manifest_of};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
@@ -10,7 +10,7 @@ use entire_core::scene::VolumeView;
 use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::device;
 use entire_io::enlarge::enlarge;
-use entire_io::files::{make_folder_of, note, open_model, open_volume, write_json};
+use entire_io::files::{make_folder, make_folder_of, note, open_model, open_volume, write_json};
 use entire_io::identity;
 use entire_io::interrupt;
 use entire_io::machine::Provenance;
@@ -92,7 +92,7 @@ pub(crate) struct Options {
     pub(crate) controllers: Vec<ControllerKind>,
     /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
     /// coarser steps.
-    #[arg(long, alias = "calibrate", default_value_t = 16, value_name = "N")]
+    #[arg(long, default_value_t = 16, value_name = "N")]
     pub(crate) scenes: usize,
     /// Renderings of each random scene at each step; the median time is used.
     #[arg(long, default_value_t = 1, value_name = "R")]
@@ -176,10 +176,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(text) = entire_io::clock::unstated(clock, given) {
         note(&text);
     }
-    let (machines, clock) = match model {
-        Some(_) => (None, clock),
-        None => machine_model_for(options.render.shade.into(), clock)?,
-    };
     let volumes = options
         .volumes
         .iter()
@@ -209,7 +205,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
+    make_folder(&options.out)?;
     let mut renderer = device::open(options.render.device)?;
+    let (machines, clock) = match model {
+        Some(_) => (None, clock),
+        None => machine_model_for(options.render.shade.into(), clock, renderer.as_ref())?,
+    };
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     let draw = DrawSettings::new(options.size, &options.render, clock);
     let seed_name = volume.name().to_owned();
@@ -236,6 +237,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         ensure!(
             (frame as usize) < frames,
             "--retarget names frame {frame}; the path has frames 0 to {}",
+            frames - 1
+        );
+    }
+    for &(frame, _) in &options.scales {
+        ensure!(
+            (frame as usize) < frames,
+            "--scales names frame {frame}; the path has frames 0 to {}",
             frames - 1
         );
     }
@@ -324,14 +332,16 @@ fn write_table(
     playback: &Playback,
 ) -> Result<u64> {
     let mut number = 0;
+    let jobs: Vec<Job> = options.volumes.iter().map(|file| Job::from_path(file)).collect();
     for (i, at) in path.frames.iter().enumerate() {
         let volume = playback.volumes[i];
+        let job = &jobs[volume];
         for records in &playback.records {
             let r = &records[i];
             let scene = Scene {
-                volume: options.volumes[volume].display().to_string(),
-                member: String::new(),
-                time_step: None,
+                volume: job.name(),
+                member: job.member.clone(),
+                time_step: job.time_step,
                 dims: volumes[volume].dims().map(|n| n as u32),
                 camera: at.camera,
                 fov_y_degrees: path.fov_y_degrees,

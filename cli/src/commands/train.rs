@@ -152,8 +152,8 @@ pub struct Options {
     /// (processor time); if some frame has no time by that clock, auto.
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
-    /// Only frames with this shading: none, local or scatter.
-    #[arg(long, value_parser = entire_io::dataset::parse_shading)]
+    /// Only frames with this shading: none, local, scatter or local-scatter.
+    #[arg(long)]
     pub shade: Option<entire_core::scene::Shading>,
     /// Use only this many training frames, chosen by the seed.
     #[arg(long, value_name = "FRAMES")]
@@ -456,7 +456,8 @@ impl Options {
     }
 }
 
-/// Refuses the options of networks for models of kind analytic, which have no network.
+/// Refuses the options of networks for models of kind analytic, which have no network, and the target of residual
+/// networks.
 fn check_used(recipe: &Recipe) -> Result<()> {
     let usual = Recipe::default();
     let options = [
@@ -480,6 +481,10 @@ fn check_used(recipe: &Recipe) -> Result<()> {
         recipe.kind != Kind::Analytic || given.is_empty(),
         "{} is for networks; --model-kind analytic has none: leave it out, or choose another kind",
         given.join(", ")
+    );
+    ensure!(
+        recipe.kind != Kind::Residual || recipe.target == usual.target,
+        "--target is for --model-kind prednet; a residual network learns ratios of times: leave it out"
     );
     Ok(())
 }

@@ -146,7 +146,7 @@ pub(crate) struct Record {
     pub(crate) seconds: f64,
     /// PSNR against the reference picture, decibels.
     pub(crate) psnr: f64,
-    /// The picture, at the selected frames.
+    /// The picture; `None` unless the frame is one of `Task::keep`.
     pub(crate) image: Option<Image>,
 }
 
@@ -155,7 +155,7 @@ pub(crate) struct Record {
 pub(crate) struct Reference {
     /// Seconds at the reference step by the chosen clock.
     pub(crate) seconds: f64,
-    /// The picture, at the selected frames.
+    /// The picture; `None` unless the frame is one of `Task::keep`.
     pub(crate) image: Option<Image>,
 }
 
@@ -187,6 +187,7 @@ impl Playback {
     pub(crate) fn played(&self, controller: usize) -> Vec<Played> {
         let acts_on = self.acts_on[controller];
         let limits = acts_on.limits(self.limits);
+        let enlarged = |r: &Record| acts_on == ActsOn::RayStep && r.image_sample_distance > 1.0;
         let chosen = |r: &Record| match acts_on {
             ActsOn::RayStep => r.step,
             ActsOn::ImageResolution { .. } => r.image_sample_distance * r.image_sample_distance,
@@ -198,7 +199,8 @@ impl Playback {
                 seconds: r.seconds,
                 target: self.targets[i],
                 step: f64::from(chosen(r)),
-                finest: f64::from(limits.finest),
+                // A frame with fewer pixels is not of the finest quality, whatever its step.
+                finest: if enlarged(r) { 0.0 } else { f64::from(limits.finest) },
                 coarsest: f64::from(limits.coarsest),
                 psnr: Some(r.psnr),
                 switched: self.switches.contains(&i),

@@ -9,9 +9,10 @@ use super::rivals::StepResponse;
 use crate::calibrate::place::machine_model;
 use crate::shipped::shipped_model;
 use anyhow::{Context, Result};
-use entire_core::model::{Model, ModelFile};
+use entire_core::model::{Key, Model, ModelFile};
 use entire_core::scene::{Shading, VolumeView};
 use entire_io::dataset::Clock;
+use entire_io::device::{is_software, names_software};
 use entire_io::metrics::median;
 use entire_io::path::FlightPath;
 use entire_io::progress::progress_bar;
@@ -91,15 +92,29 @@ pub(crate) fn steering_model(
 
 /// Returns the machine's model for a shading mode, with its name, and the clock of frame times: with
 /// [`Clock::Auto`] the clock of the machine's model. A model of another clock than the requested one is
-/// ignored, with a note.
+/// ignored, with a note; so is a GPU's model for a software renderer, and the reverse.
 ///
 /// # Errors
 /// When the file of the machine's model holds no model.
 pub(crate) fn machine_model_for(
     shading: Shading,
     asked: Clock,
+    renderer: &dyn Renderer,
 ) -> Result<(Option<(String, ModelFile)>, Clock)> {
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
+    let of = |key: Key| file.metadata.get(key.name()).map_or("", String::as_str);
+    if !of(Key::Renderer).is_empty()
+        && names_software(of(Key::Renderer), of(Key::Device)) != is_software(renderer)
+    {
+        entire_io::files::note(&format!(
+            "{} is ignored: it was calibrated on {}, but frames are drawn by {} (`entire calibrate --shade \
+             {shading}` makes a model of it)",
+            path.display(),
+            of(Key::Device),
+            renderer.device()
+        ));
+        return Ok((None, asked));
+    }
     let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
         entire_io::files::note(&format!("{} {}", path.display(), ignored(shading, stated, asked)));
         return Ok((None, asked));

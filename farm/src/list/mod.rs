@@ -184,36 +184,40 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
         .collect()
 }
 
-/// Simulates a plan with the true times `seconds`. Returns node, start and end of every task.
+/// Simulates a plan with the true times `seconds`; a node also spends a task's loading time if its previous task was
+/// on another volume. Returns node, start and end of every task.
 ///
 /// # Errors
 /// For a plan of a queue, when a time is negative or not finite, or a speed is not finite and positive.
 pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result<Timeline> {
     let speeds = &farm.speeds;
+    let volumes = volume_numbers(tasks);
+    let near = || -> Vec<AffinityTask> {
+        let times = seconds.iter().zip(&volumes);
+        tasks
+            .iter()
+            .zip(times)
+            .map(|(t, (&seconds, &volume))| AffinityTask { volume, seconds, load: t.load_s })
+            .collect()
+    };
     match plan {
         Plan::Assigned(assignment, order) => {
             let mut free = vec![0.0; speeds.len()];
+            let mut held = vec![None; speeds.len()];
             let mut spans = Vec::with_capacity(order.len());
             for &task in order {
                 let node = assignment.node_of[task];
                 let start = free[node];
-                let end = start + seconds[task] / speeds[node];
+                let loads = held[node].replace(volumes[task]) != Some(volumes[task]);
+                let end = start + if loads { tasks[task].load_s } else { 0.0 } + seconds[task] / speeds[node];
                 free[node] = end;
                 spans.push(Span { task, node, start, end });
             }
             Ok(Timeline { spans, makespan: free.into_iter().fold(0.0, f64::max) })
         }
-        Plan::Queued(order) => simulate_queue(order, seconds, speeds, farm.dispatch),
-        Plan::Near(order) => {
-            let volumes = volume_numbers(tasks);
-            let near: Vec<AffinityTask> = tasks
-                .iter()
-                .zip(seconds)
-                .zip(volumes)
-                .map(|((t, &seconds), volume)| AffinityTask { volume, seconds, load: t.load_s })
-                .collect();
-            simulate_affinity(order, &near, speeds, farm.window, farm.dispatch)
-        }
+        // With a window of one task, nodes take the tasks in order.
+        Plan::Queued(order) => simulate_affinity(order, &near(), speeds, 1, farm.dispatch),
+        Plan::Near(order) => simulate_affinity(order, &near(), speeds, farm.window, farm.dispatch),
     }
 }
 

@@ -209,3 +209,16 @@ proptest! {
         prop_assert!(after.node_of.len() == times.len() && after.node_of.iter().all(|&n| n < speeds.len()));
     }
 }
+
+#[test]
+fn every_plan_counts_the_loading_times() {
+    let text = "task,predicted_s,volume,load_s\na,1,v,10\nb,1,v,10\nc,1,w,10\n";
+    let tasks = list(text, "t.csv").unwrap();
+    let farm = Farm { speeds: ones(1), dispatch: 0.0, window: 16 };
+    let seconds = times(&tasks, By::Predicted).unwrap();
+    for method in [Method::Longest, Method::Queue, Method::Affinity] {
+        let plan = plan(method, &seconds, &farm.speeds).unwrap();
+        // Both tasks on v come first, since order follows the list where times are equal.
+        assert_eq!(play(&plan, &seconds, &tasks, &farm).unwrap().makespan, 23.0, "{method:?}");
+    }
+}

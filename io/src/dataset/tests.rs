@@ -60,6 +60,11 @@ fn a_written_table_reads_back_bit_for_bit() {
     assert_eq!(table.frames[1].seconds(Clock::Auto), Some(1e-7));
     assert!(writer.append(9, &bare, &[lone]).unwrap_err().to_string().contains("already"));
     assert!(Writer::create(&path).unwrap_err().to_string().contains("resume"));
+    // A compressed table of the same name would share its manifest, and tables are written without compression.
+    let (packed, other) = (path.with_extension("csv.gz"), path.with_file_name("other.csv"));
+    assert!(Writer::create(&packed).unwrap_err().to_string().contains("leave .gz out"));
+    std::fs::write(other.with_extension("csv.gz"), "").unwrap();
+    assert!(Writer::create(&other).unwrap_err().to_string().contains("share its manifest"));
 }
 
 proptest! {
@@ -150,7 +155,7 @@ fn every_wrong_field_is_named_with_its_line_and_column() {
         ("fov_y_deg", "200", "field of view"),
         ("width_px", "0", "image size is 0"),
         ("step_ref", "0", "ray step is 0"),
-        ("shading", "phong", "none, local or scatter"),
+        ("shading", "phong", "none, local, scatter or local-scatter"),
         ("skipping", "octree", "none, blocks or distance"),
         ("termination", "1.5", "termination opacity"),
         ("tf", "0.1 0.2", "three numbers"),

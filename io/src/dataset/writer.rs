@@ -10,6 +10,25 @@ use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+/// Checks that a table may be written to a file.
+fn check_name(path: &Path) -> Result<()> {
+    ensure!(
+        path.extension().is_none_or(|e| e != "gz"),
+        "{}: tables are written without compression; leave .gz out of the name",
+        path.display()
+    );
+    let mut packed = path.as_os_str().to_owned();
+    packed.push(".gz");
+    let packed = PathBuf::from(packed);
+    ensure!(
+        !packed.exists(),
+        "{} exists, and {} would share its manifest; choose another name",
+        packed.display(),
+        path.display()
+    );
+    Ok(())
+}
+
 /// Appends frames to a timing table. Each frame is written in one piece and flushed to disk, so that a crash
 /// loses at most the current frame. The table is locked meanwhile: two writers would mix their rows.
 #[derive(Debug)]
@@ -25,6 +44,7 @@ impl Writer {
     /// # Errors
     /// When the file exists already (resume it or remove it) or cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
+        check_name(path)?;
         if path.is_file() && Self::is_fresh(path)? {
             return Self::resume(path, 1);
         }
@@ -70,6 +90,7 @@ impl Writer {
         if !path.exists() {
             return Self::create(path);
         }
+        check_name(path)?;
         let fail = || format!("cannot resume {}", path.display());
         let mut file = OpenOptions::new().read(true).write(true).open(path).with_context(fail)?;
         lock(&file, path)?;

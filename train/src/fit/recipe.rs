@@ -7,7 +7,7 @@ use super::{FitContext, FittedModel};
 use crate::gradient::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
 use crate::inputs::{Encoder, Layout};
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use entire_core::model::{GroupKind, ModelFile};
+use entire_core::model::{GroupKind, Key, ModelFile};
 use entire_core::nn::{Dtype, PredNetParts, Target};
 use entire_io::dataset::Timed;
 use entire_io::files::read_model_file;
@@ -299,7 +299,10 @@ impl Recipe {
             self.inputs.iter().map(|n| Ok(n.trim().parse::<GroupKind>()?)).collect::<Result<_>>()?;
         let (file, encoder) = match &self.volumenet {
             Some(path) => {
-                let (file, model) = read_model_file(path)?;
+                let (mut file, model) = read_model_file(path)?;
+                // Other entries describe the file's own predictor, which is replaced.
+                let taken = [Key::Format.name(), Key::VolumeNet.name()];
+                file.metadata.retain(|key, _| taken.contains(&key.as_str()));
                 let parts =
                     model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
                 (file, Some(Encoder::new(parts)?))

@@ -119,9 +119,12 @@ impl Split {
         all.filter_map(|split| serde_json::from_value(split).ok()).collect()
     }
 
-    /// True if the model of this split was trained or validated on frames of a group.
+    /// True if the model of this split was trained or validated on frames of the scene's group. Groups are the
+    /// same if one's name is the end of the other's path: tables state paths relative to different folders.
     pub fn has_seen(&self, scene: &Scene) -> bool {
-        matches!(self.part(scene), Part::Training | Part::Validation)
+        let group = self.by.group(scene);
+        let same = |other: &String| Path::new(other).ends_with(&group) || Path::new(&group).ends_with(other);
+        !self.test.contains(&group) && self.training.iter().chain(&self.validation).any(same)
     }
 
     /// Returns the part that a frame belongs to.
@@ -187,6 +190,19 @@ mod tests {
         assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "x").scene), "x");
         assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "").scene), "a/b.nrrd");
         assert_eq!(GroupBy::Volume.group(&scene), "data/castro/m01/t0001.nrrd");
+    }
+
+    #[test]
+    fn a_group_was_seen_whatever_folder_its_table_names() {
+        let split = Split { training: ["castro/m01".into()].into(), ..Split::default() };
+        for (volume, seen) in [
+            ("castro/m01/t1.nrrd", true),
+            ("x/castro/m01/t1.nrrd", true),
+            ("m01/t1.nrrd", true),
+            ("nyx/m01/t1.nrrd", false),
+        ] {
+            assert_eq!(split.has_seen(&TimedFrame::of_no_volume(volume, "m01").scene), seen, "{volume}");
+        }
     }
 
     #[test]

@@ -7,7 +7,7 @@ use entire_core::kernels::{Level, Storage};
 use entire_core::model::Model;
 use entire_core::nn::PredNet;
 use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
-use entire_io::files::{fnv1a_text, note, parse_model, read_model_bytes};
+use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
 use entire_io::metrics::{Metrics, bootstrap_by_group};
 use entire_io::options::thread_pool;
@@ -22,7 +22,7 @@ use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Split};
 use indicatif::ProgressBar;
 use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Measure the errors of predictors on collected frames.
@@ -46,8 +46,8 @@ pub(crate) struct Options {
     /// refused.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub(crate) clock: Clock,
-    /// Only frames with this shading: none, local or scatter.
-    #[arg(long, value_parser = entire_io::dataset::parse_shading)]
+    /// Only frames with this shading: none, local, scatter or local-scatter.
+    #[arg(long)]
     pub(crate) shade: Option<entire_core::scene::Shading>,
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
@@ -117,7 +117,16 @@ impl Loaded {
 /// When a model or table cannot be read, a model's inputs cannot be computed, or no frame is left.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
-    let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
+    if let Some(out) = &options.out {
+        make_folder(out)?;
+    }
+    let mut models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
+    let names: BTreeSet<String> = models.iter().map(|m| m.name.clone()).collect();
+    if names.len() < models.len() {
+        for (model, path) in models.iter_mut().zip(&options.model) {
+            model.name = path.display().to_string();
+        }
+    }
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let named = || models.iter().map(|m| (m.name.as_str(), &m.model));

@@ -143,7 +143,8 @@ impl Host for ExplorerHost {
     }
 
     fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>> {
-        let (title, model, calibrated, left_out) = match (&self.model, machine_model(shading)?) {
+        let here = if self.model.is_none() { machine_model(shading)? } else { None };
+        let (title, model, calibrated, left_out) = match (&self.model, here) {
             (Some((title, model)), _) => (title.clone(), model.clone(), true, None),
             (None, Some((path, file, Some(WINDOW)))) => {
                 (path.display().to_string(), file.to_model()?, true, None)
