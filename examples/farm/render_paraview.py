@@ -39,6 +39,8 @@ class Scene:
         self.source = None
 
     def load(self, path):
+        # If loading fails, the next task loads its volume again.
+        self.path = None
         if self.source is not None:
             simple.Delete(self.source)
         self.source = simple.OpenDataFile(path)

@@ -304,7 +304,9 @@ impl Volume {
             let others = if matches!(fill, Fill::Auto) { Fill::Auto } else { Fill::Values(Vec::new()) };
             let mut data = Self::look_at(py, &hidden, spacing, origin, order, range, &others)?;
             data.copied = true;
-            data.fill = kept_fill;
+            if !matches!(fill, Fill::Auto) {
+                data.fill = kept_fill;
+            }
             return Ok(data);
         }
         let given = asarray(array)?;

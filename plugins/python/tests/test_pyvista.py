@@ -206,6 +206,31 @@ def test_renderers_of_their_own(image):
     assert "nothing" in repr(plotter.entire)
 
 
+def test_volumes_of_one_renderer_with_calls_of_their_own(image):
+    plotter = pv.Plotter(off_screen=True, window_size=(240, 240))
+    first = plotter.add_volume(image, mapper="gpu", show_scalar_bar=False)
+    second = plotter.add_volume(image.copy(), mapper="fixed_point", show_scalar_bar=False)
+    plotter.show(auto_close=False)
+    one = plotter.entire.hold(fps=1000, volume=first, always=True)
+    two = plotter.entire.hold(fps=1000, volume=second, always=True)
+    for azimuth in range(0, 20, 5):
+        plotter.camera.azimuth = azimuth
+        plotter.render()
+    assert one.steered_frames >= 3 and two.steered_frames >= 3
+    assert plotter.entire.steering is two
+    # A refused call leaves the running one.
+    grid = plotter.add_volume(pv.UnstructuredGrid(image.cast_to_unstructured_grid()), show_scalar_bar=False)
+    with pytest.raises(entire.vtk.CannotSteer):
+        plotter.entire.hold(fps=1000, volume=[first, grid], always=True)
+    assert [leaf.volume for leaf in one.leaves] == [first]
+    # A call for a volume takes it from its steering.
+    again = plotter.entire.hold(fps=500, volume=first, always=True)
+    assert one.leaves == [] and [leaf.volume for leaf in again.leaves] == [first] and two.leaves
+    plotter.entire.detach()
+    assert again.leaves == [] and two.leaves == []
+    plotter.close()
+
+
 def test_misuse_is_said(image):
     plotter = pv.Plotter(off_screen=True)
     with pytest.raises(ValueError, match="no volume"):

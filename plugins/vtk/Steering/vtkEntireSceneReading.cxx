@@ -173,10 +173,11 @@ std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& vol
   std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept)
 {
   const VolumeKey& key = grid.Key;
-  grid.Scalars->GetRange(range.data(), key.Component);
-  if (!std::isfinite(range[0]) || !std::isfinite(range[1]))
+  // As VTK's mappers do, ignores infinities.
+  grid.Scalars->GetFiniteRange(range.data(), key.Component);
+  if (!(range[0] <= range[1]))
   {
-    return "the scalars have no finite range";
+    return "the scalars have no finite value";
   }
   if (!(static_cast<float>(range[1]) > static_cast<float>(range[0])))
   {

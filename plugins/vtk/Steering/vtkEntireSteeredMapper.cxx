@@ -654,6 +654,8 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
     // the one from the start of its drawing. RendererEnd() restores the settings.
     this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper, false), this->Written);
   }
+  const bool known = this->Planned.id != 0 && !(this->Planned.absent & ENTIRE_ABSENT_SECONDS);
+  this->Internals->PredictedSeconds += known ? this->Planned.seconds : vtkEntire::NOT_KNOWN;
   if (this->Planned.id != 0 && this->Session)
   {
     vtkRenderWindow* window = this->Internals->Window;

@@ -161,6 +161,7 @@ vtkEntireSteering::vtkInternals::Leaves vtkEntireSteering::vtkInternals::TakeApa
   this->Renderer = nullptr;
   this->Volume = nullptr;
   this->Warnings.clear();
+  this->Said.clear();
   this->ClocksSaid.clear();
   this->ModelClock = ENTIRE_CLOCK_UNSTATED;
   this->Rendering = false;
@@ -193,7 +194,8 @@ void vtkEntireSteering::vtkInternals::Report(const char* reason, const char* sta
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::FallBack(const std::string& why)
 {
-  if (!this->Owner->Status || why != this->Owner->Status)
+  // Said once for an attachment: other mappers of the volume may be steered.
+  if (this->Said.insert(why).second)
   {
     this->Warn("Not steered: " + why);
   }
@@ -323,6 +325,25 @@ void vtkEntireSteering::vtkInternals::FindMappers()
       kept.push_back(std::make_shared<Leaf>(this, each));
     }
   }
+  // A mapper of the same kind takes over what was learned with the mapper that it replaces. A multi-block mapper replaces
+  // its inner mappers whenever its input changes.
+  for (const auto& leaf : kept)
+  {
+    for (const auto& gone : this->Drawing)
+    {
+      if (!leaf->Session && gone && gone->Session && gone->Gpu == leaf->Gpu && leaf->Mapper)
+      {
+        leaf->Session = std::move(gone->Session);
+        leaf->RefusedState = gone->RefusedState;
+        // Forgets what was learned if the class is another one.
+        static_cast<void>(leaf->Session->set_timing_source(leaf->Mapper->GetClassName(), this->ClockName()));
+        if (this->LastLeaf.lock() == gone)
+        {
+          this->LastLeaf = leaf;
+        }
+      }
+    }
+  }
   // Releases the leaves whose mappers are not found. Last, since this may invoke observers.
   kept.swap(this->Drawing);
   ReleaseAll(kept);
@@ -413,7 +434,7 @@ void vtkEntireSteering::vtkInternals::WindowStart()
   }
   this->Busy.Begin();
   const vtkEntire::Busy::Handling handling(this->Busy);
-  this->MapperSeconds = 0;
+  this->MapperSeconds = this->PredictedSeconds = 0;
   this->Drawn = 0;
   if (this->LastClock != this->Owner->Clock)
   {
@@ -432,7 +453,18 @@ void vtkEntireSteering::vtkInternals::WindowStart()
     std::size_t volumes = 0;
     for (const vtkInternals* each : frame.Steerings)
     {
-      volumes += each->Drawing.size();
+      if (!each->Volume || !each->Volume->GetVisibility())
+      {
+        continue;
+      }
+      // Of the mappers inside a smart mapper, one draws.
+      const vtkSmartVolumeMapper* before = nullptr;
+      for (const auto& leaf : each->Drawing)
+      {
+        const vtkSmartVolumeMapper* const outer = leaf->Outer;
+        volumes += !outer || outer != before;
+        before = outer;
+      }
     }
     static_cast<void>(frame.Budget.begin(static_cast<std::uint32_t>(volumes)));
     frame.Start = this->Now();
@@ -468,6 +500,7 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
   {
     owner->FrameTime = seconds;
     owner->MeasuredTime = this->MapperSeconds;
+    owner->PredictedTime = this->PredictedSeconds;
     owner->ObserverTime = this->Busy.Seconds();
   }
   this->SayWarnings();

@@ -28,6 +28,7 @@
 #include <limits>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -350,6 +351,8 @@ public:
   std::size_t Attachment = 0;
   Leaves Drawing;
   std::vector<std::string> Warnings;
+  // The reasons of frames that were not steered, of which the user was warned.
+  std::set<std::string> Said;
 
   // Inputs of the sessions.
   std::optional<entire::model> Model;
@@ -369,6 +372,8 @@ public:
   bool InFrame = false;
   std::shared_ptr<WindowFrame> Shared;
   double MapperSeconds = 0;
+  // Predicted seconds of these mappers; NaN if the time of one of them is unknown.
+  double PredictedSeconds = 0;
   int Drawn = 0;
   int LastClock = -1;
   std::weak_ptr<Leaf> LastLeaf;

@@ -457,6 +457,19 @@ void KeepsState(Kind kind)
   CHECK(early->GetPredictedTime() == untaught);
   early->Detach();
   CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  // A mapper of the same class takes over what was learned.
+  if (kind == GPU || kind == FIXED)
+  {
+    scene.Draw();
+    CHECK(steering->GetPredictedTime() == untaught);
+    scene.Draw();
+    vtkVolumeMapper* const before = vtkVolumeMapper::SafeDownCast(scene.Volume->GetMapper());
+    const auto next = vtkSmartPointer<vtkVolumeMapper>::Take(before->NewInstance());
+    next->SetInputConnection(before->GetInputConnection(0, 0));
+    scene.Volume->SetMapper(next);
+    scene.Draw();
+    CHECK(steering->GetPredictedTime() > 0 && steering->GetPredictedTime() != untaught);
+  }
   std::FILE* broken = std::fopen(file, "wb");
   CHECK(broken && std::fputs("no state", broken) >= 0 && std::fclose(broken) == 0);
   CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), file));

@@ -91,16 +91,16 @@ public:
         continue;
       }
       auto steering = vtkSmartPointer<vtkEntireSteering>::New();
-      // Set before Attach(), which reads the volume: a later change of clock or model would read it again.
+      // Set before Attach(), which reads the volume: a later change of clock, model or state would read it again.
       this->Configure(steering);
+      if (owner->StateFileName && *owner->StateFileName)
+      {
+        // The steering reports an error in the file.
+        static_cast<void>(steering->LoadState(owner->StateFileName));
+      }
       if (steering->Attach(renderer, volume))
       {
         this->Volumes.push_back(steering);
-        if (owner->StateFileName && *owner->StateFileName)
-        {
-          // The steering reports an error in the file.
-          static_cast<void>(steering->LoadState(owner->StateFileName));
-        }
       }
       if (this->Renderer.GetPointer() != renderer)
       {
@@ -128,7 +128,7 @@ public:
   // Returns the internals whose values the getters return: those of the source if it is set, else this object.
   vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
 
-  // Returns the steering of the volume that took longest in its last frame; nullptr without volumes.
+  // Returns the steering of the visible volume that took longest in its last frame; nullptr without visible volumes.
   vtkEntireSteering* Last()
   {
     if (this->Source)
@@ -138,10 +138,15 @@ public:
     vtkEntireSteering* last = nullptr;
     for (auto& each : this->Volumes)
     {
+      vtkVolume* const volume = each->GetVolume();
+      if (!volume || !volume->GetVisibility() || !this->Renderer || !this->Renderer->HasViewProp(volume))
+      {
+        continue;
+      }
       // The time of a volume that was never drawn is NaN.
       const bool longer = last && each->GetMeasuredTime() > last->GetMeasuredTime();
       const bool drawn = !last || !std::isnan(last->GetMeasuredTime());
-      if (each->GetVolume() && (!last || longer || !drawn))
+      if (!last || longer || !drawn)
       {
         last = each;
       }

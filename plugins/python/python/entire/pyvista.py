@@ -43,8 +43,8 @@ class EntireComponent:
 
     def __init__(self, plotter: Any) -> None:
         self._plotter = plotter
-        #: Steering of each held renderer, by the renderer's index in the plotter.
-        self._held: dict[int, Steering] = {}
+        #: Steerings of each held renderer, by the renderer's index in the plotter, newest last.
+        self._held: dict[int, list[Steering]] = {}
         self._screenshots: dict[str, Any] = {}
 
     def _make_gpu(self, smart: Any) -> Any:
@@ -102,10 +102,14 @@ class EntireComponent:
         index = self._plotter.renderers.active_index
         # The earlier steering ends only after the new one was made, so that it continues if the new one is refused.
         steering = self._new_steering(volume, seconds, **options)
-        earlier = self._held.get(index)
-        if earlier is not None:
-            earlier.detach()
-        self._held[index] = steering
+        kept = []
+        for earlier in self._held.get(index, []):
+            # A call for some volumes leaves the other volumes to their steering.
+            if volume is not None and earlier.leaves:
+                kept.append(earlier)
+            else:
+                earlier.detach()
+        self._held[index] = [*kept, steering]
         if "trame_vtk" in sys.modules:
             from .trame import watch
 
@@ -141,8 +145,8 @@ class EntireComponent:
 
     @property
     def steering(self) -> Steering | None:
-        """entire.vtk.Steering or None : Steering of the active renderer."""
-        return self._held.get(self._plotter.renderers.active_index)
+        """entire.vtk.Steering or None : Steering of the active renderer, of the last call of :meth:`hold`."""
+        return next(reversed(self._held.get(self._plotter.renderers.active_index, [])), None)
 
     @property
     def history(self) -> History | None:
@@ -153,7 +157,7 @@ class EntireComponent:
     def still(self) -> Iterator[None]:
         """Context in which PyVista draws frames at full quality, pixel for pixel."""
         with contextlib.ExitStack() as stack:
-            for steering in self._held.values():
+            for steering in self._all():
                 stack.enter_context(steering.still())
             yield
 
@@ -161,9 +165,11 @@ class EntireComponent:
         """Releases the active renderer and restores exchanged mappers."""
         self._end(self._plotter.renderers.active_index)
 
+    def _all(self) -> list[Steering]:
+        return [steering for steerings in self._held.values() for steering in steerings]
+
     def _end(self, index: int) -> None:
-        steering = self._held.pop(index, None)
-        if steering is not None:
+        for steering in self._held.pop(index, []):
             steering.detach()
         if not self._held:
             for name in self._screenshots:
@@ -180,7 +186,7 @@ class EntireComponent:
             @functools.wraps(original)
             def at_full_quality(*args: Any, _original: Any = original, **kwargs: Any) -> Any:
                 coarse = any(
-                    leaf.reason not in ("still", "") for s in self._held.values() for leaf in s.leaves
+                    leaf.reason not in ("still", "") for s in self._all() for leaf in s.leaves
                 )
                 with self.still():
                     window = self._plotter.render_window
@@ -196,7 +202,7 @@ class EntireComponent:
             self._end(index)
 
     def __repr__(self) -> str:
-        return "entire: nothing is held" if not self._held else "\n".join(map(repr, self._held.values()))
+        return "entire: nothing is held" if not self._held else "\n".join(map(repr, self._all()))
 
 
 __all__ = ["EntireComponent", "ModelLike"]

@@ -31,6 +31,7 @@ class SlicerSteering(Steering):
         self._node = weak(node)
         self._node_tag = 0
         self._fixed = seconds is not None
+        self._maximum = False
         super().__init__(manager.GetRenderer(), None, seconds or _expected(node), **options)
         self._node_tag = node.AddObserver("ModifiedEvent", self._on_node)
         self._on_node(node, "")
@@ -46,7 +47,10 @@ class SlicerSteering(Steering):
     def _on_node(self, node: Any, _event: str) -> None:
         if not self._fixed:
             self.seconds = _expected(node)
-        self.enabled = node.GetVolumeRenderingQuality() != _MAXIMUM
+        maximum = node.GetVolumeRenderingQuality() == _MAXIMUM
+        if maximum != self._maximum:
+            # Other changes of the node do not undo the user's choice.
+            self._maximum, self.enabled = maximum, not maximum
 
     def _is_still(self, window: Any) -> bool:
         interactor = window.GetInteractor()

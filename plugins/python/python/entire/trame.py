@@ -12,7 +12,6 @@ Local views, which the browser draws itself (vtk.js, VTK.wasm), cannot be steere
 from __future__ import annotations
 
 import functools
-import time
 import weakref
 from typing import Any
 
@@ -28,14 +27,13 @@ def _count(original: Any) -> Any:
     def still_render(self: Any, options: Any) -> Any:
         window = self.get_view(options["view"])
         steerings = [s for s in _watched if s.renderer is not None and s.renderer.GetRenderWindow() is window]
-        drawn = [s.frames for s in steerings]
-        before = time.perf_counter()
+        # Each steering has a clock of its own.
+        began = [(s, s.frames, s._now()) for s in steerings]
         reply = original(self, options)
-        seconds = time.perf_counter() - before
-        for steering, frames in zip(steerings, drawn):
+        for steering, frames, before in began:
             if steering.frames == frames + 1:
                 # The time without the drawing of the frame: reading the picture back and encoding it.
-                steering.also(max(0.0, seconds - steering.frame_time))
+                steering.also(max(0.0, steering._now() - before - steering.frame_time))
         return reply
 
     still_render._entire_counts = True  # type: ignore[attr-defined]
@@ -51,7 +49,7 @@ def watch(steering: Steering) -> None:
     Parameters
     ----------
     steering : entire.vtk.Steering
-        A steering with the clock "wall".
+        The steering; the time is counted by its clock.
     """
     if not hasattr(vtkWebPublishImageDelivery.still_render, "_entire_counts"):
         vtkWebPublishImageDelivery.still_render = _count(vtkWebPublishImageDelivery.still_render)

@@ -129,6 +129,10 @@ class Holder:
         self._plan = None
         self._restore()
         self.own = self.visual.relative_step_size
+        if not self.visual.visible or getattr(self.visual, "parent", self) is None:
+            self.reason, self.status, self.predicted = "hidden", "the visual is not drawn", math.nan
+            self._began = math.nan
+            return
         try:
             self._choose()
         except Exception as error:  # The frame is drawn even if its prediction fails.

@@ -135,6 +135,8 @@ class Holder:
         yt.visualization.image_handling.ImageArray
             The picture, of :attr:`resolution`.
         """
+        width, height = (int(n) for n in self.scene.camera.resolution)
+        self.most, self.full = int(self.source.num_samples), (width, height)
         # Steps below 1/64 cannot be predicted; more samples are predicted as 64.
         counts = list(range(self.most, 0, -1))
         settings = [(max(1 / 64, 1 / n), self.full) for n in counts]

@@ -175,6 +175,11 @@ def _smart_refusal(smart: Any) -> str:
             "the vtkSmartVolumeMapper may draw a resampled volume (LowResMode), with a mapper inside to which Python has "
             "no access; switch that mode off, or use the C++ class vtkEntireSteering"
         )
+    if smart.GetVectorMode() >= 0 and smart.GetVectorMode() != kind.DISABLED:
+        return (
+            "the vtkSmartVolumeMapper draws a vector's magnitude or component, which only its inner mapper can do; draw "
+            "an array of that magnitude or component instead"
+        )
     return ""
 
 
@@ -248,12 +253,6 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     elif smart.GetArrayName():
         gpu.SelectScalarArray(smart.GetArrayName())
     gpu.SetScalarMode(smart.GetScalarMode())
-    if smart.GetVectorMode() >= 0 and smart.GetVectorMode() != vtkSmartVolumeMapper.DISABLED:
-        raise CannotSteer(
-            "the vtkSmartVolumeMapper draws a vector's magnitude or component, which only its inner mapper "
-            "can do; draw an array "
-            "of that magnitude or component instead"
-        )
     # As in the smart mapper's inner mapper.
     gpu.SetLockSampleDistanceToInputSpacing(1)
     gpu.SetAutoAdjustSampleDistances(0)

@@ -181,7 +181,13 @@ class Steering:
         self._renderer_tags: list[int] = []
         self._overlay = Overlay(renderer) if overlay else None
         try:
-            for volume in _volumes(renderer) if volumes is None else volumes:
+            wanted = _volumes(renderer) if volumes is None else list(volumes)
+            # All are checked before one is taken from another steering, which continues if one is refused.
+            for volume in wanted:
+                why = _mappers.refusal(volume.GetMapper())
+                if why:
+                    raise CannotSteer(why)
+            for volume in wanted:
                 self._add(volume)
         except BaseException:
             self.detach()
@@ -201,6 +207,7 @@ class Steering:
 
     def _drop(self, volume: Any) -> None:
         for leaf in [leaf for leaf in self.leaves if leaf.volume is volume]:
+            self._last = None if self._last is leaf else self._last
             leaf._leave()
             self.leaves.remove(leaf)
             _held.pop(volume.__this__, None)
@@ -523,6 +530,7 @@ class Steering:
         for leaf in [
             leaf for leaf in self.leaves if leaf.volume is None or leaf.volume.__this__ not in there
         ]:
+            self._last = None if self._last is leaf else self._last
             leaf._leave()
             self.leaves.remove(leaf)
             if _held.get(leaf.address) is self:

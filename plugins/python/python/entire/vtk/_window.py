@@ -47,7 +47,8 @@ class WindowFrame:
         """Begins a frame; called by every steering in the window, only the first call has an effect."""
         if not self.drawing:
             self.drawing = self.usual = True
-            self.budget.begin(sum(len(steering.leaves) for steering in self.steerings))
+            volumes = [leaf.volume for steering in self.steerings for leaf in steering.leaves]
+            self.budget.begin(sum(1 for volume in volumes if volume is not None and volume.GetVisibility()))
             self.start = now
 
     def end(self, seconds: float) -> None:
