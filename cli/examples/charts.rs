@@ -81,19 +81,6 @@ fn frontier() -> Chart {
         .rule(Rule::Horizontal(10.0, "paper".into()))
 }
 
-fn bars() -> Chart {
-    let names = ["engine", "skull", "a long volume's name", "foot", "another long name", "vessels"];
-    let bars = |c: usize| (0..6).map(|i| (i as f64, 3.0 + ((i * 7 + c * 3) % 11) as f64)).collect();
-    Chart::new(
-        "Misses",
-        Axis::categories("volume", names.map(str::to_owned).to_vec()),
-        Axis::linear("misses / %"),
-    )
-    .series(Series::new("fixed", Mark::Bars(bars(0))).color(5))
-    .series(Series::new("PID", Mark::Bars(bars(1))).color(3))
-    .series(Series::new("hybrid", Mark::Bars(bars(2))).color(0))
-}
-
 fn boxes() -> Chart {
     let names = ["uniform", "random", "stratified"].map(str::to_owned).to_vec();
     let boxes = |c: usize| {
@@ -130,7 +117,6 @@ pub fn samples() -> Vec<(&'static str, Chart)> {
         ("steps", steps()),
         ("scatter", scatter()),
         ("frontier", frontier()),
-        ("bars", bars()),
         ("boxes", boxes()),
         ("matrix", matrix()),
         ("empty", empty()),

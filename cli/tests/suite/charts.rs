@@ -34,7 +34,7 @@ fn every_kind_of_chart_is_drawn() {
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{name}");
         classes.extend(elements);
     }
-    for class in ["line", "steps", "points", "band", "bars", "boxes", "rule"] {
+    for class in ["line", "steps", "points", "band", "boxes", "rule"] {
         assert!(classes.contains(class), "no {class} among {classes:?}");
     }
 }

@@ -138,7 +138,6 @@ impl Chart {
                 Mark::Steps(_) => ("steps", dash_of(DASHES[self.color_of(i)])),
                 Mark::Points(_) => ("points", String::new()),
                 Mark::Band(_) => ("band", String::new()),
-                Mark::Bars(_) => ("bars", String::new()),
                 Mark::Boxes(_) => ("boxes", String::new()),
                 Mark::Stretches(_) => ("stretches", String::new()),
             };
@@ -305,7 +304,7 @@ impl Chart {
                 area.draw(&Circle::new(center, units(4.0), light(color).mix(0.75).filled()))?;
             }
             Mark::Band(_) => area.draw(&block(0.0, SWATCH, 0.2))?,
-            Mark::Bars(_) | Mark::Boxes(_) | Mark::Stretches(_) => area.draw(&block(5.0, 18.0, 1.0))?,
+            Mark::Boxes(_) | Mark::Stretches(_) => area.draw(&block(5.0, 18.0, 1.0))?,
         }
         Ok(())
     }
@@ -315,7 +314,7 @@ impl Chart {
         let color = PALETTE[self.color_of(i)];
         let fill = |opacity: f64| light(color).mix(opacity).filled();
         let seen = |&(px, py): &(f64, f64)| x.takes(px) && y.takes(py);
-        // Bars and boxes of several series share one slot of the x axis.
+        // Boxes of several series share one slot of the x axis.
         let same = |other: &&super::Series| discriminant(&other.mark) == discriminant(&series.mark);
         let sharers = self.series.iter().filter(same).count() as f64;
         let mine = self.series[..i].iter().filter(same).count() as f64;
@@ -337,13 +336,6 @@ impl Chart {
                 let upper = points.iter().map(|p| (p.0, p.2)).filter(seen);
                 let lower = points.iter().rev().map(|p| (p.0, p.1)).filter(seen);
                 plot.draw_series([Polygon::new(upper.chain(lower).collect::<Vec<_>>(), fill(0.2))])?;
-            }
-            Mark::Bars(points) => {
-                let base = if y.takes(0.0) { 0.0_f64.clamp(y.low, y.high) } else { y.low };
-                plot.draw_series(points.iter().filter(|p| seen(p)).map(|&(px, py)| {
-                    let (left, right) = (px + offset - slot * 0.46, px + offset + slot * 0.46);
-                    Rectangle::new([(left, base), (right, py)], fill(1.0))
-                }))?;
             }
             Mark::Stretches(parts) => {
                 let inside = parts.iter().filter(|(_, _, at)| y.takes(*at));

@@ -1,4 +1,4 @@
-//! Charts: lines, steps, points, bands, bars, intervals and box plots over linear, logarithmic or categorical
+//! Charts: lines, steps, points, bands, intervals and box plots over linear, logarithmic or categorical
 //! axes, drawn as SVG.
 //!
 //! `plotters` draws; `templates/chart.svg` assembles the layers.
@@ -11,7 +11,7 @@ mod palette;
 
 pub use axis::Axis;
 
-use axis::{Scale, Span};
+use axis::Span;
 use palette::PALETTE;
 
 /// Mark that a series draws.
@@ -25,12 +25,10 @@ pub enum Mark {
     Points(Vec<(f64, f64, String)>),
     /// The area between two curves: (x, lower, upper).
     Band(Vec<(f64, f64, f64)>),
-    /// Bars from zero to y. If the axis does not show zero, they begin at its end next to zero.
-    Bars(Vec<(f64, f64)>),
     /// Intervals along x as horizontal bars, half a unit of y high: (from, to, y).
     Stretches(Vec<(f64, f64, f64)>),
     /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile. Boxes of several series are side by side about
-    /// their x, and so are bars.
+    /// their x.
     Boxes(Vec<(f64, [f64; 5])>),
 }
 
@@ -126,12 +124,7 @@ impl Chart {
         let horizontal =
             self.rules.iter().filter_map(|r| if let Rule::Horizontal(v, _) = r { Some(*v) } else { None });
         let x = Span::fit(&self.x, points.iter().map(|p| p.0).chain(vertical));
-        let mut y = self.y.clone();
-        let bars = self.series.iter().any(|s| matches!(s.mark, Mark::Bars(_)));
-        if bars && y.low.is_none() && y.scale == Scale::Linear && points.iter().all(|p| p.1 >= 0.0) {
-            y.low = Some(0.0);
-        }
-        let y = Span::fit(&y, points.iter().map(|p| p.1).chain(horizontal));
+        let y = Span::fit(&self.y, points.iter().map(|p| p.1).chain(horizontal));
         (x, y)
     }
 }
@@ -140,7 +133,7 @@ impl Mark {
     /// Returns all points of the mark.
     fn points(&self) -> Vec<(f64, f64)> {
         match self {
-            Self::Line(p) | Self::Steps(p) | Self::Bars(p) => p.clone(),
+            Self::Line(p) | Self::Steps(p) => p.clone(),
             Self::Points(p) => p.iter().map(|(x, y, _)| (*x, *y)).collect(),
             Self::Band(p) => p.iter().flat_map(|(x, a, b)| [(*x, *a), (*x, *b)]).collect(),
             Self::Stretches(p) => p.iter().flat_map(|(a, b, y)| [(*a, *y), (*b, *y)]).collect(),

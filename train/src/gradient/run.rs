@@ -277,8 +277,6 @@ pub struct Progress {
     pub steps: u64,
     /// Maximum number of steps, over all epochs.
     pub total_steps: u64,
-    /// Loss of the last batch.
-    pub batch_loss: f64,
     /// The epoch that just ended, once per epoch.
     pub ended: Option<EpochRecord>,
     /// Best validation loss so far; infinity before the first epoch's end.
@@ -459,15 +457,8 @@ pub fn train<T: Real>(
                 break 'epochs;
             }
             let last = at + 1 == steps_per_epoch;
-            let mut told = Progress {
-                epoch,
-                epochs: settings.epochs,
-                steps,
-                total_steps,
-                batch_loss: step.loss,
-                ended: None,
-                best: best_loss,
-            };
+            let mut told =
+                Progress { epoch, epochs: settings.epochs, steps, total_steps, ended: None, best: best_loss };
             if !last {
                 if progress(&told).is_break() {
                     stop = Stop::Interrupted;
