@@ -183,7 +183,8 @@ impl Viewpoint {
         self.target = eye - self.distance * self.axes()[2];
     }
 
-    /// Moves the eye, bounding-sphere radii. Going forward in an orthographic view zooms.
+    /// Moves the eye and the target point by distances in bounding-sphere radii. In an orthographic view,
+    /// `forward` zooms instead.
     pub(crate) fn walk(&mut self, mut forward: f32, right: f32, up: f32) {
         if self.orthographic {
             self.zoom((-forward).exp());

@@ -158,9 +158,9 @@ impl<'a> Database<'a> {
         self.run
     }
 
-    /// Adds answers in the spool to the journal if their tasks are not finished and their images are
-    /// complete. Then empties the spool folder and the folders of orders, of cancellations and of images in
-    /// progress.
+    /// Adds the spool's answers without an error to the journal, if the journal does not have their tasks as
+    /// finished and their images are complete. Then empties the spool folder and the folders of orders, of
+    /// cancellations and of images in progress.
     ///
     /// # Errors
     /// When a file cannot be read or written.

@@ -145,7 +145,7 @@ def main():
         by_clock = {"cpu": Study(options.study), "wall": Study(options.wall)}
         for clock, study in by_clock.items():
             if study.found is None:
-                print(f"no study by {clock} time: make bars-model makes it", flush=True)
+                print(f"there is no study by {clock} time; `make bars-model` runs the study", flush=True)
             of_study(bars, clock, study)
             frames = Path(options.frames) / "frames.csv" if clock == "cpu" else Path(f"{options.frames}-wall") / "frames.csv"
             of_frames(bars, clock, frames)

@@ -277,8 +277,8 @@ fn card(
         Some((_, folds)) => {
             let _ = writeln!(
                 md,
-                "- upper bound: the training frames, each predicted without its ensemble member ({folds} \
-                 parts)"
+                "- upper bound: fitted to cross-validated predictions of the training frames ({folds} folds, \
+                 ensemble members held out)"
             );
         }
         None => {

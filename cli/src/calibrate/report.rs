@@ -139,8 +139,8 @@ impl Report {
         if self.others.busy() {
             out.push(format!(
                 "the machine was busy: other programs used {:.1} processors on average; during {:.0} of \
-                 {:.0} seconds they used more than {}; a disturbed repeat is used only if its frame has no \
-                 undisturbed ones; calibrate again on a quiet machine",
+                 {:.0} seconds they used more than {} processors, and repeats rendered in these seconds are \
+                 used only for frames without other repeats; calibrate again on a quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,
@@ -271,8 +271,8 @@ impl Report {
     }
 }
 
-/// The picture quality law that was fitted to compared pictures, in one line; `error` names the error
-/// measure.
+/// Returns one line of text about the quality law and its fit to the errors of pictures; `error` names the
+/// measure of these errors.
 pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(

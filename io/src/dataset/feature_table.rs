@@ -100,7 +100,7 @@ impl FeatureTable {
     pub fn new(columns: Vec<String>, numbers: &[u64], values: Vec<f32>, table: u64) -> Result<Self> {
         ensure!(
             values.len() == columns.len() * numbers.len(),
-            "{} values for {} frames of {} columns",
+            "the feature table has {} values; {} frames with {} columns need one value per frame and column",
             values.len(),
             numbers.len(),
             columns.len()

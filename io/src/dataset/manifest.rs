@@ -45,7 +45,7 @@ pub struct Manifest {
     /// All other settings of the collector, free form.
     #[serde(default)]
     pub settings: serde_json::Value,
-    /// Identities of the volumes' files, by the volumes' names in the table; empty where they were not kept.
+    /// Identities of the volumes' files, by the volumes' names in the table; empty if none were recorded.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, Vec<Identity>>,
     /// Keys that this version does not know, kept unchanged.

@@ -39,7 +39,8 @@ pub(crate) struct Options {
 enum Step {
     /// Run every step, one after another.
     All(AllOptions),
-    /// Render frames: by our raycaster in every mode, each also at low resolution (the proxy), and by yt.
+    /// Render frames with our raycaster in every mode and with yt, and some of these frames also at low
+    /// resolution (the proxy).
     #[command(after_help = "Example:
   entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20")]
     Collect(StepOptions),

@@ -522,7 +522,10 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
         }
     });
     if strange > 0 {
-        broken.push(format!("{strange} plans are not finite or out of limits"));
+        broken.push(format!(
+            "{strange} plans have a step outside of the limits, or an expected time or upper bound that is \
+             not a valid number"
+        ));
     }
     let mut state = Vec::new();
     c.save(&mut state);

@@ -184,7 +184,8 @@ pub(crate) const SCENES: [Scene; 31] = [
     Scene {
         number: 31,
         title: "the clock speed is halved for good, and the transfer function switched later",
-        rule: "held from the 4th frame on; at most 3 % over 1.1 T; 90 % of first frames inside the bound",
+        rule: "target met from the 4th frame after the halving on; at most 3 % over 1.1 T; 90 % of first \
+               frames inside the bound",
     },
 ];
 

@@ -109,7 +109,12 @@ pub(crate) fn page(
     for s in SCENES {
         rules.row(vec![s.number.to_string().into(), s.title.into(), s.rule.into()]);
     }
-    page.table(&rules, "");
+    page.table(
+        &rules,
+        "\"At most 5 % over 1.1 T\": at most 5 % of the frames take longer than 1.1 T. The bound is the \
+         upper bound that was predicted before the frame. \"Quality\" is the least accepted mean ratio of \
+         the oracle's step to the chosen step.",
+    );
     page.heading("All failures");
     let mut failed = Table::new(vec![Column::number("#"), Column::text("method"), Column::text("failures")]);
     for v in verdicts.iter().filter(|v| !v.passed()) {

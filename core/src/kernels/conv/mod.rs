@@ -44,7 +44,7 @@ pub(crate) struct Encoder {
     level: Level,
     first: Planar,
     rest: Vec<ChannelsLast>,
-    /// Weights of the dense layer: for each feature, one weight per float of the last layer's output.
+    /// Weights of the dense layer: for each feature, one weight per float of the last convolution's output.
     dense: Buffer,
     dense_len: usize,
     dense_bias: Vec<f32>,

@@ -14,9 +14,9 @@ fn as_stored() -> volume::Reading {
     volume::Reading { fill: volume::Fill::None, ..volume::Reading::default() }
 }
 
-/// Returns the line of JSON for a volume file; `cli/tests/suite/independent_readers.rs` compares the same
-/// values with its table. `range` is that of the finite voxels. `crc32` is that of all voxels in their type
-/// in memory, little-endian; every NaN counts as the NaN without payload.
+/// Returns the line of JSON for a volume file. `cli/tests/suite/independent_readers.rs` compares the same
+/// values with `right-values.csv`. `range` is the range of the finite voxels. `crc32` is the checksum of all
+/// voxels in the type that they have in memory, little-endian; NaNs with a payload count as NaNs without.
 fn line_of(path: &Path) -> Value {
     let volume = match volume::Volume::open_as(path, &as_stored(), None) {
         Ok(volume) => volume,
