@@ -155,6 +155,15 @@ struct Scene
   // Sets the update rate that an interactor sets while a mouse button is down.
   void Interactive() { this->Window->SetDesiredUpdateRate(15); }
 
+  // Replaces the mapper by a new one of the same class.
+  void ReplaceMapper()
+  {
+    vtkVolumeMapper* const before = vtkVolumeMapper::SafeDownCast(this->Volume->GetMapper());
+    const auto next = vtkSmartPointer<vtkVolumeMapper>::Take(before->NewInstance());
+    next->SetInputConnection(before->GetInputConnection(0, 0));
+    this->Volume->SetMapper(next);
+  }
+
   std::vector<unsigned char> Draw()
   {
     this->Window->Render();

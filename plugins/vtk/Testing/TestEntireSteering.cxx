@@ -462,11 +462,7 @@ void KeepsState(Kind kind)
   {
     scene.Draw();
     CHECK(steering->GetPredictedTime() == untaught);
-    scene.Draw();
-    vtkVolumeMapper* const before = vtkVolumeMapper::SafeDownCast(scene.Volume->GetMapper());
-    const auto next = vtkSmartPointer<vtkVolumeMapper>::Take(before->NewInstance());
-    next->SetInputConnection(before->GetInputConnection(0, 0));
-    scene.Volume->SetMapper(next);
+    scene.ReplaceMapper();
     scene.Draw();
     CHECK(steering->GetPredictedTime() > 0 && steering->GetPredictedTime() != untaught);
   }
