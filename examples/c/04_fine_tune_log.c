@@ -12,7 +12,7 @@
 static const char columns[] = "frame,repeat,volume,member,time_step,dims_x,dims_y,dims_z,camera_rx_deg,camera_ry_deg,"
     "camera_dz_radii,fov_y_deg,width_px,height_px,step_ref,shading,skipping,termination,tf,seconds_device,"
     "seconds_wall,seconds_cpu,samples,skips,rays,shaded\n";
-static const char *const shadings[] = {"", "none", "local", "scatter"};
+static const char *const shadings[] = {"", "none", "local", "scatter", "local-scatter"};
 static const char *const skippings[] = {"", "none", "blocks", "distance"};
 
 /* Substitute for your renderer: work that grows with the pixels and shrinks with the step. */

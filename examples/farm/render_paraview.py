@@ -43,6 +43,7 @@ class Scene:
         self.path = None
         if self.source is not None:
             simple.Delete(self.source)
+            self.source = None
         self.source = simple.OpenDataFile(path)
         self.source.UpdatePipeline()
         information = self.source.GetPointDataInformation()

@@ -279,9 +279,9 @@ pub unsafe extern "C" fn entire_model_open(
 }
 
 /// Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
-/// folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
-/// XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
-/// entire.clock says whether it predicts cpu, wall or device seconds.
+/// folder: entire/machine-none.safetensors, machine-local.safetensors, machine-scatter.safetensors or
+/// machine-local-scatter.safetensors below XDG_DATA_HOME, else below LOCALAPPDATA on Windows and
+/// ~/.local/share elsewhere. Its metadata key entire.clock says whether it predicts cpu, wall or device seconds.
 ///
 /// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
 /// and with the same results as entire_model_open for an unsuitable file.

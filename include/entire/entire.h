@@ -482,7 +482,8 @@ typedef struct entire_session_options {
      * of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
      * larger than this and could change the plan. While the view has hardly turned since rays were cast,
      * their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
-     * probe. Leave it 0 in a session that records frames.
+     * probe. While frames are recorded
+     * (entire_session_record), every plan casts all of its rays.
      */
     float probe_tolerance;
     /**
@@ -764,14 +765,15 @@ entire_result entire_model_open(const char *path, struct entire_model **model);
 
 /**
  * Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
- * folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
- * XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
- * entire.clock says whether it predicts cpu, wall or device seconds.
+ * folder: entire/machine-none.safetensors, machine-local.safetensors, machine-scatter.safetensors or
+ * machine-local-scatter.safetensors below XDG_DATA_HOME, else below LOCALAPPDATA on Windows and
+ * ~/.local/share elsewhere. Its metadata key entire.clock says whether it predicts cpu, wall or device seconds.
  *
  * Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
  * and with the same results as entire_model_open for an unsuitable file.
  */
-entire_result entire_model_open_machine(entire_shading shading, struct entire_model **model);
+entire_result entire_model_open_machine(entire_shading shading,
+                                        struct entire_model **model);
 
 /**
  * Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a

@@ -75,7 +75,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() -> Result<(), Failed>
     let pictures = json("pictures.json");
     let modes: BTreeSet<&str> =
         pictures.as_array().unwrap().iter().filter_map(|p| p["shading"].as_str()).collect();
-    assert_eq!(modes, BTreeSet::from(["none", "local", "scatter"]));
+    assert_eq!(modes, BTreeSet::from(["none", "local", "scatter", "local-scatter"]));
     let drawn = || std::fs::metadata(out.join("pictures.json")).unwrap().modified().unwrap();
     let first = drawn();
     // With enough time the selected mode is finished. The steps of other modes stay as they were.

@@ -40,6 +40,7 @@
 //! in scene space ([`LIGHT_DIRECTION`]). The shadow ray is sampled every [`SHADOW_STEP`] steps, for the first
 //! time at that distance from the sample. Its transmittance T is 1 at first; T ← T·(1 − α′)^[`SHADOW_STEP`]
 //! at each sample, until the ray leaves the box or T falls below 0.25. Then c ← c·(0.25 + 0.75·T).
+//! With local shading and single scattering, c is lit first; the shadow ray attenuates the lit color.
 //!
 //! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`] (a cell lies between
 //! eight voxel centers), store the smallest and largest value of their samples; a block is empty when the

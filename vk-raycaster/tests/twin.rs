@@ -433,7 +433,7 @@ fn shadow_of_a_slab_has_its_closed_form() {
     }
     assert!((f64::from(p[0][0]) - color).abs() < 1e-4, "{} {color}", p[0][0]);
     assert_eq!(counts.samples, n as u64 + shadow_samples);
-    // Where the gradient is zero, local lighting leaves the color as it is.
+    // Local lighting leaves the color as it is if the gradient is zero.
     let both = Frame { shading: Shading::LocalScatter, ..f };
     assert_eq!(r.render_linear(&both).unwrap(), (p, counts));
 }

@@ -317,9 +317,11 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
             }
         }
     }
-    let scatter = gpu.render(&Frame { shading: Shading::Scatter, ..frame(0.0, 0.0, 3.0, 8, 8) });
-    if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
-        return Err("single scattering in bricks was accepted".into());
+    for shading in [Shading::Scatter, Shading::LocalScatter] {
+        let scatter = gpu.render(&Frame { shading, ..frame(0.0, 0.0, 3.0, 8, 8) });
+        if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
+            return Err(format!("shading {shading} in bricks was accepted").into());
+        }
     }
     // A smaller volume takes one texture again, and supports scattering.
     let small = Data::new([20, 21, 8]);

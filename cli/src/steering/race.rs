@@ -107,8 +107,8 @@ pub(crate) fn machine_model_for(
         && names_software(of(Key::Renderer), of(Key::Device)) != is_software(renderer)
     {
         entire_io::files::note(&format!(
-            "{} is ignored: it was calibrated on {}, but frames are drawn by {} (`entire calibrate --shade \
-             {shading}` makes a model of it)",
+            "{} is ignored: it was calibrated on {}, but frames are drawn by {}; `entire calibrate --shade {shading}` with \
+             the same --device makes a model of it, and with --out keeps the present one",
             path.display(),
             of(Key::Device),
             renderer.device()

@@ -62,7 +62,7 @@ pub(crate) fn compare(
         let name =
             path.components().rev().take(3).map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>();
         let name = name.into_iter().rev().collect::<Vec<_>>().join("/");
-        for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+        for shading in Shading::ALL {
             for (camera, (rx, ry, dz)) in CAMERAS.into_iter().enumerate() {
                 let view = Camera::from_arcball(Arcball { rx, ry, dz })?;
                 let frame = Frame { shading, skipping: Skipping::Blocks, ..Frame::new(view, side, side)? };

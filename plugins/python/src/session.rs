@@ -263,7 +263,7 @@ impl Session {
     /// step : float, optional
     ///     The frame's own step in reference steps, which the plan returns if steering is off. Default 1.
     /// shading : {"none", "local", "scatter", "local-scatter"}, optional
-    ///     Shading of samples: none, local lighting, or single scattering.
+    ///     Shading of samples: none, local lighting, single scattering, or both.
     /// skipping : {"blocks", "none", "distance"}, optional
     ///     Method by which the renderer skips empty space.
     /// termination : float, optional

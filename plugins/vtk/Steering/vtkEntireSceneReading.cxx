@@ -173,7 +173,7 @@ std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& vol
   std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept)
 {
   const VolumeKey& key = grid.Key;
-  // As VTK's mappers do, ignores infinities.
+  // The finite range, since VTK's mappers ignore infinities, too.
   grid.Scalars->GetFiniteRange(range.data(), key.Component);
   if (!(range[0] <= range[1]))
   {

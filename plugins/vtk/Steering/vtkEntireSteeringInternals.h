@@ -333,7 +333,8 @@ public:
   // Sets the owner's Reason and Status; nullptr leaves one unchanged. Invokes no event, since both change in every
   // frame.
   void Report(const char* reason, const char* status);
-  // Called if VTK draws the current frame without steering: sets Status to the reason, and warns if the reason is new.
+  // Called if VTK draws the current frame without steering: sets Status to the reason, and warns of each reason once per
+  // attachment.
   void FallBack(const std::string& why);
   // Keeps a warning until the frame is over.
   void Warn(const std::string& text) { this->Warnings.push_back(text); }

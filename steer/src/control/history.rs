@@ -92,9 +92,9 @@ impl History {
     }
 
     /// Updates both mean errors by a measured frame; `own` is |ln(measured / corrected prediction)|. A frame
-    /// that follows a change is ignored.
+    /// that follows a change or a doubtful frame is ignored.
     pub(super) fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
-        if self.len == 0 || changed {
+        if self.len == 0 || changed || self.doubtful {
             return;
         }
         let (forecast, _) = self.forecast(step, 0.0);

@@ -93,7 +93,7 @@ fn settings_are_judged_by_the_bound_that_chooses_steps() {
 }
 
 #[test]
-fn a_doubtful_first_frame_is_not_forecast_from() {
+fn a_doubtful_first_frame_is_forecast_from_once_only() {
     let mut hybrid = Hybrid::new(HybridOptions::default());
     let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
     // Out of range, so recent frames lead.
@@ -109,6 +109,7 @@ fn a_doubtful_first_frame_is_not_forecast_from() {
         hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
         steps.push(plan.step);
     }
+    // The second frame alone is forecast from the doubtful one.
     assert!(steps[1] > 8.0 && steps[2..].iter().all(|s| *s < 4.0), "{steps:?}");
 }
 

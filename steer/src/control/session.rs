@@ -365,7 +365,7 @@ impl Session {
         let scatters = settings.iter().any(|s| s.shading.scatters());
         let distance = settings.iter().any(|s| s.skipping == Skipping::Distance);
         let mut widest = *frame;
-        if scatters {
+        if scatters && !frame.shading.scatters() {
             widest = Frame { shading: Shading::Scatter, ..widest };
         }
         if distance {

@@ -420,7 +420,7 @@ proptest! {
     fn work_never_grows_with_the_step_nor_shrinks_with_the_image(
         rx in -89.0f32..89.0, ry in -180.0f32..180.0, dz in 0.05f32..6.0,
         center in 0.0f32..1.0, width in 1e-4f32..0.1, height in 0.001f32..1.0,
-        seed in 0u64..8, shading in 0usize..3, skipping in 0usize..3,
+        seed in 0u64..8, shading in 0usize..4, skipping in 0usize..3,
     ) {
         let mut data = noise(40 * 33 * 21, seed);
         if seed % 2 == 0 {
@@ -428,7 +428,7 @@ proptest! {
         }
         let s = summary(&data, [40, 33, 21], 48);
         let tf = TransferFunction::Gaussian(std::vec![GaussianLobe { center, width, height }]).to_table().unwrap();
-        let f = Frame { shading: [Shading::None, Shading::Local, Shading::Scatter][shading], skipping: [Skipping::None, Skipping::Blocks, Skipping::Distance][skipping], ..frame(rx, ry, dz, 100) };
+        let f = Frame { shading: Shading::ALL[shading], skipping: Skipping::ALL[skipping], ..frame(rx, ry, dz, 100) };
         let features = measured(&s, &tf, &f);
         let counts = |w: Work| [w.pixels, w.rays, w.samples, w.skips, w.lane_samples, w.shaded, w.shadow_samples, w.lane_shadow_samples, w.parted_shadow_samples * w.unshared(UNSHARED_SHADING)];
         let mut last: Option<[f64; 9]> = None;

@@ -116,8 +116,7 @@ fn estimated_work_is_the_counted_work() {
             let rough = *name == "skips" && shading.scatters();
             if errors.len() >= 6 && !rough {
                 let m = median(errors);
-                let tolerance =
-                    if shading.scatters() { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
+                let tolerance = if shading.scatters() { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
                 assert!(
                     m < tolerance,
                     "{shading:?} {skipping:?}, parallel {parallel}: median error of {name} is {m}"

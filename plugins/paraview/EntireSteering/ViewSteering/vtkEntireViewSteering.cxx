@@ -229,7 +229,7 @@ bool vtkEntireViewSteering::SaveState(const char* fileName)
   const vtkSmartPointer<vtkEntireSteering> last(this->Internals->Last());
   if (!last)
   {
-    vtkErrorMacro("nothing was learned yet: no volume was drawn");
+    vtkErrorMacro("nothing was learned yet: no volume is visible");
     return false;
   }
   return last->SaveState(fileName);
