@@ -159,7 +159,7 @@ static void frames(void) {
     REFUSE(frame.step = NAN, "step");
     REFUSE(frame.termination = 0, "termination");
     REFUSE(frame.shading = 0, "shading is 0");
-    REFUSE(frame.shading = 4, "shading is 4");
+    REFUSE(frame.shading = 5, "shading is 5");
     REFUSE(frame.skipping = 9, "skipping is 9");
     REFUSE((frame.camera = ENTIRE_CAMERA_VIEW, frame.view[0] = 2), "view matrix");
     REFUSE((frame.camera = ENTIRE_CAMERA_VIEW, frame.view[5] = NAN), "NaN");
