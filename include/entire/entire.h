@@ -482,8 +482,7 @@ typedef struct entire_session_options {
      * of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
      * larger than this and could change the plan. While the view has hardly turned since rays were cast,
      * their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
-     * probe. While frames are recorded
-     * (entire_session_record), every plan casts all of its rays.
+     * probe. While frames are recorded (entire_session_record), every plan casts all of its rays.
      */
     float probe_tolerance;
     /**

@@ -39,8 +39,7 @@ pub struct entire_session_options {
     /// of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
     /// larger than this and could change the plan. While the view has hardly turned since rays were cast,
     /// their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
-    /// probe. While frames are recorded
-    /// (entire_session_record), every plan casts all of its rays.
+    /// probe. While frames are recorded (entire_session_record), every plan casts all of its rays.
     pub probe_tolerance: f32,
     /// Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
     /// this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts

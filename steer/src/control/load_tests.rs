@@ -21,19 +21,39 @@ fn played_with(
 ) -> Vec<Decision> {
     let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..options });
     let mut noise = Noise(17);
-    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
     let mut cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let play = |i: usize| {
         let changes = Changes { first: i == 0, ..changes(i) };
-        let decision = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
-        let terms = cost(decision.step);
-        let seconds = slowed(i) * terms.seconds() * (0.02 * noise.normal()).exp() as f32;
-        let scene = hybrid.scene();
-        let step = decision.step;
-        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
-        decision
+        play_one(&mut hybrid, 32.0, changes, &mut cost, |_, _, terms| {
+            slowed(i) * terms.seconds() * (0.02 * noise.normal()).exp() as f32
+        })
     };
     (0..frames).map(play).collect()
+}
+
+/// Plans a frame with a target of 20 ms and steps from 1 to `coarsest`, and observes it; `seconds` returns its
+/// time, from the controller, the plan and the terms at the plan's step.
+fn play_one(
+    hybrid: &mut Hybrid,
+    coarsest: f32,
+    changes: Changes,
+    cost: &mut dyn FnMut(f32) -> CostTerms,
+    seconds: impl FnOnce(&Hybrid, &Decision, &CostTerms) -> f32,
+) -> Decision {
+    let limits = StepLimits { finest: 1.0, coarsest };
+    let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost });
+    let terms = cost(plan.step);
+    let seconds = seconds(hybrid, &plan, &terms);
+    hybrid.observe(&Observed {
+        seconds,
+        step: plan.step,
+        target: 0.02,
+        changes,
+        terms,
+        scene: hybrid.scene(),
+        unusual: false,
+    });
+    plan
 }
 
 #[test]
@@ -71,22 +91,19 @@ fn an_ignored_load_changes_no_step_until_it_is_the_machines_speed() {
 fn settings_are_judged_by_the_bound_that_chooses_steps() {
     let mut hybrid =
         Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
-    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
     let mut cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let (mut judged, mut bounded) = (0, 0);
     for i in 0..120 {
         let changes = Changes { first: i == 0, ..Changes::default() };
-        let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
-        let terms = cost(plan.step);
-        if plan.reason == Reason::Fits {
-            let calm = Changes::default();
-            judged += usize::from(!hybrid.fits(&hybrid.judged(&terms, calm), 0.02));
-            bounded += usize::from(!hybrid.fits(&hybrid.correct(&terms, calm), 0.02));
-        }
-        // Every third frame stalls, so the upper bound is wide and the machine is not loaded.
-        let seconds = terms.seconds() * if i % 3 == 2 { 3.0 } else { 1.0 };
-        let (scene, step) = (hybrid.scene(), plan.step);
-        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
+        play_one(&mut hybrid, 32.0, changes, &mut cost, |hybrid, plan, terms| {
+            if plan.reason == Reason::Fits {
+                let calm = Changes::default();
+                judged += usize::from(!hybrid.fits(&hybrid.judged(terms, calm), 0.02));
+                bounded += usize::from(!hybrid.fits(&hybrid.correct(terms, calm), 0.02));
+            }
+            // Every third frame stalls, so the upper bound is wide and the machine is not loaded.
+            terms.seconds() * if i % 3 == 2 { 3.0 } else { 1.0 }
+        });
     }
     assert_eq!(judged, 0);
     assert!(bounded > 5, "{bounded}");
@@ -95,18 +112,22 @@ fn settings_are_judged_by_the_bound_that_chooses_steps() {
 #[test]
 fn a_doubtful_first_frame_is_forecast_from_once_only() {
     let mut hybrid = Hybrid::new(HybridOptions::default());
-    let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
     // Out of range, so recent frames lead.
     let mut cost = |step: f32| CostTerms::whole(0.01 / step, 9.0, Source::Network);
     let mut steps = Vec::new();
     for i in 0..6 {
         let changes = Changes { first: i == 0, ..Changes::default() };
-        let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
-        let terms = cost(plan.step);
         // The first frame includes two seconds of compilation.
-        let seconds = if i == 0 { 2.0 } else { terms.seconds() };
-        let (scene, step) = (hybrid.scene(), plan.step);
-        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
+        let plan =
+            play_one(
+                &mut hybrid,
+                16.0,
+                changes,
+                &mut cost,
+                |_, _, terms| {
+                    if i == 0 { 2.0 } else { terms.seconds() }
+                },
+            );
         steps.push(plan.step);
     }
     // The second frame alone is forecast from the doubtful one.

@@ -232,7 +232,7 @@ impl<'a> March<'a> {
         }
     }
 
-    /// True where the transfer function has a distance map, whose jumps are counted separately.
+    /// True if the frame skips by a distance map, whose jumps are counted separately.
     pub(super) fn maps_distance(&self) -> bool {
         self.maps && self.transfer.distance().is_some()
     }
