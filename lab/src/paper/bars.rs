@@ -263,6 +263,23 @@ mod tests {
     }
 
     #[test]
+    fn a_partial_study_prints_what_it_measured() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper-gpu.json");
+        let paper = super::super::description::read(&file).unwrap();
+        let mut fewer = overall("nyx_cosmology", "local", "members", Some(0.5));
+        fewer.facts[0].values.insert("frames".into(), 90.0);
+        let mut ablation = Results::new(Panel::Ablation, "castro_blast", BASE_MODE, String::new());
+        ablation.rows.push(row(NETWORK, "members", [1.0, 1.0], None));
+        ablation.rows.push(row(&format!("without {FEATURE_VECTOR}"), "members", [4.0, 4.0], None));
+        let found: Vec<String> =
+            bars(&paper, &[fewer, ablation], &[], &[], 1.0).iter().map(ToString::to_string).collect();
+        assert_eq!(found.len(), 3, "{found:?}");
+        assert!(found[0].contains("nyx_cosmology/network-over-constant - 0.2000 short (0.5000"), "{found:?}");
+        assert!(found[0].ends_with("with 90 of 100 frames)"), "{found:?}");
+        assert_eq!(found[1], "bar paper/castro_blast/without-over-with-feature-vector 2.0000 1.5000 ok");
+    }
+
+    #[test]
     fn a_data_set_counts_in_the_base_mode_and_by_the_papers_rule() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");
         let mut paper: Paper = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
