@@ -164,8 +164,8 @@ def test_yt_scenes_that_cannot_be_steered():
     yt.set_log_level(50)
     data = yt.load_uniform_grid({("stream", "density"): np.ones((8, 8, 8))}, (8, 8, 8), nprocs=1)
     scene = yt.create_scene(data, ("stream", "density"), lens_type="fisheye")
-    with pytest.raises(entire.yt.CannotSteer, match="field of view"):
+    with pytest.raises(entire.CannotSteer, match="field of view"):
         entire.yt.hold(scene, 1.0)
     empty = yt.visualization.volume_rendering.api.Scene()
-    with pytest.raises(entire.yt.CannotSteer, match="no volume source"):
+    with pytest.raises(entire.CannotSteer, match="no volume source"):
         entire.yt.hold(empty, 1.0)

@@ -25,7 +25,7 @@ def test_render_modes_outside_of_vtk_are_refused_by_name(voxels, name):
     volume = add_volume(view.renderer, voxels, "smart")
     smart = volume.GetMapper()
     smart.SetRequestedRenderMode(getattr(vtkSmartVolumeMapper, mode))
-    with pytest.raises(entire.vtk.CannotSteer, match=f"told to draw by {name}"):
+    with pytest.raises(entire.CannotSteer, match=f"told to draw by {name}"):
         entire.vtk.hold(view.renderer, volume, 0.1)
     assert volume.GetMapper() is smart
     smart.SetRequestedRenderModeToDefault()
@@ -46,7 +46,7 @@ def test_low_resolution_mode_is_refused(voxels):
     view = View()
     volume = add_volume(view.renderer, voxels, "smart")
     volume.GetMapper().SetLowResMode(vtkSmartVolumeMapper.LowResModeResample)
-    with pytest.raises(entire.vtk.CannotSteer, match="LowResMode"):
+    with pytest.raises(entire.CannotSteer, match="LowResMode"):
         entire.vtk.hold(view.renderer, volume, 0.1)
     volume.GetMapper().SetLowResMode(vtkSmartVolumeMapper.LowResModeDisabled)
     entire.vtk.hold(view.renderer, volume, 0.1)

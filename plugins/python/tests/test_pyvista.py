@@ -144,7 +144,7 @@ def test_an_unstructured_grid_says_why(image):
     plotter = pv.Plotter(off_screen=True)
     small = image.extract_subset((0, 8, 0, 8, 0, 8)).cast_to_unstructured_grid()
     plotter.add_volume(small, scalars="values", mapper="ugrid")
-    with pytest.raises(entire.vtk.CannotSteer, match="resample"):
+    with pytest.raises(entire.CannotSteer, match="resample"):
         plotter.entire.hold(fps=30)
     plotter.close()
 
@@ -220,7 +220,7 @@ def test_volumes_of_one_renderer_with_calls_of_their_own(image):
     assert plotter.entire.steering is two
     # A refused call leaves the running one.
     grid = plotter.add_volume(pv.UnstructuredGrid(image.cast_to_unstructured_grid()), show_scalar_bar=False)
-    with pytest.raises(entire.vtk.CannotSteer):
+    with pytest.raises(entire.CannotSteer):
         plotter.entire.hold(fps=1000, volume=[first, grid], always=True)
     assert [leaf.volume for leaf in one.leaves] == [first]
     # A call for a volume takes it from its steering.

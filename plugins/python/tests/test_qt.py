@@ -94,7 +94,7 @@ def test_vispy(canvas):
     frames = len(holder.history)
     show(made)
     assert len(holder.history) == frames
-    with pytest.raises(entire.vispy.CannotSteer, match="relative_step_size"):
+    with pytest.raises(entire.CannotSteer, match="relative_step_size"):
         entire.vispy.hold(made, scene.visuals.Image(np.zeros((4, 4), np.float32), parent=view.scene))
 
 
@@ -161,9 +161,9 @@ def test_napari(viewer):
     holder.detach()
     assert np.array_equal(viewer.screenshot(canvas_only=True, flash=False), plain)
     viewer.dims.ndisplay = 2
-    with pytest.raises(entire.napari.CannotSteer, match="ndisplay"):
+    with pytest.raises(entire.CannotSteer, match="ndisplay"):
         entire.napari.hold(viewer)
     viewer.dims.ndisplay = 3
     viewer.layers[0].depiction = "plane"
-    with pytest.raises(entire.napari.CannotSteer, match="depiction"):
+    with pytest.raises(entire.CannotSteer, match="depiction"):
         entire.napari.hold(viewer)

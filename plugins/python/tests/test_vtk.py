@@ -413,7 +413,7 @@ def test_mappers_that_cannot_be_steered_say_why(module, name, text):
     renderer, volume = vtkRenderer(), vtkVolume()
     volume.SetMapper(found())
     renderer.AddVolume(volume)
-    with pytest.raises(entire.vtk.CannotSteer, match=text):
+    with pytest.raises(entire.CannotSteer, match=text):
         entire.vtk.hold(renderer, volume, 0.01)
 
 

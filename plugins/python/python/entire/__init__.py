@@ -13,7 +13,7 @@ times of many views without a renderer.
 
 from __future__ import annotations
 
-from ._core import Calibrated, Calibration, Model, Session, models, predict
+from ._core import Calibrated, Calibration, CannotSteer, Model, Session, models, predict
 from ._history import History
 from ._native import (
     Camera,
@@ -33,6 +33,7 @@ __all__ = [
     "Calibrated",
     "Calibration",
     "Camera",
+    "CannotSteer",
     "History",
     "MissingInputError",
     "Model",

@@ -46,6 +46,10 @@ def models() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob("*.safetensors"))
 
 
+class CannotSteer(ValueError):
+    """A scene that cannot be steered; the text names the reason and the remedy."""
+
+
 class Model(_native.Model):
     """A model file: a predictor of frame times, an encoder of volumes, or both.
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from qtpy.QtCore import QTimer
 
-from ._core import ModelLike
-from .vispy import CannotSteer, Holder
+from ._core import CannotSteer, ModelLike
+from .vispy import Holder
 from .vispy import hold as _hold
 
 # Time in seconds after the camera's last move, from which on the view counts as still.
@@ -113,4 +113,4 @@ def hold(
     return holder
 
 
-__all__ = ["CannotSteer", "Holder", "hold"]
+__all__ = ["Holder", "hold"]

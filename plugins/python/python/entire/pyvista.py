@@ -89,7 +89,7 @@ class EntireComponent:
         ------
         ValueError
             For a rate that is not positive, for both `fps` and `seconds`, or for a renderer without volumes.
-        entire.vtk.CannotSteer
+        entire.CannotSteer
             If a mapper cannot be steered; the text gives the reason.
         """
         if fps is not None and seconds is not None:

@@ -17,16 +17,12 @@ import numpy as np
 from vispy.gloo import gl
 
 from . import _clocks
-from ._core import ModelLike, Session, explain
+from ._core import CannotSteer, ModelLike, Session, explain
 from ._history import History
 from ._native import Camera, Plan, TransferFunction, Volume
 
 # Accumulated opacity at which a ray stops, by vispy's rendering method. Methods that are not listed take every sample.
 _STOPPING = {"translucent": 0.99, "iso": 0.99, "attenuated_mip": 0.99}
-
-
-class CannotSteer(ValueError):
-    """The visual cannot be steered; the text names the reason and the remedy."""
 
 
 def _matrix(visual: Any) -> np.ndarray[Any, np.dtype[np.float64]]:

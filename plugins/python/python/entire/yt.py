@@ -16,13 +16,9 @@ from typing import Any
 import numpy as np
 
 from . import _clocks
-from ._core import ModelLike, Session, explain
+from ._core import CannotSteer, ModelLike, Session, explain
 from ._history import History
 from ._native import Camera, Plan, TransferFunction, Volume
-
-
-class CannotSteer(ValueError):
-    """The scene cannot be steered; the text names the reason and the remedy."""
 
 
 def _source(scene: Any) -> Any:

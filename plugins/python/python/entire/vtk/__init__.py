@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from ._calibrate import calibrate, rmse
 from ._leaf import Leaf
-from ._mappers import CannotSteer
 from ._steering import Steering, hold
 
-__all__ = ["CannotSteer", "Leaf", "Steering", "calibrate", "hold", "rmse"]
+__all__ = ["Leaf", "Steering", "calibrate", "hold", "rmse"]

@@ -13,9 +13,8 @@ import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
-from .._core import Calibration, Model
+from .._core import Calibration, CannotSteer, Model
 from . import _mappers, _scene
-from ._mappers import CannotSteer
 from ._leaf import first_volume
 from ._steering import _check_renderer, _volumes, timer
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from vtkmodules.vtkCommonCore import vtkWeakReference
 
-from .._core import Session, explain
+from .._core import CannotSteer, Session, explain
 from .._native import Held, PassShare, Plan
 from . import _mappers, _scene
-from ._mappers import CannotSteer
 
 if TYPE_CHECKING:
     from ._steering import Steering

@@ -9,10 +9,7 @@ from typing import Any
 
 from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper, vtkSmartVolumeMapper
 
-
-class CannotSteer(ValueError):
-    """The scene has no volume that can be steered; the text names the reason and the remedy."""
-
+from .._core import CannotSteer
 
 # Mean number of voxels along an axis below which VTK samples volumes more finely.
 _SMALL = 100.0

@@ -18,12 +18,11 @@ from time import perf_counter
 from typing import Any, Union
 
 from .. import _clocks
-from .._core import ModelLike, Session, _model
+from .._core import CannotSteer, ModelLike, Session, _model
 from .._history import History
 from .._native import ModelError
 from . import _mappers
 from ._leaf import Leaf, weak
-from ._mappers import CannotSteer
 from ._overlay import Overlay
 from ._window import frame_of, is_picking
 
