@@ -276,17 +276,17 @@ impl Report {
 pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(
-        "{} scenes at {} steps and sizes. Quality law: some power of the picture error ({error}) is \
-         proportional to (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - 1)^{image_exponent:.2}, where \
-         s is the ray step and d is the number of pixels between rays. Of the time at full quality, {:.0} % \
-         depends on the number of rays only. Picture error divided by the smallest error at equal time: \
-         {:.2} if the law chooses step and image size, {} for the step alone, which saves at most {:.0} % of \
-         the time",
+        "{} scenes at {} ray steps and image sizes. The picture error ({error}) rises with \
+         (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - 1)^{image_exponent:.2}, where s is the ray step \
+         and d is the number of pixels between rays; {:.0} % of the time at full quality depends on the \
+         number of rays only. At equal time, the error is {:.2} times the smallest one if this formula \
+         chooses step and image size, and {} times if only the step is changed, which saves at most {:.0} % \
+         of the time",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,
         fitted.over_best,
-        fitted.step_over_best.map_or("not comparable".into(), |over| format!("{over:.2}")),
+        fitted.step_over_best.map_or("an unknown number of".into(), |over| format!("{over:.2}")),
         100.0 * (1.0 - fitted.step_least_time)
     )
 }
