@@ -75,7 +75,7 @@ fn frontier() -> Chart {
         [(0.8, 22.0), (1.0, 20.5), (1.05, 20.4), (4.0, 14.0), (4.2, 13.9), (40.0, 9.0), (300.0, 8.7)];
     let names = ["table", "OLP", "OLP, two terms", "network", "network, int8", "trees", "ensemble of all"];
     let points = places.iter().zip(names).map(|(p, n)| (p.0, p.1, n.to_owned()));
-    Chart::new("Error against latency", Axis::log("latency / µs"), Axis::linear("MdAPE / %").from(0.0))
+    Chart::new("Error against latency", Axis::log("latency / µs"), Axis::linear("median error / %").from(0.0))
         .series(Series::new("", Mark::Line(places.to_vec())).color(5))
         .series(Series::new("predictors", Mark::Points(points.collect())).color(1))
         .rule(Rule::Horizontal(10.0, "paper".into()))

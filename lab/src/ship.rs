@@ -303,9 +303,10 @@ fn card(
         md,
         "## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, \
          maestroex_bubbles m01 (a tenth \
-         of the volumes, of distilled ones one volume, decides when training stops). member: other members, \
-         other seeds and physical parameters; time step: odd \
-         steps of the same members; the others say what they are.\n"
+         of the volumes, of distilled ones one volume, decides when training stops). The split *member* has other members, \
+         with other seeds and physical parameters. *time step* has odd time steps of the training members, \
+         *ray step* other ray steps, *modality* scans, *other codes* simulations by other codes, *camera \
+         inside* cameras inside the volume, and *renderer changed* frames of an earlier raycaster.\n"
     );
     let _ = writeln!(
         md,
@@ -317,8 +318,8 @@ fn card(
     let _ = writeln!(
         md,
         "## Figures\n\nIn parentheses: 90 % of 200 draws of the volumes, with replacement.\n\n\
-         | split | frames | RMSE, ms | RMSE/SD | MdAPE, % | p95, % | R² in log | q95 held, % | \
-         … slowest tenth | noise floor, MdAPE % |\n\
+         | split | frames | RMSE, ms | RMSE/SD | median error, % | p95, % | R² in log | below the upper bound, % | \
+         … slowest tenth | median noise, % |\n\
          |---|---|---|---|---|---|---|---|---|---|"
     );
     for f in figures {
@@ -343,7 +344,7 @@ fn card(
     }
     if let Some(f) = fit {
         let of = |m: &Metrics, i: Option<&Intervals>| {
-            format!("RMSE/SD {}, MdAPE {} %", Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m))
+            format!("RMSE/SD {}, median error {} %", Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m))
         };
         let _ = writeln!(
             md,
@@ -357,7 +358,7 @@ fn card(
     }
     if ship.predictor == SELECTED {
         let numbers = fit.map_or(0, |f| f.numbers);
-        let _ = writeln!(md, "\nThe rule selects `{predictor}` ({numbers} fitted numbers). {SENTENCE}");
+        let _ = writeln!(md, "\nThe rule selects `{predictor}` ({numbers} fitted parameters). {SENTENCE}");
     }
     if let Some(l) = latency {
         let _ = writeln!(
@@ -387,15 +388,14 @@ fn card(
     );
     let _ = writeln!(
         md,
-        "\n## Limits\n\nMeasured with one renderer on one machine with a software Vulkan driver: elsewhere \
-         calibrate first. {}",
+        "\n## Limits\n\nThe times are those of one renderer on one machine with a software Vulkan driver; on \
+         another machine, calibrate first. {}",
         if model.scene_features().is_empty() {
-            "What it knows of a volume are the codes of its VolumeNet: volumes unlike the training ones may \
-             be far off."
+            "The network describes a volume by the two features of its VolumeNet. Predictions for volumes unlike \
+             the training volumes may have large errors."
         } else {
-            "Scenes unlike the training data (far larger images, steps that were not trained on) may be off; \
-             look at the prediction's out-of-range \
-             score."
+            "Predictions for scenes unlike the training data (far larger images, other steps) may have large \
+             errors; the out-of-range score is then above 0."
         }
     );
     Ok(md)

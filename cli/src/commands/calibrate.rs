@@ -35,7 +35,7 @@ use std::path::{Path, PathBuf};
   entire calibrate
         measures without shading on the volumes in data/, and stores the model in the user's data folder
   entire calibrate --shade all
-        one model for each shading mode, a minute and a half each
+        one model each for none, local and scatter, a minute and a half each
   entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
         fits the model to frames that your own renderer logged, and renders nothing")]

@@ -16,9 +16,9 @@ use std::time::Duration;
 
 /// Report what is installed here and what works with it.
 ///
-/// Looks for a Vulkan device, models of this machine, VTK and PyVista in Python, ParaView, the C library and
-/// the engines of render farms. For a missing part it prints the use of that part and the command that
-/// installs it. Missing parts are no error: the CPU version of the raycaster renders anywhere.
+/// Looks for a Vulkan device, models of this machine, VTK, PyVista, trame and napari in Python, ParaView, the C
+/// library and the engines of render farms. For a missing part it prints the use of that part and, for most
+/// parts, how to install it. Missing parts are no error: the CPU version of the raycaster renders anywhere.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire doctor

@@ -372,7 +372,7 @@ pub fn run(options: &Options) -> Result<()> {
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
     for (p, m) in &results {
         println!(
-            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  MdAPE {:.2} %  p95 {:.1} \
+            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  median error {:.2} %  p95 {:.1} \
              %  R2(log) {:.4}",
             p.name(),
             m.frames,
@@ -585,7 +585,7 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | MdAPE | p95 error | R² in log \
+        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | median error | p95 error | R² in log \
          |\n|---|---|---|---|---|---|---|---|"
     );
     for (p, m) in results {
@@ -621,12 +621,10 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "\n## Limits\n\nMeasured with one renderer on one machine: another machine, driver or renderer has \
-         other unit costs. \
+        "\n## Limits\n\nThe times are those of one renderer on one machine; on another machine, driver or \
+         renderer, calibrate first. \
          Predictions for scenes unlike the training data (other modalities, sizes, shading modes, steps) \
-         may be far off; \
-         check the \
-         prediction's out-of-range score. {tested}"
+         may have large errors; the out-of-range score is then above 0. {tested}"
     );
     md
 }

@@ -67,7 +67,7 @@ fn every_shipped_model_has_a_card_and_provenance() {
     assert!(models >= 2);
 }
 
-/// Returns RMSE/SD and MdAPE (in percent) from a card's row of a split.
+/// Returns RMSE/SD and median error (in percent) from a card's row of a split.
 fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
     let start = format!("| {split} |");
     let row = card.lines().find(|l| l.starts_with(&start)).unwrap();

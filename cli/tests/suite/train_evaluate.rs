@@ -134,7 +134,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         "--epochs",
         "150",
     ]);
-    assert!(number_after(&text, "test", "MdAPE") < 3.0, "{text}");
+    assert!(number_after(&text, "test", "median error") < 3.0, "{text}");
     let m = model(&out);
     assert_eq!(m.inputs().iter().map(|g| g.size).collect::<Vec<_>>(), [3, 2]);
     let provenance: serde_json::Value = serde_json::from_str(&m.metadata()[Key::Provenance.name()]).unwrap();

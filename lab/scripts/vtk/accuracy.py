@@ -102,7 +102,7 @@ def run(options, bars):
         for label, path in models.items():
             m = scores[os.path.splitext(os.path.basename(path))[0]]
             value[label] = m["rmse_over_sd"]
-            print(f"  {label:20} RMSE/SD {m['rmse_over_sd']:.3f}  MdAPE {100 * m['mdape']:.1f} %")
+            print(f"  {label:20} RMSE/SD {m['rmse_over_sd']:.3f}  median error {100 * m['mdape']:.1f} %")
         bars.found(f"{renderer}-rmse-over-sd-on-unseen-volumes", value["factor"])
         bars.found(f"{renderer}-transferred-over-fully-trained", value[tuned] / value["factor"], tuned)
 

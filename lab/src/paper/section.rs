@@ -81,7 +81,7 @@ pub(super) fn errors_table(r: &Results) -> Table {
         Column::number("RMSE/SD"),
         Column::number("over the mean of 15 %"),
         Column::number("over LVRP"),
-        Column::number("MdAPE, %"),
+        Column::number("median error, %"),
         Column::number("prediction, ms"),
         Column::number("test frames"),
     ]);

@@ -74,7 +74,7 @@ pub(crate) struct Fit {
     pub(crate) crossed_intervals: Option<Intervals>,
     /// Number of folds of the cross-validation.
     pub(crate) folds: usize,
-    /// Number of fitted numbers: weights, biases, and unit costs.
+    /// Number of fitted parameters: weights, biases, and unit costs.
     pub(crate) numbers: usize,
     /// Number of rays along each side of its probe.
     pub(crate) probe_side: usize,

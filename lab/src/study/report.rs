@@ -23,12 +23,12 @@ pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option
         Column::number("RMSE, ms"),
         Column::number("RMSE/SD"),
         Column::number("90 % interval"),
-        Column::number("MdAPE, %"),
+        Column::number("median error, %"),
         Column::number("90 % interval"),
         Column::number("p95, %"),
         Column::number("p99, %"),
         Column::number("R² in log"),
-        Column::number("q95 held, %"),
+        Column::number("below the upper bound, %"),
         Column::number("slowest tenth"),
         Column::number("pinball"),
         Column::number("cold µs"),
@@ -80,10 +80,10 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
         Column::number("RMSE/SD (90 %), training frames"),
         Column::number("… cross-validated"),
         Column::number("… test"),
-        Column::number("MdAPE % (90 %), training frames"),
+        Column::number("median error % (90 %), training frames"),
         Column::number("… cross-validated"),
         Column::number("… test"),
-        Column::number("fitted numbers"),
+        Column::number("fitted parameters"),
         Column::number("cold µs"),
         Column::text("rule"),
     ]);
@@ -156,7 +156,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
         Column::text("on the frontier"),
         Column::number("cold µs"),
         Column::number("RMSE/SD"),
-        Column::number("MdAPE, %"),
+        Column::number("median error, %"),
         Column::number("RMSE/SD gained per additional µs"),
     ]);
     let mut before: Option<&(f64, f64, f64, String)> = None;
@@ -183,7 +183,7 @@ fn parts_table(found: &Findings, set: &str, split: &str) -> Table {
         }
     }
     let mut columns = vec![Column::text("predictor")];
-    columns.extend(names.iter().map(|n| Column::number(format!("MdAPE %, {n}"))));
+    columns.extend(names.iter().map(|n| Column::number(format!("median error %, {n}"))));
     let mut table = Table::new(columns);
     for r in rows {
         let mut row = vec![r.predictor.clone().into()];
@@ -254,7 +254,7 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.heading(&format!("{s}: split by {p}"));
             if let Some((_, _, n, frames)) = found.noise.iter().find(|n| n.0 == s && n.1 == p) {
                 page.paragraph(&format!(
-                    "{frames} frames. Noise floor: {}; perfect predictions would have an MdAPE of about \
+                    "{frames} frames. Noise floor: {}; perfect predictions would have a median error of about \
                      {:.1} %.",
                     n.describe(),
                     100.0 * found.noise_mdape(s, p)
@@ -298,7 +298,7 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                 Column::text("predictor"),
                 Column::text("data"),
                 Column::number("RMSE/SD"),
-                Column::number("MdAPE, %"),
+                Column::number("median error, %"),
             ]);
             for c in calibrated {
                 table.row(vec![

@@ -12,16 +12,17 @@ use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 const WORTH: f64 = 0.95;
 
 /// The rule in a sentence.
-pub(crate) const SENTENCE: &str = "Selected: the predictor with the fewest fitted numbers (if several have the same number, the \
-     one with the fewest rays) that no other one beats by more than 5 % on every machine's tables, by the geometric mean \
-     of median error and RMSE/SD in cross-validation by ensemble member. Test frames are not used.";
+pub(crate) const SENTENCE: &str = "Rule of selection: a predictor is excluded if another predictor's error is more than 5 % lower on \
+     the tables of every machine; of the others, the one with the fewest fitted parameters is selected (if several have the \
+     same number, the one with the fewest rays). The error is the geometric mean of median error and RMSE/SD in \
+     cross-validation by ensemble member. Test frames are not used.";
 
 /// A predictor with the data that the rule uses.
 #[derive(Clone, Debug)]
 struct Contender {
     /// Error of cross-validation on the tables of each machine.
     errors: Vec<f64>,
-    /// Number of fitted numbers, then number of rays along each side of the probe.
+    /// Number of fitted parameters, then number of rays along each side of the probe.
     size: (usize, usize),
 }
 
@@ -76,7 +77,7 @@ pub(crate) fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }
 
-/// Number of fitted numbers in a model for a shading mode: weights and biases of its network that are not zero, and
+/// Number of fitted parameters in a model for a shading mode: weights and biases of its network that are not zero, and
 /// unit costs of work that occurs in frames of this mode.
 pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
     let held = |quantity: &str| match quantity {

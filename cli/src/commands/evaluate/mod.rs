@@ -215,7 +215,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             let metrics =
                 Metrics::new(&predicted[heard..], &measured[heard..]).context("no frames are left")?;
             println!(
-                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, MdAPE {:.2} % on the other \
+                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, median error {:.2} % on the other \
                  {} frames",
                 m.name,
                 metrics.rmse_over_sd,

@@ -28,7 +28,7 @@ pub(super) struct Predictor {
     /// 95 % interval of RMSE/SD by bootstrap over ensemble members; a volume outside any ensemble counts as a
     /// member of its own.
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
-    /// 95 % interval of MdAPE by the same bootstrap.
+    /// 95 % interval of median error by the same bootstrap.
     pub(super) mdape_interval: Option<(f64, f64)>,
     /// Errors by kind of frame.
     pub(super) by_kind: Vec<(&'static str, Metrics)>,
@@ -74,7 +74,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
         Column::number("RMSE, s"),
         Column::number("RMSE/SD"),
         Column::number("MAE, s"),
-        Column::number("MdAPE, %"),
+        Column::number("median error, %"),
         Column::number("p95, %"),
         Column::number("p99, %"),
         Column::number("R² in log"),
@@ -117,7 +117,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let mut columns = vec![Column::text(by.name()), Column::number("frames")];
     for p in predictors {
         columns.push(Column::number(format!("RMSE/SD, {}", p.name)));
-        columns.push(Column::number(format!("MdAPE %, {}", p.name)));
+        columns.push(Column::number(format!("median error %, {}", p.name)));
     }
     let mut by_group = Table::new(columns);
     if let Some(first) = predictors.first() {
@@ -147,11 +147,11 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
     let mut columns = vec![
         Column::text("predictor"),
         Column::number("RMSE/SD, 95 % interval"),
-        Column::number("MdAPE %, 95 % interval"),
+        Column::number("median error %, 95 % interval"),
         Column::number("slowest tenth within upper bound, %"),
         Column::number("pinball loss / mean time"),
     ];
-    columns.extend(kinds.iter().map(|k| Column::number(format!("MdAPE %, {k}"))));
+    columns.extend(kinds.iter().map(|k| Column::number(format!("median error %, {k}"))));
     let mut table = Table::new(columns);
     for p in predictors {
         let range = |i: Option<(f64, f64)>, scale: f64, digits: usize| {
@@ -281,8 +281,8 @@ pub(super) fn write_report(
     page.table(
         overall,
         "RMSE/SD is the RMSE divided by the standard deviation of the measured times; it is 1 for a \
-         predictor that always gives their mean. MdAPE, p95 and p99 are the median, the 95th and the 99th \
-         percentile of the absolute percentage error. A time per prediction is the median of warm calls in \
+         predictor that always gives their mean. The median error, p95 and p99 are the median, the 95th and the \
+         99th percentile of the absolute percentage error. A time per prediction is the median of warm calls in \
          one thread, scene features included.",
     );
     page.table(
