@@ -22,6 +22,8 @@ const ETA_EVERY: Duration = Duration::from_millis(1000);
 const TABLE_EVERY: Duration = Duration::from_secs(30);
 /// Maximum number of restarts of an engine without a finished task in between.
 const RESTARTS: u32 = 3;
+/// Maximum number, per slot, of bundles that are lost one after another before a worker begins a task.
+const STILLBORN: usize = 3;
 /// Quantile of a bundle's seconds that its time request covers.
 const UPPER: f64 = 0.99;
 /// Interval, in views, between the views that a preview renders first.
@@ -73,6 +75,8 @@ struct Drive<'a, 'b> {
     /// The task that each bundle's worker has begun last.
     at: HashMap<u64, u32>,
     submitted: HashSet<u64>,
+    /// Number of bundles, since the last line of a worker, that were lost before a worker began a task.
+    stillborn: usize,
     busy: f64,
     over: usize,
     first: Option<f64>,
@@ -149,6 +153,7 @@ pub fn run(
         losses: HashMap::new(),
         at: HashMap::new(),
         submitted: HashSet::new(),
+        stillborn: 0,
         busy: 0.0,
         over: 0,
         first: None,
@@ -182,7 +187,7 @@ impl Drive<'_, '_> {
             if interrupt::requested(&stop) || self.full.is_some() {
                 break;
             }
-            self.send()?;
+            while self.send()? {}
             ensure!(
                 self.planner.running() > 0 || self.planner.is_over(),
                 "{} tasks wait and no slot takes one; please report this with the job file",
@@ -193,7 +198,7 @@ impl Drive<'_, '_> {
             let reordered = self.planner.refresh();
             // Sends new bundles before the journal is flushed, so that slots do not wait for the disk. Until
             // the flush, the spool keeps the finished tasks.
-            self.send()?;
+            while self.send()? {}
             self.database.journal.flush()?;
             if reordered {
                 self.engine.reprioritize(&self.urgency())?;
@@ -270,8 +275,8 @@ impl Drive<'_, '_> {
         format!("{:016x}", self.database.job.id(task as usize))
     }
 
-    /// Sends bundles to free slots.
-    fn send(&mut self) -> Result<()> {
+    /// Sends bundles to free slots. Returns true if all of them were quarantined instead, so that slots are still free.
+    fn send(&mut self) -> Result<bool> {
         let now = unix_now();
         let mut bundles = Vec::new();
         if self.engine.bound() {
@@ -290,7 +295,7 @@ impl Drive<'_, '_> {
             }
         }
         if bundles.is_empty() {
-            return Ok(());
+            return Ok(false);
         }
         let (limit, blind) = (self.engine.limit(), self.planner.is_blind());
         let mut ready = Vec::new();
@@ -325,7 +330,8 @@ impl Drive<'_, '_> {
             self.waits.push(sent.bundle);
             ready.push(Bundle { sent, orders, upper_s });
         }
-        self.engine.submit(&ready)
+        self.engine.submit(&ready)?;
+        Ok(ready.is_empty())
     }
 
     /// Waiting bundles, the most urgent first.
@@ -339,6 +345,9 @@ impl Drive<'_, '_> {
     /// Processes events of the engine.
     fn take(&mut self, events: Vec<Event>) -> Result<()> {
         for event in events {
+            if matches!(event, Event::Line(..)) {
+                self.stillborn = 0;
+            }
             match event {
                 Event::Line(bundle, Line::Begin { begins }) => {
                     let now = unix_now();
@@ -413,7 +422,7 @@ impl Drive<'_, '_> {
             f.sync_data()
         });
         let _ = std::fs::remove_file(&probe);
-        written.is_ok()
+        !matches!(&written, Err(e) if crate::worker::is_full(e))
     }
 
     fn quarantine(&mut self, bundle: u64, task: u32, error: &str) -> Result<()> {
@@ -459,6 +468,14 @@ impl Drive<'_, '_> {
             if *count >= self.database.job.retry.losses {
                 self.quarantine(bundle, task, why)?;
             }
+        }
+        if !self.at.contains_key(&bundle) && !why.is_empty() {
+            self.stillborn += 1;
+            ensure!(
+                self.stillborn <= STILLBORN * self.engine.slots(),
+                "{} bundles in a row ended before a worker began a task; the last one: {why}",
+                self.stillborn
+            );
         }
         self.planner.ended(bundle, unix_now());
         self.finish_bundle(bundle, slot);

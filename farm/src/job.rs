@@ -6,7 +6,7 @@ pub use super::job_file::{
 };
 use super::natural;
 use anyhow::{Context, Result, bail, ensure};
-use entire_core::scene::{Arcball, Camera};
+use entire_core::scene::{Arcball, Camera, Frame};
 use entire_io::files::{fnv1a, read_text};
 use entire_io::identity::{self, Identity};
 use entire_io::options::parse_size;
@@ -130,7 +130,7 @@ impl Job {
             output.display()
         );
         let fov = file.fov_y_deg;
-        Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?
+        let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?
             .with_fov_y_degrees(fov)
             .context("fov_y_deg")?;
         let mut sizes = Vec::new();
@@ -148,6 +148,11 @@ impl Job {
         let cameras = cameras(&file.cameras)?;
         let transfers = transfers(&file.transfer)?;
         let renderer = renderer(file.renderer, folder)?;
+        if matches!(renderer, Renderer::Entire { .. }) {
+            for &step in &file.steps {
+                Frame { step, ..Frame::new(camera, 1, 1)? }.checked().context("steps")?;
+            }
+        }
         ensure!(
             file.retry.attempts > 0 && file.retry.losses > 0,
             "retry: attempts and losses are {} and {}; each must be at least 1",

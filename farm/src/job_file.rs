@@ -258,8 +258,8 @@ pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Dev
             .map_err(|_| anyhow!("renderer: device is {text:?}; accepted are {names}"))
     };
     ensure!(
-        termination.is_finite() && (0.0..=1.0).contains(termination),
-        "renderer: termination is {termination}; it must lie in 0 to 1"
+        *termination > 0.0 && *termination <= 1.0,
+        "renderer: termination is {termination}; it must be above 0 and at most 1"
     );
     let shade = shade.parse().context("renderer: shade")?;
     let skip = skip.parse().context("renderer: skip")?;

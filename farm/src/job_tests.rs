@@ -119,6 +119,18 @@ fn every_mistake_is_named() {
         let said = format!("{:#}", open(&text, dir.path()).unwrap_err());
         assert!(said.contains(word) && said.contains("job.toml"), "{to}: {said}");
     }
+    // Of the project's raycaster, settings that no frame can have are refused with the job.
+    for (steps, termination, word) in
+        [("0.001", "0.9", "ray step is 0.001"), ("1.0", "0.0", "termination is 0")]
+    {
+        let start = JOB.find("[renderer]").unwrap();
+        let text = format!(
+            "{}[renderer]\nkind = \"entire\"\ntermination = {termination}\n",
+            JOB[..start].replace("steps = [1.0, 2.0]", &format!("steps = [{steps}]"))
+        );
+        let said = format!("{:#}", open(&text, dir.path()).unwrap_err());
+        assert!(said.contains(word), "{said}");
+    }
     let said = format!("{:#}", open("name = \"x\"\nsizes = 5\n", dir.path()).unwrap_err());
     assert!(said.contains("line 2"), "{said}");
 }

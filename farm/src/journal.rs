@@ -2,9 +2,9 @@
 //! only writer of the journal holds a lock on a file beside it.
 
 use super::record::Entry;
-use anyhow::{Context, Result, bail};
-use entire_io::files::try_lock;
-use std::fs::{File, OpenOptions, TryLockError};
+use anyhow::{Context, Result};
+use entire_io::files::lock_alone;
+use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -27,16 +27,7 @@ impl Journal {
         let lock_path = state.join("lock");
         let lock = OpenOptions::new().create(true).write(true).truncate(false).open(&lock_path);
         let lock = lock.with_context(|| format!("cannot open {}", lock_path.display()))?;
-        match try_lock(&lock) {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => bail!(
-                "another `entire farm` is at work on this database ({} is locked); wait for it or end it",
-                lock_path.display()
-            ),
-            Err(TryLockError::Error(e)) => {
-                return Err(e).with_context(|| format!("cannot lock {}", lock_path.display()));
-            }
-        }
+        lock_alone(&lock, &lock_path, "another `entire farm` works on this database; wait for it or end it")?;
         let path = state.join("journal.jsonl");
         let fail = || format!("the journal {}", path.display());
         let mut file =

@@ -10,8 +10,9 @@ use entire_io::files::write_json;
 use serde_json::json;
 use std::path::Path;
 
-/// Cuts tasks into bundles of about equal expected seconds, each of one volume, the longest tasks first.
-pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize) -> Vec<Vec<u32>> {
+/// Cuts tasks into bundles of about equal expected seconds, each of one volume, the longest tasks first. A bundle of
+/// several tasks is expected to take at most half of the time limit (seconds).
+pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize, limit: Option<f64>) -> Vec<Vec<u32>> {
     let shape = planner.learner().shape();
     let mut sorted = tasks.to_vec();
     sorted.sort_by(|a, b| {
@@ -19,7 +20,7 @@ pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize) -> Vec<Vec<u32>> {
         of(a).cmp(&of(b)).then(planner.expected(*b).total_cmp(&planner.expected(*a)))
     });
     let total: f64 = tasks.iter().map(|t| planner.expected(*t)).sum();
-    let target = total / bundles.max(1) as f64;
+    let target = (total / bundles.max(1) as f64).min(limit.map_or(f64::INFINITY, |limit| 0.5 * limit));
     let mut out: Vec<Vec<u32>> = Vec::new();
     let (mut sum, mut volume) = (f64::INFINITY, usize::MAX);
     for task in sorted {

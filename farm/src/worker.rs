@@ -23,6 +23,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
+/// True if an error says that the disk, or the user's share of it, is full.
+pub(crate) fn is_full(error: &std::io::Error) -> bool {
+    use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+    matches!(error.kind(), StorageFull | QuotaExceeded)
+}
+
 /// The renderer of a worker.
 enum Painter {
     /// The raycaster, with its loaded volume.
@@ -172,10 +178,8 @@ impl Worker {
             }
             Err(error) => {
                 answer.seconds = clock.elapsed().as_secs_f64();
-                answer.disk_full = error
-                    .chain()
-                    .filter_map(|e| e.downcast_ref::<std::io::Error>())
-                    .any(|e| e.kind() == std::io::ErrorKind::StorageFull);
+                answer.disk_full =
+                    error.chain().filter_map(|e| e.downcast_ref::<std::io::Error>()).any(is_full);
                 answer.error = Some(format!("{error:#}"));
             }
         }

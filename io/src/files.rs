@@ -94,7 +94,7 @@ pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Pat
     for input in inputs {
         ensure!(
             !place.is_file() || input.canonicalize().ok().as_ref() != Some(&place),
-            "--out {} is an input of this command and would be replaced; choose another name",
+            "{} is an input of this command and would be replaced; choose another name",
             out.display()
         );
     }
@@ -155,12 +155,13 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     write_whole(path, (serde_json::to_string_pretty(value)? + "\n").as_bytes())
 }
 
-/// Locks a file for this process only, as [`File::try_lock`]. A child process that another thread is starting
-/// holds a copy of the lock between fork and exec, so locking is retried for 0.3 seconds.
+/// Locks a file for this process only; the system releases the lock when the process ends, even by a crash. A child
+/// process that another thread is starting holds a copy of the lock between fork and exec, so locking is retried for
+/// 0.3 seconds. On a file system without locks the file stays unlocked, and other processes cannot be excluded.
 ///
 /// # Errors
-/// Those of [`File::try_lock`].
-pub fn try_lock(file: &File) -> Result<(), TryLockError> {
+/// When another process holds the lock: then the error ends with `busy`.
+pub fn lock_alone(file: &File, path: &Path, busy: &str) -> Result<()> {
     let mut locked = file.try_lock();
     for _ in 0..10 {
         if !matches!(locked, Err(TryLockError::WouldBlock)) {
@@ -169,7 +170,12 @@ pub fn try_lock(file: &File) -> Result<(), TryLockError> {
         std::thread::sleep(std::time::Duration::from_millis(30));
         locked = file.try_lock();
     }
-    locked
+    match locked {
+        Ok(()) => Ok(()),
+        Err(TryLockError::WouldBlock) => bail!("{} is locked: {busy}", path.display()),
+        Err(TryLockError::Error(e)) if e.kind() == std::io::ErrorKind::Unsupported => Ok(()),
+        Err(TryLockError::Error(e)) => Err(e).with_context(|| format!("cannot lock {}", path.display())),
+    }
 }
 
 /// Returns the content of a file, decompressed if the name ends in `.gz`.
@@ -298,17 +304,9 @@ pub fn note(text: &str) {
 /// # Errors
 /// When there are more or fewer numbers, or an entry is not a number.
 pub fn parse_numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
-    let found = parse_list(text)?;
+    let found = numbers_in(text)?;
     let count = found.len();
     found.try_into().map_err(|_| format!("{N} numbers separated by commas are expected, there are {count}"))
-}
-
-/// Reads comma-separated numbers.
-///
-/// # Errors
-/// When an entry is not a number.
-pub fn parse_list(text: &str) -> Result<Vec<f32>, String> {
-    numbers_in(text)
 }
 
 /// Returns a number with 9 significant digits, which identify the `f32`: `1.23456789e-3`.

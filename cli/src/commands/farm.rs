@@ -118,7 +118,7 @@ pub struct Options {
     pub save_tasks: Option<PathBuf>,
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of about equal expected
     /// time.
-    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["dry_run", "report", "save_tasks"])]
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["dry_run", "report", "save_tasks", "preview"])]
     pub openjd: Option<PathBuf>,
 }
 
@@ -347,7 +347,7 @@ fn export(
 ) -> Result<()> {
     let planner = database.plan(base, setting(options, slots(options)));
     let tasks: Vec<u32> = (0..job.len() as u32).filter(|t| planner.state(*t) == State::Idle).collect();
-    let cut = openjd::cut(&planner, &tasks, 4 * slots(options));
+    let cut = openjd::cut(&planner, &tasks, 4 * slots(options), options.time_limit);
     let bundles: Vec<Bundle> = cut
         .into_iter()
         .enumerate()

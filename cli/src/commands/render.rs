@@ -5,12 +5,11 @@ use entire_core::scene::{
     Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
 use entire_io::device;
-use entire_io::files::{
-    ensure_not_input, make_folder_of, note, open_volume, parse_list, parse_numbers, write_whole,
-};
+use entire_io::files::{ensure_not_input, make_folder_of, note, open_volume, parse_numbers, write_whole};
 use entire_io::metrics::median;
 use entire_io::options::{RenderArgs, VolumeArgs, parse_size};
 use entire_io::path::camera;
+use entire_io::volume::numbers_in;
 use entire_report::encode_png;
 use entire_vk_raycaster::Rendered;
 use serde_json::json;
@@ -84,7 +83,7 @@ fn parse_camera(text: &str) -> Result<Arcball, String> {
 }
 
 fn parse_lobes(text: &str) -> Result<Lobes, String> {
-    let numbers = parse_list(text)?;
+    let numbers = numbers_in(text)?;
     if !numbers.len().is_multiple_of(3) {
         return Err(format!(
             "three numbers per lobe are expected (center, width, height), there are {}",

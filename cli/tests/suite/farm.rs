@@ -230,6 +230,19 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
 }
 
 #[test]
+fn tasks_that_kill_their_worker_are_set_aside_and_the_others_are_rendered() {
+    let renderer = "[renderer]\nkind = \"command\"\n\
+                    command = [\"sh\", \"draw.sh\", \"{ry_deg}\", \"{out}\"]\n[retry]\nlosses = 5\n";
+    let dir = setting(renderer);
+    let script = "#!/bin/sh\n[ \"$1\" = 36 ] && kill -9 $PPID && sleep 9\ncp picture.png \"$2\"\n";
+    std::fs::write(dir.path().join("draw.sh"), script).unwrap();
+    render_picture(dir.path());
+    let output = entire(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    assert!(stderr(&output).contains("4 tasks were given up"), "{}", stderr(&output));
+    assert_eq!(table(dir.path()).len(), 36);
+}
+
+#[test]
 fn a_program_that_stays_is_asked_line_by_line_and_started_again() {
     // The program answers three tasks and ends: every fourth task is lost with it and goes to a new process.
     // This does not count as a failed attempt.

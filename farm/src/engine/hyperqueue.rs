@@ -3,7 +3,7 @@
 use super::{Bundle, Engine, Event, Places};
 use crate::record::Line;
 use crate::spool::Spool;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use serde::Deserialize;
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -61,6 +61,12 @@ enum Said {
     },
 }
 
+/// The longest time request of a bundle, for workers with a time limit (both in seconds). A bundle that requests the
+/// whole limit never starts, since some of this time has passed when the bundle is submitted.
+fn longest_bundle(limit: f64) -> f64 {
+    0.98 * limit - 1.0
+}
+
 impl HyperQueue {
     /// Initial estimate of a bundle's overhead on its worker, seconds: start of a process, opening of a
     /// device.
@@ -71,6 +77,12 @@ impl HyperQueue {
     /// # Errors
     /// When HyperQueue is not installed (the message says how to install it), or does not start.
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
+        ensure!(
+            options.worker_limit.is_none_or(|limit| longest_bundle(limit) > 0.0),
+            "the time limit of a worker is {} s, but the start of a bundle alone takes about 1 s; give a longer limit \
+             with --time-limit",
+            options.worker_limit.unwrap_or(0.0)
+        );
         let config = json!({
             "workers": options.workers, "server_dir": options.server_dir, "cpus": options.cpus,
         });
@@ -103,6 +115,11 @@ impl HyperQueue {
             Self { places, run, options, child, input, lines, spool, open: BTreeSet::new(), priority: 0 };
         new.wait_until_ready(&log)?;
         Ok(new)
+    }
+
+    /// The last line that a bundle's worker printed.
+    fn said_by(&self, bundle: u64) -> String {
+        crate::spool::tail(&self.places.state.join("logs").join(format!("bundle-{bundle}.log")))
     }
 
     fn wait_until_ready(&mut self, log: &std::path::Path) -> Result<()> {
@@ -144,9 +161,7 @@ impl Engine for HyperQueue {
     }
 
     fn limit(&self) -> Option<f64> {
-        // A bundle that requests the whole time limit of a worker never starts, since some of this time has
-        // passed when it is submitted.
-        self.options.worker_limit.map(|l| 0.98 * l - 1.0)
+        self.options.worker_limit.map(longest_bundle)
     }
 
     fn waiting(&self) -> usize {
@@ -214,11 +229,16 @@ impl Engine for HyperQueue {
         for line in said {
             match serde_json::from_str(&line) {
                 Ok(Said::Over(bundle)) if self.open.remove(&bundle) => {
-                    out.push(Event::Lost(bundle, "the bundle's worker ended without an answer".into()));
+                    self.spool.forget(bundle);
+                    let said = self.said_by(bundle);
+                    out.push(Event::Lost(
+                        bundle,
+                        format!("the bundle's worker ended without an answer: {said}"),
+                    ));
                 }
                 Ok(Said::Failed { failed, why }) if self.open.remove(&failed) => {
-                    let log = self.places.state.join("logs").join(format!("bundle-{failed}.log"));
-                    let said = crate::spool::tail(&log);
+                    self.spool.forget(failed);
+                    let said = self.said_by(failed);
                     out.push(Event::Lost(failed, format!("HyperQueue: {why} ({said})")));
                 }
                 Ok(Said::Down(error)) => out.push(Event::Down(format!("HyperQueue: {error}"))),

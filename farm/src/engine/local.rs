@@ -11,7 +11,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-/// Maximum number, per slot, of workers that end one after another without an answer.
+/// Maximum number, per slot, of workers that end one after another before they begin a task.
 const STILLBORN: u32 = 3;
 
 /// The engine.
@@ -114,8 +114,11 @@ impl Local {
                 let Ok(line) = serde_json::from_str::<Line>(&line) else { return Ok(()) };
                 let bundle = worker.bundle.unwrap_or(u64::MAX);
                 match &line {
-                    Line::Begin { begins } => worker.at = Some(begins.clone()),
-                    Line::Answer(_) => self.stillborn = 0,
+                    Line::Begin { begins } => {
+                        worker.at = Some(begins.clone());
+                        self.stillborn = 0;
+                    }
+                    Line::Answer(_) => {}
                     Line::End { .. } => {
                         worker.bundle = None;
                         worker.at = None;
@@ -134,13 +137,13 @@ impl Local {
                     }
                     return Ok(());
                 }
+                let said = crate::spool::tail(&self.log(slot));
                 self.stillborn += 1;
                 if self.stillborn > STILLBORN * slots as u32 {
-                    let said = crate::spool::tail(&self.log(slot));
-                    bail!("workers end without an answer ({status}): {said}");
+                    bail!("workers end before they begin a task ({status}): {said}");
                 }
                 if let Some(bundle) = bundle {
-                    out.push(Event::Lost(bundle, format!("worker {slot} ended ({status})")));
+                    out.push(Event::Lost(bundle, format!("worker {slot} ended ({status}): {said}")));
                 }
                 self.workers[slot] = self.spawn(slot, slots, generation + 1)?;
                 out.push(Event::Fresh(slot));

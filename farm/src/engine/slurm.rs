@@ -12,7 +12,9 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// Interval between queries of the queue; the spool is read at every poll.
-const LOOK: Duration = Duration::from_millis(500);
+const LOOK: Duration = Duration::from_secs(2);
+/// Longest time without an answer of squeue: the controller may be restarted, and jobs run on meanwhile.
+const SILENCE: Duration = Duration::from_secs(600);
 /// Seconds that are added to each time request for start and end of the worker.
 const GRACE: f64 = 15.0;
 
@@ -39,6 +41,8 @@ pub struct Slurm {
     /// Job of each bundle that was sent and has not ended.
     open: BTreeMap<u64, Job>,
     looked: Option<Instant>,
+    /// Time of the first query without an answer since the last answer.
+    silent: Option<Instant>,
 }
 
 #[derive(Clone, Debug)]
@@ -167,8 +171,18 @@ impl Slurm {
         let text = places.state.to_string_lossy().into_owned();
         let name = format!("entire-{:016x}", entire_io::files::fnv1a(text.as_bytes()));
         let spool = Spool::new(&places.state);
-        let new =
-            Self { places, run, options, name, slots, limit, spool, open: BTreeMap::new(), looked: None };
+        let new = Self {
+            places,
+            run,
+            options,
+            name,
+            slots,
+            limit,
+            spool,
+            open: BTreeMap::new(),
+            looked: None,
+            silent: None,
+        };
         new.clear_queue()?;
         Ok(new)
     }
@@ -187,7 +201,7 @@ impl Slurm {
     }
 
     fn queue(&self) -> Result<Vec<Queued>> {
-        let text = ask("squeue", &words(&["--json"]), None)?;
+        let text = ask("squeue", &["--json".to_owned(), format!("--name={}", self.name)], None)?;
         let queue: Queue = serde_json::from_str(&text).context("squeue --json")?;
         Ok(queue.jobs.into_iter().filter(|j| j.name == self.name).collect())
     }
@@ -317,7 +331,11 @@ impl Engine for Slurm {
         std::thread::sleep(wait.min(Duration::from_millis(50)));
         let mut lost = Vec::new();
         if !self.open.is_empty() && self.looked.is_none_or(|t| t.elapsed() >= LOOK) {
-            lost = self.look()?;
+            match self.look() {
+                Ok(found) => (lost, self.silent) = (found, None),
+                Err(e) if self.silent.get_or_insert_with(Instant::now).elapsed() > SILENCE => return Err(e),
+                Err(_) => {}
+            }
             self.looked = Some(Instant::now());
         }
         // The spool is read after the queue, so that it has all answers of the jobs that have ended.
@@ -331,6 +349,8 @@ impl Engine for Slurm {
         for (bundle, why) in lost {
             if self.open.remove(&bundle).is_some() {
                 self.spool.forget(bundle);
+                let log = self.places.state.join("logs").join(format!("bundle-{bundle}.log"));
+                let why = format!("{why}: {}", crate::spool::tail(&log));
                 out.push(Event::Lost(bundle, why));
             }
         }

@@ -119,7 +119,7 @@ fn a_table_has_one_writer_at_a_time() {
     let mut first = Writer::create(&path).unwrap();
     first.append(0, &scene(), &[measured(0.1)]).unwrap();
     let said = Writer::resume(&path, 1).unwrap_err().to_string();
-    assert!(said.contains("t.csv is being written by another process"), "{said}");
+    assert!(said.contains("t.csv is locked: another process writes this table"), "{said}");
     first.append(1, &scene(), &[measured(0.1)]).unwrap();
     drop(first);
     let mut second = Writer::resume(&path, 1).unwrap();

@@ -2,8 +2,8 @@
 
 use super::table::parse;
 use super::{COLUMNS, Scene, Timing, format_lobes};
-use crate::files::try_lock;
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use crate::files::lock_alone;
+use anyhow::{Context, Result, anyhow, ensure};
 use entire_vk_raycaster::WorkCounts;
 use std::collections::HashSet;
 use std::fs::{File, OpenOptions};
@@ -182,20 +182,13 @@ impl Writer {
     }
 }
 
-/// Locks the table for this process. The system releases the lock when the process ends, even by a crash.
+/// Locks the table for this process.
 fn lock(file: &File, path: &Path) -> Result<()> {
-    match try_lock(file) {
-        Ok(()) => Ok(()),
-        Err(std::fs::TryLockError::WouldBlock) => bail!(
-            "{} is being written by another process; wait until that has ended, or choose another name",
-            path.display()
-        ),
-        // Some network file systems have no locks: then other writers cannot be excluded.
-        Err(std::fs::TryLockError::Error(e)) if e.kind() == std::io::ErrorKind::Unsupported => Ok(()),
-        Err(std::fs::TryLockError::Error(e)) => {
-            Err(e).with_context(|| format!("cannot lock {}", path.display()))
-        }
-    }
+    lock_alone(
+        file,
+        path,
+        "another process writes this table; wait until it has ended, or choose another name",
+    )
 }
 
 fn write_header(file: &mut File) -> std::io::Result<()> {

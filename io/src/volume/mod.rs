@@ -41,7 +41,7 @@ mod stream;
 mod vti;
 
 pub(crate) use element::{Element, Endian};
-pub(crate) use reading::numbers_in;
+pub use reading::numbers_in;
 pub use reading::{Fill, Range, Reading};
 pub(crate) use stream::{Companions, Folder, without_mark};
 pub use stream::{Stream, Watcher};

@@ -71,7 +71,7 @@ pub enum Range {
 ///
 /// # Errors
 /// When an entry is not a number.
-pub(crate) fn numbers_in(text: &str) -> Result<Vec<f32>, String> {
+pub fn numbers_in(text: &str) -> Result<Vec<f32>, String> {
     text.split(',')
         .map(|word| word.trim().parse().map_err(|_| format!("{:?} is not a number", word.trim())))
         .collect()
