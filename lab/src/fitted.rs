@@ -6,14 +6,18 @@ use entire_cli::steering::model::SteeringModel;
 use entire_core::model::ModelFile;
 use entire_core::nn::Target;
 use entire_core::scene::{Scalars, VolumeView};
+use entire_io::files::open_volume;
 use entire_io::options::thread_pool;
+use entire_io::volume::Reading;
 use entire_report::{Column, Table};
 use entire_steer::control::Prior;
 use entire_steer::predict::{AnalyticModel, GroupKind, InputLayout, Measurement, UnitCosts};
 use entire_train::fit::standard_features;
 use entire_train::gradient::{Network, Samples, Settings, train};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
+use std::path::Path;
 
 /// Widths of the small network's hidden layers.
 const HIDDEN: [usize; 2] = [24, 24];
@@ -101,9 +105,31 @@ impl Candidate {
     /// # Errors
     /// As [`SteeringModel::quality`].
     pub(crate) fn of(fitted: SteeringModel, samples: &[Sample]) -> Result<Self> {
-        let held_out = fitted
-            .quality(samples.iter().filter(|s| held_out(s)))
-            .with_context(|| format!("calibrate with at least {HOLD_OUT_EVERY} scenes"))?;
+        Self::judged(fitted.quality(samples.iter().filter(|s| held_out(s))), fitted)
+    }
+
+    /// As [`Candidate::of`], for a model that may use features of the volume; each sample has the path of its volume.
+    ///
+    /// # Errors
+    /// As [`Candidate::of`], and when a volume cannot be read.
+    pub(crate) fn of_volumes(fitted: SteeringModel, samples: &[(String, Sample)]) -> Result<Self> {
+        let mut codes: BTreeMap<&str, Option<Vec<f32>>> = BTreeMap::new();
+        for (volume, _) in samples.iter().filter(|_| fitted.volume_features().is_some()) {
+            if !codes.contains_key(volume.as_str()) {
+                codes.insert(
+                    volume,
+                    fitted.encode(&open_volume(Path::new(volume), &Reading::default())?.view())?,
+                );
+            }
+        }
+        let code = |volume: &str| codes.get(volume).and_then(|c| c.as_deref());
+        let judged = samples.iter().filter(|(_, s)| held_out(s)).map(|(volume, s)| (s, code(volume)));
+        Self::judged(fitted.quality_with(judged), fitted)
+    }
+
+    fn judged(held_out: Result<Quality>, fitted: SteeringModel) -> Result<Self> {
+        let held_out =
+            held_out.with_context(|| format!("calibrate with at least {HOLD_OUT_EVERY} scenes"))?;
         Ok(Self { title: fitted.title().to_owned(), held_out, chosen: false, fitted })
     }
 }

@@ -57,9 +57,10 @@ pub(crate) fn ship(
             let paths: Vec<PathBuf> =
                 set.training.iter().chain(set.splits.iter().flat_map(|s| &s.tables)).cloned().collect();
             let tables = read_tables(&paths)?;
-            let figures = judge(&file, study, set, &tables, runner)?;
-            let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
             let fit = found.fit(&set.name, predictor);
+            let crossed = fit.is_some_and(|fit| fit.crossed.is_some());
+            let figures = judge(&file, study, set, &tables, runner, crossed)?;
+            let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
             let as_it_is = study
                 .predictors
                 .iter()
@@ -104,6 +105,7 @@ fn judge(
     set: &Set,
     tables: &[Table],
     runner: &Runner<'_>,
+    crossed: bool,
 ) -> Result<Vec<Figures>> {
     let clock = clock(&study.clock)?;
     let model = file.to_model()?;
@@ -116,6 +118,8 @@ fn judge(
         let part = TimedFrames::of(tables[at..at + split.tables.len()].iter().flat_map(|t| &t.frames), clock);
         at += split.tables.len();
         let predicted = predict(&model, &context, &part.frames)?;
+        // A bound is not tested on the frames that it was fitted to.
+        let upper = upper.filter(|_| crossed || !set.bounds_are_of(split));
         let bound = upper.and_then(|u| bound::judge(&u, &predicted, &part.seconds));
         out.push(Figures {
             split: split.name.clone(),
@@ -344,11 +348,20 @@ fn card(
     }
     if let Some(f) = fit {
         let of = |m: &Metrics, i: Option<&Intervals>| {
-            format!("RMSE/SD {}, median error {} %", Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m))
+            format!(
+                "RMSE/SD {}, median error {} %",
+                Intervals::beside_rmse(i, m),
+                Intervals::beside_mdape(i, m)
+            )
         };
         let _ = writeln!(
             md,
-            "\nOn the frames that it learned from: {}{}.",
+            "\n{}: {}{}.",
+            if !distilled.is_empty() {
+                "On measured frames of its training volumes"
+            } else {
+                "On the frames that it learned from"
+            },
             of(&f.seen, f.seen_intervals.as_ref()),
             crossed.map_or(String::new(), |(m, _)| format!(
                 "; on training frames of ensemble members that it was made without: {}",

@@ -16,7 +16,7 @@ mod format;
 
 pub use format::{TRACE_FORMAT, Trace, TraceDraw, TracePoint, TraceVolume};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use entire_cli::pictures::{BEST_PSNR, psnr, resized, scaled_size, ssim};
 use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::sizes::{scale_at, volume_at};
@@ -214,6 +214,13 @@ pub(crate) fn record(
     progress: &ProgressBar,
 ) -> Result<Trace> {
     let provenance = serde_json::to_value(Provenance::of(renderer.device()))?;
+    if let Some(began) = begun.as_ref().and_then(|b| b.provenance["device"].as_str()) {
+        ensure!(
+            began == renderer.device(),
+            "the recording was begun on {began}, and this renderer is {}; continue on that device, or record anew",
+            renderer.device()
+        );
+    }
     let mut trace = Trace { provenance, ..begun.unwrap_or_else(|| recording.begun()) };
     let before = trace.frames.len();
     let result = record_on(recording, renderer, &mut trace, stop, keep, progress);

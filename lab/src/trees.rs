@@ -101,18 +101,21 @@ impl Trees {
         })
     }
 
-    /// Predicted seconds of one frame.
+    /// Returns a function that predicts the seconds of one frame. It fails if an input is missing.
     ///
     /// # Errors
-    /// When an input is missing.
-    pub(crate) fn predict_one(&self, inputs: &Inputs<'_>) -> Result<f64> {
-        let mut row = vec![0.0; self.layout.width()];
-        self.layout.write(inputs, &mut row)?;
-        let row: Vec<f64> = row.into_iter().map(f64::from).collect();
-        let factor = self.booster.predict(&Matrix::new(&row, 1, row.len()), false)[0].exp();
-        Ok(match &self.analytic {
-            Some(model) => factor * f64::from(load(model)?.predict(inputs)?.seconds),
-            None => factor,
+    /// When the analytic model holds no predictor.
+    pub(crate) fn predictor(&self) -> Result<impl FnMut(&Inputs<'_>) -> Result<f64> + '_> {
+        let mut analytic = self.analytic.as_ref().map(load).transpose()?;
+        Ok(move |inputs: &Inputs<'_>| {
+            let mut row = vec![0.0; self.layout.width()];
+            self.layout.write(inputs, &mut row)?;
+            let row: Vec<f64> = row.into_iter().map(f64::from).collect();
+            let factor = self.booster.predict(&Matrix::new(&row, 1, row.len()), false)[0].exp();
+            Ok(match &mut analytic {
+                Some(model) => factor * f64::from(model.predict(inputs)?.seconds),
+                None => factor,
+            })
         })
     }
 

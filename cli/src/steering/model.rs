@@ -35,7 +35,7 @@ impl SteeringModel {
     ///
     /// # Errors
     /// When the volume cannot be encoded.
-    pub(crate) fn encode(&self, volume: &VolumeView<'_>) -> Result<Option<Vec<f32>>> {
+    pub fn encode(&self, volume: &VolumeView<'_>) -> Result<Option<Vec<f32>>> {
         let parts = self.model.input_size(GroupKind::VolumeFeatures).and(self.model.volumenet());
         let Some(parts) = parts else { return Ok(None) };
         let net = VolumeNet::new(parts)?;
@@ -68,12 +68,23 @@ impl SteeringModel {
     /// # Errors
     /// When there are no samples, or the model needs an input that they lack.
     pub fn quality<'a>(&self, samples: impl IntoIterator<Item = &'a Sample>) -> Result<Quality> {
+        self.quality_with(samples.into_iter().map(|s| (s, self.volume_features())))
+    }
+
+    /// As [`SteeringModel::quality`], for samples of several volumes, each with VolumeNet's output for its volume.
+    ///
+    /// # Errors
+    /// As [`SteeringModel::quality`].
+    pub fn quality_with<'a>(
+        &self,
+        samples: impl IntoIterator<Item = (&'a Sample, Option<&'a [f32]>)>,
+    ) -> Result<Quality> {
         let mut predictor = self.predictor()?;
         let every_step = predictor.knows_step();
         let mut pairs = Vec::new();
-        for s in samples.into_iter().filter(|s| every_step || s.setting.step == 1.0) {
+        for (s, volume_features) in samples.into_iter().filter(|(s, _)| every_step || s.setting.step == 1.0) {
             pairs.push((
-                f64::from(predictor.predict(&s.predictor_inputs(self.volume_features()))?.seconds),
+                f64::from(predictor.predict(&s.predictor_inputs(volume_features))?.seconds),
                 s.seconds,
             ));
         }

@@ -80,12 +80,13 @@ impl Study<'_> {
 
     fn run(&mut self, step: &Step) -> Result<()> {
         self.bar.set_message(step.name.clone());
-        if self.outcomes.has(&step.name) {
+        if self.outcomes.has(&step.name, &step.arguments) {
             return Ok(());
         }
         let outcome = if self.left() < 1.0 {
             Outcome {
                 step: step.name.clone(),
+                arguments: step.arguments.clone(),
                 state: State::LeftOut,
                 seconds: 0.0,
                 said: "the time ran out; raise --seconds, or run the command again".into(),
@@ -97,7 +98,10 @@ impl Study<'_> {
     }
 
     fn pictures(&mut self, volumes: &[PathBuf], extent: Extent) -> Result<()> {
-        if self.outcomes.has("pictures") {
+        let device = self.options.device.to_possible_value();
+        let arguments =
+            vec![device.map_or(String::new(), |d| d.get_name().to_owned()), extent.picture.to_string()];
+        if self.outcomes.has("pictures", &arguments) {
             return Ok(());
         }
         self.bar.set_message("pictures");
@@ -113,7 +117,8 @@ impl Study<'_> {
         if let Ok(found) = &compared {
             write_json(&self.options.out.join("pictures.json"), found)?;
         }
-        self.keep(Outcome { step: "pictures".into(), state, seconds: begin.elapsed().as_secs_f64(), said })
+        let seconds = begin.elapsed().as_secs_f64();
+        self.keep(Outcome { step: "pictures".into(), arguments, state, seconds, said })
     }
 }
 

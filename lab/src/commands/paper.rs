@@ -318,7 +318,8 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let Some((set, mode)) = work.paper.panels.get(&Panel::Steering).and_then(|p| p.first()) else {
         return Ok(());
     };
-    let prefix = format!("{set}-{mode}-volumes-network-1-");
+    // By the paper's rule the played member was not in the training.
+    let prefix = format!("{set}-{mode}-{}-network-1-", work.paper.rule(set).split());
     let models = work.out.join("models");
     let network = std::fs::read_dir(&models).ok().and_then(|entries| {
         // Takes the most recent file, since older networks were trained on other frames or with other

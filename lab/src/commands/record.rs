@@ -232,7 +232,8 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
             let measured = match draw.clock {
                 Clock::Cpu => Timing { cpu: seconds, ..Timing::default() },
                 Clock::Device => Timing { device: seconds, ..Timing::default() },
-                Clock::Wall | Clock::Auto => Timing { wall: seconds, ..Timing::default() },
+                Clock::Wall => Timing { wall: seconds, ..Timing::default() },
+                Clock::Auto => bail!("--calibration needs --clock device, wall or cpu"),
             };
             table.append(number, &scene, &[measured])?;
             number += 1;

@@ -2,14 +2,14 @@
 //! prints the steering bars.
 
 use crate::bars;
-use crate::calibration::samples_of;
+use crate::calibration::samples_by_volume;
 use crate::fitted::{Calibrated, Candidate, no_volume};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{self, Disturbance, Player, Replayable, Score, Tally, frontier, play, trials_of_all};
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
-use entire_cli::steering::calibrate::response;
+use entire_cli::steering::calibrate::{Sample, response};
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::model::SteeringModel;
 use entire_io::files::{make_folder, note, open_model};
@@ -127,7 +127,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let limits = options.paths.limits()?;
     ensure!(options.rounds >= 1, "--rounds is 0; at least one round is needed");
     let targets = options.paths.targets()?;
-    let samples = samples_of(&options.paths.calibration, PROBE_SIDE)?;
+    let by_volume = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
+    let samples: Vec<Sample> = by_volume.iter().map(|(_, sample)| sample.clone()).collect();
     let response = response(&samples).context(
         "G, the curve of frame time over step, needs scenes that were \
                                                timed at several steps",
@@ -135,8 +136,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut calibrated = Calibrated::fit(&samples)?;
     if let Some(file) = &options.model {
         let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume()?)?;
-        let given =
-            Candidate::of(given, &samples).context("the model cannot predict the calibration frames")?;
+        let given = Candidate::of_volumes(given, &by_volume)
+            .context("the model cannot predict the calibration frames")?;
         calibrated.candidates.iter_mut().for_each(|c| c.chosen = false);
         calibrated.candidates.push(Candidate { chosen: true, ..given });
     }

@@ -19,7 +19,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   entire-lab study --study data/timings/study.json --out out/study
-  entire-lab study --study study.json --only selected,paper --bars")]
+  entire-lab study --study study.json --only paper,distilled --bars")]
 pub(crate) struct Options {
     /// The study: data sets, splits and predictors as JSON.
     #[arg(long, value_name = "JSON")]
@@ -53,9 +53,14 @@ pub(crate) struct Options {
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut study = read(&options.study)?;
     if !options.only.is_empty() {
+        for name in &options.only {
+            ensure!(
+                study.predictors.iter().any(|p| p.name == *name),
+                "--only names {name:?}, which is no predictor of {}",
+                options.study.display()
+            );
+        }
         study.predictors.retain(|p| options.only.contains(&p.name));
-        let kept: Vec<String> = study.predictors.iter().map(|p| p.name.clone()).collect();
-        ensure!(!kept.is_empty(), "--only names no predictor of {}", options.study.display());
     }
     if let Some(clock) = options.clock {
         study.clock = clock.name().into();

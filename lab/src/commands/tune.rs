@@ -107,7 +107,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     let courses: Vec<Course<'_>> =
         played.iter().map(|(recorded, c)| Course::new(recorded, c, &targets, limits)).collect();
-    ensure!(courses.len() >= 2, "a standard error needs several paths; name more than one");
+    ensure!(undisturbed >= 2, "a standard error needs several paths; name more than one");
     for (course, (recorded, _)) in courses.iter().zip(&played) {
         ensure!(
             !course.is_empty(),
@@ -119,12 +119,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let bar = templated_bar("tune [{bar:30}] {pos}/{len} values tried, {eta} left");
     bar.set_length((options.rounds * tried.len() * TRIED) as u64);
     let (mut found, after, taken) =
-        search(&courses, first, before.clone(), &tried, options.rounds, &|| bar.inc(1))?;
+        search(&courses, undisturbed, first, before.clone(), &tried, options.rounds, &|| bar.inc(1))?;
     bar.finish_and_clear();
     println!("{}", table(&played, &before, &after).to_text());
     let mean = |costs: &[Cost]| costs.iter().map(Cost::value).sum::<f64>() / costs.len() as f64;
     println!("mean cost {:.4} -> {:.4}", mean(&before), mean(&after));
-    let worth = removed(&courses, found, &after)?;
+    let worth = removed(&courses, undisturbed, found, &after)?;
     println!("\n{}", worth_table(&worth).to_text());
     for t in &taken {
         println!(

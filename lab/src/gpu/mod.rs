@@ -47,6 +47,9 @@ impl State {
 pub(crate) struct Outcome {
     /// The step's name.
     pub(crate) step: String,
+    /// The step's arguments.
+    #[serde(default)]
+    pub(crate) arguments: Vec<String>,
     /// State of the step at its end.
     pub(crate) state: State,
     /// Wall seconds of the step.
@@ -75,9 +78,9 @@ impl Outcomes {
             .with_context(|| format!("{} is damaged; remove it to begin anew", path.display()))
     }
 
-    /// True if a step need not run again.
-    pub(crate) fn has(&self, step: &str) -> bool {
-        self.0.iter().any(|o| o.step == step && o.state.is_over())
+    /// True if a step with these arguments need not run again.
+    pub(crate) fn has(&self, step: &str, arguments: &[String]) -> bool {
+        self.0.iter().any(|o| o.step == step && o.arguments == arguments && o.state.is_over())
     }
 
     /// Stores an outcome, in place of an earlier one of the same step.
@@ -101,14 +104,22 @@ mod tests {
     fn outcomes_are_kept_and_failed_steps_run_again() {
         let dir = tempfile::tempdir().unwrap();
         let mut outcomes = Outcomes::of(dir.path()).unwrap();
-        let of = |state| Outcome { step: "probe".into(), state, seconds: 1.0, said: "so".into() };
+        let of = |state| Outcome {
+            step: "probe".into(),
+            arguments: vec!["--short".into()],
+            state,
+            seconds: 1.0,
+            said: "so".into(),
+        };
+        let has = |outcomes: &Outcomes| outcomes.has("probe", &["--short".into()]);
         outcomes.keep(of(State::Failed), dir.path()).unwrap();
-        assert!(!Outcomes::of(dir.path()).unwrap().has("probe"));
+        assert!(!has(&Outcomes::of(dir.path()).unwrap()));
         outcomes.keep(of(State::Unfinished), dir.path()).unwrap();
-        assert!(!Outcomes::of(dir.path()).unwrap().has("probe"));
+        assert!(!has(&Outcomes::of(dir.path()).unwrap()));
         outcomes.keep(of(State::CutShort), dir.path()).unwrap();
         let read = Outcomes::of(dir.path()).unwrap();
-        assert!(read.has("probe") && read.0.len() == 1 && read == outcomes);
+        assert!(has(&read) && read.0.len() == 1 && read == outcomes);
+        assert!(!read.has("probe", &[]));
         std::fs::write(dir.path().join("steps.json"), "[{").unwrap();
         assert!(Outcomes::of(dir.path()).unwrap_err().to_string().contains("remove it"));
     }

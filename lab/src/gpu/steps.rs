@@ -247,7 +247,13 @@ pub(crate) fn run(
         _ => State::Failed,
     };
     let said = if cut && state == State::Failed { format!("took too long: {last}") } else { last };
-    Ok(Outcome { step: step.name.clone(), state, seconds: begin.elapsed().as_secs_f64(), said })
+    Ok(Outcome {
+        step: step.name.clone(),
+        arguments: step.arguments.clone(),
+        state,
+        seconds: begin.elapsed().as_secs_f64(),
+        said,
+    })
 }
 
 #[cfg(test)]

@@ -103,15 +103,15 @@ pub(crate) fn bars(
             None => at_most(name, (None, None), limits.over_lvrp),
         });
     }
-    for r in &overall {
-        let pair = ours_of(r, paper.rule(&r.set).split()).zip(network(r));
-        let ratio = pair.as_ref().map(|(o, p)| o.rmse / p.rmse);
-        let interval = pair.as_ref().and_then(|(o, p)| interval::of_ratio(&o.by_volume, &p.by_volume));
-        let name = format!("{}/{}/ours-over-network", r.set, r.mode);
-        out.push(at_most(name, (ratio, interval), limits.ours_over_network));
-    }
-    if overall.is_empty() {
-        out.push(at_most("ours-over-network".into(), (None, None), limits.ours_over_network));
+    for d in paper.data_sets.iter().filter(|d| !d.only_tests) {
+        for mode in &d.modes {
+            let found = find(&overall, &d.name, mode);
+            let pair = found.and_then(|r| ours_of(r, d.rule.split()).zip(network(r)));
+            let ratio = pair.as_ref().map(|(o, p)| o.rmse / p.rmse);
+            let interval = pair.as_ref().and_then(|(o, p)| interval::of_ratio(&o.by_volume, &p.by_volume));
+            let name = format!("{}/{mode}/ours-over-network", d.name);
+            out.push(at_most(name, (ratio, interval), limits.ours_over_network));
+        }
     }
     let (ablation, alone) = limits.feature_vector;
     for d in paper.data_sets.iter().filter(|d| !d.only_tests) {

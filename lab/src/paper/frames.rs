@@ -203,7 +203,13 @@ pub(super) fn of_panel(work: &Work<'_>, panel: Panel) -> Result<Vec<(Place, Stri
 }
 
 /// Hash of the inputs of a part of the study.
-pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table]) -> Result<String> {
+pub(super) fn identity(
+    work: &Work<'_>,
+    panel: Panel,
+    set: &str,
+    tables: &[Table],
+    low: &Low,
+) -> Result<String> {
     let p: &Paper = work.paper;
     let bare = |r: &Recipe| Recipe { volumenet: None, ..r.clone() };
     let ours: BTreeMap<&String, Recipe> = p.ours.iter().map(|(m, r)| (m, bare(r))).collect();
@@ -216,6 +222,13 @@ pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table
         serde_json::to_string(&(p.frames, bare(&p.network), ours, &p.shares, &p.depths, &p.encoder_depth))?,
     );
     text += &serde_json::to_string(&(&p.finalists, &p.tuning.frames, p.tuning.epochs, p.orbit.poses))?;
+    text += &format!(" proxy {}", p.proxy);
+    for d in &p.data_sets {
+        text += &format!(" {} {:?} {:?}", d.name, d.rule, d.members);
+    }
+    for ((table, number), seconds) in low {
+        text += &format!(" {table} {number} {:016x}", seconds.to_bits());
+    }
     for table in tables {
         text +=
             &format!(" {:016x} {:016x}", table.hash, table.features.as_ref().map_or(0, FeatureTable::hash));

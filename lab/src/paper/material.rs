@@ -61,7 +61,7 @@ pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result
         let widths = capacity.channels.iter().map(|c| encoder(capacity.size, capacity.features, c));
         for encoder in pairs.chain(widths) {
             let before = || kept.reconstructions.iter().find(|r| r.encoder == encoder);
-            match encoder.record(out)? {
+            match encoder.record(out)?.filter(Record::complete) {
                 Some(record) => reconstructions.push(Reconstruction { encoder, record }),
                 None => reconstructions.extend(before().cloned()),
             }

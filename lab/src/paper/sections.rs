@@ -375,7 +375,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
             Column::text("target"),
             Column::number("pre-trained, unchanged, s"),
             Column::number("ours, unchanged, s"),
-            Column::number("mean, s"),
+            Column::number("mean of its frames as prediction, s"),
             Column::number("SD, s"),
             Column::number("test frames"),
         ]);

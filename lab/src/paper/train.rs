@@ -74,7 +74,7 @@ pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
             if work.stop() {
                 bail!("{}", work.stopped());
             }
-            let mark = identity(work, panel, &place.set.name, &loaded.tables)?;
+            let mark = identity(work, panel, &place.set.name, &loaded.tables, &loaded.low)?;
             if kept(work.out, panel, &place.set.name, mode, &mark)?.is_none() {
                 let started = Instant::now();
                 let mut results = Results::new(panel, &place.set.name, mode, mark);

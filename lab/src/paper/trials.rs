@@ -378,7 +378,14 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     if work.stop() {
         bail!("{}", work.stopped());
     }
-    let mark = fnv1a_text(identities.concat().as_bytes());
+    let mut inputs = identities.concat();
+    for table in &measured.tables {
+        inputs += &format!(" {:016x}", table.hash);
+    }
+    for ((table, number), seconds) in &measured.low {
+        inputs += &format!(" {table} {number} {:016x}", seconds.to_bits());
+    }
+    let mark = fnv1a_text(inputs.as_bytes());
     if kept(work.out, panel, SETS, mode, &mark)?.is_some() {
         return Ok(());
     }

@@ -5,7 +5,7 @@
 use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::Panel;
-use super::frames::{Loaded, identity};
+use super::frames::{Loaded, Low, identity};
 use super::judge::{NETWORK, OURS};
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::volumes::{Selection, places, roots};
@@ -130,7 +130,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         others.push(Found { name, first, last: first + found.len() - 1, set });
         tables.extend(found);
     }
-    let mark = identity(work, Panel::Tuning, TOGETHER, &tables)?;
+    let mark = identity(work, Panel::Tuning, TOGETHER, &tables, &Low::new())?;
     let tests = pieces.iter().any(|(p, _)| all[*p].set.only_tests);
     let mut todo: Vec<&'static str> = Vec::new();
     for set in [TOGETHER, MACHINES] {

@@ -45,7 +45,7 @@ pub(crate) fn second_in_bound(traces: &[Replayable], trials: &[Trial], limits: S
     for trial in trials {
         for frames in starts(trial.targets.len(), 2) {
             let mut who = without_model(HybridOptions::default());
-            let played = replay(&traces[trial.trace], &mut who, None, &trial.targets, limits, 1, frames)?;
+            let played = replay(&traces[trial.trace], &mut who, &[], &trial.targets, limits, 1, frames)?;
             seconds += 1;
             inside += u32::from(played[1].seconds <= played[1].upper);
         }

@@ -5,9 +5,11 @@ use super::Replayable;
 use crate::trace::{TRACE_SCALES, TracePoint};
 use entire_io::metrics::median;
 use entire_steer::calibrate::{FittedQuality, Picture, fit_quality};
+use std::collections::BTreeSet;
+use std::path::Path;
 
 /// Mean structural similarity of the settings that each rule picks among those that meet the target, on
-/// traces that the quality law was not fitted to.
+/// traces of volumes that the quality law was not fitted to.
 pub(crate) struct Frontier {
     pub(super) law: FittedQuality,
     frames: usize,
@@ -20,23 +22,32 @@ impl Frontier {
     /// The result in a sentence.
     pub(crate) fn sentence(&self) -> String {
         format!(
-            "Quality model (step and image size) on {} choices of traces that it was not fitted to: mean \
+            "Quality model (step and image size) on {} choices of volumes that it was not fitted to: mean \
              SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
             self.frames, self.by_model, self.by_step, self.best
         )
     }
 }
 
-/// Fits the quality law to every second trace and tests it on the other ones; `None` if the law cannot be fitted
+/// Fits the quality law to every second trace and tests it on the traces of other volumes; `None` if the law cannot be fitted
 /// or no frame has a choice.
 pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
-    // Returns the points of every frame that was also drawn with both a coarser step and a smaller image, in
-    // traces with odd or even index.
-    let points = |odd: bool| {
+    let fitted: BTreeSet<&Path> =
+        traces.iter().step_by(2).flat_map(|t| &t.trace.volumes).map(|v| v.file.as_path()).collect();
+    // Returns the points of every frame that was also drawn with both a coarser step and a smaller image: in traces
+    // with even index, or in the traces that show none of their volumes.
+    let points = |test: bool| {
+        let fitted = &fitted;
         traces
             .iter()
             .enumerate()
-            .filter(move |(i, _)| (i % 2 == 1) == odd)
+            .filter(move |(i, t)| {
+                if test {
+                    t.trace.volumes.iter().all(|v| !fitted.contains(v.file.as_path()))
+                } else {
+                    i % 2 == 0
+                }
+            })
             .flat_map(|(_, t)| &t.trace.frames)
             .filter(|f| f.iter().any(|p| p.step > 1.0 && p.scale < 1.0))
             .map(|f| {

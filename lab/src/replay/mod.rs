@@ -173,7 +173,7 @@ fn mix(a: u64, b: u64) -> u64 {
 }
 
 /// Plays a range of the frames of a trace with `targets` (one per frame of the trace); the session starts at the
-/// first frame of the range. The noise of a frame is the same for every controller: `seed` selects one of the
+/// first frame of the range. `codes` are VolumeNet's outputs for the trace's volumes, or empty. The noise of a frame is the same for every controller: `seed` selects one of the
 /// repeats that measured it. `limits` are those of the ray step.
 ///
 /// # Errors
@@ -182,7 +182,7 @@ fn mix(a: u64, b: u64) -> u64 {
 pub fn replay(
     recorded: &Replayable,
     contender: &mut Contender,
-    volume_features: Option<&[f32]>,
+    codes: &[Vec<f32>],
     targets: &[f64],
     limits: StepLimits,
     seed: u64,
@@ -207,7 +207,7 @@ pub fn replay(
         let volume = recorded.trace.volume_at(index);
         let swapped = volume != shown;
         if swapped {
-            session.set_volume(recorded.summaries[volume].clone(), volume_features.map(<[f32]>::to_vec));
+            session.set_volume(recorded.summaries[volume].clone(), codes.get(volume).cloned());
             shown = volume;
         }
         if at.transfer_changed || swapped {

@@ -102,6 +102,12 @@ pub(crate) fn play(
     rounds: u64,
 ) -> Result<Outcome> {
     let chosen = &calibrated.chosen().fitted;
+    let mut codes = Vec::new();
+    if chosen.volume_features().is_some() {
+        for volume in &trace.trace.volumes {
+            codes.extend(chosen.encode(&volume.open()?.view())?);
+        }
+    }
     let mean = trial.targets.iter().sum::<f64>() / trial.targets.len() as f64;
     // The controller with a fixed step uses the step at which the middle frame of the path meets the mean
     // target.
@@ -119,8 +125,8 @@ pub(crate) fn play(
                 contender(player.kind, fixed, predictor, response, prior)
             };
             who.acts_on = player.acts_on;
-            let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
-            let played = replay(trace, &mut who, features, &trial.targets, limits, round + 1, all)?;
+            let all = 0..trial.targets.len();
+            let played = replay(trace, &mut who, &codes, &trial.targets, limits, round + 1, all)?;
             outcome.tallies[k].merge(&Tally::of(&played));
             if round == 0 {
                 outcome.frames.push(played);

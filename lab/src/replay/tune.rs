@@ -100,6 +100,7 @@ pub(crate) struct Removed {
 /// As [`Course::cost`].
 pub(crate) fn removed(
     courses: &[Course<'_>],
+    paths: usize,
     mut constants: Constants,
     now: &[Cost],
 ) -> Result<Vec<Removed>> {
@@ -112,7 +113,7 @@ pub(crate) fn removed(
         })
         .map(|(i, name, value, without)| {
             let costs = costs(courses, constants.changed(i, without))?;
-            let (more, standard_error) = difference(now, &costs);
+            let (more, standard_error) = difference(paths, now, &costs);
             Ok(Removed { name, value, without, more, standard_error })
         })
         .collect()
@@ -262,9 +263,9 @@ impl<'a> Course<'a> {
         for trial in &self.trials[0] {
             for round in 1..=2 {
                 let mut who = hybrid(chosen.predictor()?, options);
-                let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
+                let all = 0..trial.targets.len();
                 let played =
-                    replay(&self.recorded[0], &mut who, features, &trial.targets, self.limits, round, all)?;
+                    replay(&self.recorded[0], &mut who, &[], &trial.targets, self.limits, round, all)?;
                 fitted.merge(&Tally::of(&played));
                 fitted_coarse.add(&played, self.limits.finest);
             }
@@ -274,7 +275,7 @@ impl<'a> Course<'a> {
         {
             for frames in starts(trial.targets.len(), COLD_FRAMES) {
                 let mut who = without_model(options);
-                let played = replay(recorded, &mut who, None, &trial.targets, self.limits, 1, frames)?;
+                let played = replay(recorded, &mut who, &[], &trial.targets, self.limits, 1, frames)?;
                 cold.merge(&Tally::of(&played[1..]));
                 cold_coarse.add(&played[1..], self.limits.finest);
                 seconds += 1;
@@ -306,9 +307,13 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// The difference of two costs, path by path: its mean and its standard error.
-fn difference(before: &[Cost], after: &[Cost]) -> (f64, f64) {
-    let d: Vec<f64> = before.iter().zip(after).map(|(b, a)| a.value() - b.value()).collect();
+/// The difference of two costs: its mean over the recorded paths and its standard error. Courses are the paths, then
+/// the same paths with each disturbance, which are not independent: a path's difference is the mean over its courses.
+fn difference(paths: usize, before: &[Cost], after: &[Cost]) -> (f64, f64) {
+    let mut d = vec![0.0; paths];
+    for (i, (b, a)) in before.iter().zip(after).enumerate() {
+        d[i % paths] += (a.value() - b.value()) * paths as f64 / before.len() as f64;
+    }
     let m = mean(&d);
     let n = d.len() as f64;
     let variance = d.iter().map(|v| (v - m).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
@@ -323,6 +328,7 @@ fn difference(before: &[Cost], after: &[Cost]) -> (f64, f64) {
 /// As [`Course::cost`].
 pub(crate) fn search(
     courses: &[Course<'_>],
+    paths: usize,
     mut constants: Constants,
     mut now: Vec<Cost>,
     tried: &[usize],
@@ -338,7 +344,7 @@ pub(crate) fn search(
             let mut best: Option<(f64, f64, f64, Vec<Cost>)> = None;
             for to in FACTORS.map(|f| f * from) {
                 let costs = costs(courses, constants.changed(i, to))?;
-                let (gain, error) = difference(&now, &costs);
+                let (gain, error) = difference(paths, &now, &costs);
                 if gain < -SURE * error && best.as_ref().is_none_or(|b| gain < b.1) {
                     best = Some((to, gain, error, costs));
                 }

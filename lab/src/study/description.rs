@@ -80,6 +80,13 @@ pub(crate) struct Set {
     pub(crate) limits: Limits,
 }
 
+impl Set {
+    /// True if the frames of a split determine the upper bounds of predictors that are not cross-validated.
+    pub(crate) fn bounds_are_of(&self, split: &SplitTables) -> bool {
+        self.bounds.iter().any(|table| split.tables.contains(table))
+    }
+}
+
 /// Tables of a split.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -101,7 +101,7 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
         let mut row = vec![f.predictor.clone().into()];
         row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_rmse(i, m)).into()));
         row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_mdape(i, m)).into()));
-        row.extend([f.numbers.to_string().into(), cold.into(), says.into()]);
+        row.extend([(f.numbers > 0).then(|| f.numbers.to_string()).into(), cold.into(), says.into()]);
         table.row(row);
     }
     table

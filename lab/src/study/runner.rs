@@ -95,7 +95,7 @@ impl StudyPredictor {
     pub(super) fn latency(&self, bench: &mut Bench) -> Result<Latency> {
         match self {
             Self::Model(kept) => bench.latency(&kept.model),
-            Self::Trees(t) => bench.latency_of(Some(t.probe_side()), 0, |inputs| t.predict_one(inputs)),
+            Self::Trees(t) => bench.latency_of(Some(t.probe_side()), 0, t.predictor()?),
         }
     }
 }
@@ -330,11 +330,14 @@ impl Runner<'_> {
             out.files.push((set.name.clone(), named.name.clone(), kept.path.clone()));
         }
         out.latencies.push((set.name.clone(), named.name.clone(), made.latency(bench)?));
+        let crossed = out.fit(&set.name, &named.name).is_some_and(|fit| fit.crossed.is_some());
         for (split, part) in set.splits.iter().zip(&data.splits) {
             match made.predict(context, &part.frames) {
                 Ok(predicted) => {
                     let (name, panel) = (&named.name, &named.panel);
-                    let result = judge(&set.name, &split.name, name, panel, part, &predicted, upper.as_ref());
+                    // A bound is not tested on the frames that it was fitted to.
+                    let upper = upper.as_ref().filter(|_| crossed || !set.bounds_are_of(split));
+                    let result = judge(&set.name, &split.name, name, panel, part, &predicted, upper);
                     out.results.extend(result);
                 }
                 Err(e) => {

@@ -57,7 +57,7 @@ fn play(recorded: &Replayable, player: Player, target: f64) -> anyhow::Result<Ve
     let response = StepResponse::inverse_step(0.1);
     let mut who = contender(player.kind, 3.0, Box::new(AnalyticModel::default()), &response, Prior::Unknown);
     who.acts_on = player.acts_on;
-    replay(recorded, &mut who, None, &vec![target; n], LIMITS, 1, 0..n)
+    replay(recorded, &mut who, &[], &vec![target; n], LIMITS, 1, 0..n)
 }
 
 fn close(a: f64, b: f64) -> bool {

@@ -58,7 +58,7 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
                 acts_on: ActsOn::RayStep,
             };
             let played =
-                replay(&recorded, &mut who, None, &vec![TIMES / fps; n], StepLimits::default(), seed, 0..n)
+                replay(&recorded, &mut who, &[], &vec![TIMES / fps; n], StepLimits::default(), seed, 0..n)
                     .unwrap();
             let error = |range: std::ops::Range<usize>| {
                 median(played[range].iter().map(|f| (f.predicted / f.seconds - 1.0).abs()).collect())
