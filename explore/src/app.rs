@@ -66,6 +66,8 @@ struct App {
     device: Option<SharedDevice>,
     vulkan: VulkanOptions,
     egui: egui::Context,
+    /// Changes of the interface's textures that no frame has shown yet.
+    textures: egui::TexturesDelta,
     input: Option<egui_winit::State>,
     window: Option<Window>,
 
@@ -129,6 +131,7 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         device: None,
         vulkan: VulkanOptions::from_env()?,
         egui: egui::Context::default(),
+        textures: egui::TexturesDelta::default(),
         input: None,
         window: None,
         state: State::new(&options, steer),
@@ -153,7 +156,10 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         lost: None,
         failed: None,
     };
-    event_loop.run_app(&mut app).map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
+    let ended = event_loop.run_app(&mut app);
+    // egui checks that changes of textures are not lost; after the last frame nobody needs them.
+    app.textures.clear();
+    ended.map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
     // Messages of the validation layer, if it is enabled.
     let said = app.device.as_ref().map(SharedDevice::validation_messages).unwrap_or_default();
     if let Some(error) = app.failed.take() {
@@ -223,6 +229,7 @@ impl App {
         self.warm.clear();
         // The fonts are textures of the lost device: the interface is rebuilt.
         self.egui = egui::Context::default();
+        self.textures.clear();
         if let Some(window) = &self.window {
             self.input = Some(input(&self.egui, window));
         }
@@ -347,6 +354,7 @@ impl ApplicationHandler<Wake> for App {
             Err(error) => {
                 event_loop.set_control_flow(ControlFlow::Poll);
                 self.deal_with(Err(error), event_loop);
+                self.redraw();
             }
         }
     }

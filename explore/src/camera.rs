@@ -164,8 +164,13 @@ impl Viewpoint {
     pub(crate) fn pan(&mut self, right: f32, down: f32) {
         let height = 2.0 * self.half_height();
         let [x, y, _] = self.axes();
-        self.target += height * (down * y - right * x);
-        self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
+        self.shift(height * (down * y - right * x));
+    }
+
+    /// Moves the target point, at most to the bounds of a box; a point outside of the box comes no farther out.
+    fn shift(&mut self, by: Vec3) {
+        let most = self.target.abs().max(Vec3::splat(4.0));
+        self.target = (self.target + by).clamp(-most, most);
     }
 
     /// Multiplies the distance by `factor`, and so the scale of an orthographic view.
@@ -191,8 +196,7 @@ impl Viewpoint {
             forward = 0.0;
         }
         let [x, y, z] = self.axes();
-        self.target += right * x + up * y - forward * z;
-        self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
+        self.shift(right * x + up * y - forward * z);
     }
 
     /// Looks along an axis at the volume's center, from the current distance.

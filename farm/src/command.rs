@@ -94,8 +94,8 @@ pub(crate) fn fill(argument: &str, values: &Placeholders) -> Result<String> {
     Ok(out)
 }
 
-/// Returns a word quoted for a POSIX shell, for the scripts of batch systems.
-pub(crate) fn quoted(word: &str) -> String {
+/// Returns a word quoted for a POSIX shell, for the scripts of batch systems and for commands to paste.
+pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 

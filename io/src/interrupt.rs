@@ -4,10 +4,25 @@ use anyhow::{Context, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
+#[cfg(unix)]
+const SIGNALS: [i32; 3] =
+    [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP];
+#[cfg(not(unix))]
+const SIGNALS: [i32; 1] = [signal_hook::consts::SIGINT];
+
+/// True if the parent process has set a signal to be ignored. Only Linux tells.
+fn ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok())
+        .is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
+}
+
 static REQUESTED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Takes over Ctrl-C (and SIGTERM, SIGHUP): the first one raises the returned flag, a second one ends the
-/// program at once with exit status 1. Later calls return the same flag.
+/// Takes over Ctrl-C (and on Unix SIGTERM and SIGHUP): the first one raises the returned flag, a second one ends the
+/// program at once with exit status 1. Signals that the parent process ignores stay ignored, as `nohup` wants it. Later
+/// calls return the same flag.
 ///
 /// # Errors
 /// When the system refuses a handler.
@@ -16,13 +31,12 @@ pub fn flag() -> Result<Arc<AtomicBool>> {
         return Ok(flag.clone());
     }
     let flag = Arc::new(AtomicBool::new(false));
-    let raised = flag.clone();
-    ctrlc::set_handler(move || {
-        if raised.swap(true, Ordering::SeqCst) {
-            std::process::exit(1);
-        }
-    })
-    .context("cannot watch for Ctrl-C")?;
+    for signal in SIGNALS.iter().copied().filter(|signal| !ignored(*signal)) {
+        // The order matters: the first signal finds the flag down and raises it, the second one ends the program.
+        signal_hook::flag::register_conditional_shutdown(signal, 1, flag.clone())
+            .and_then(|_| signal_hook::flag::register(signal, flag.clone()))
+            .context("cannot watch for Ctrl-C")?;
+    }
     Ok(REQUESTED.get_or_init(|| flag).clone())
 }
 

@@ -81,6 +81,11 @@ fn open(_: &Options, _: f64) -> Result<()> {
 
 #[cfg(feature = "explore")]
 fn open(options: &Options, target: f64) -> Result<()> {
+    if let Some(log) = &options.log {
+        let inputs = options.volumes.iter().chain(&options.model).chain(&options.script);
+        entire_io::files::ensure_not_input(log, inputs.map(PathBuf::as_path)).context("--log")?;
+        entire_io::files::make_folder_of(log)?;
+    }
     let model = match &options.model {
         Some(file) => Some((file.display().to_string(), entire_io::files::open_model(file)?)),
         None => None,

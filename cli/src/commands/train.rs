@@ -6,6 +6,7 @@ use entire_core::model::Key;
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
+use entire_io::device::names_software;
 use entire_io::files::{check_model_out, note, open_model, read_model_file, write_whole};
 use entire_io::interrupt;
 use entire_io::machine;
@@ -148,8 +149,8 @@ pub struct Options {
     /// Members or volumes for testing; see --validation-groups.
     #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
     pub test_groups: Vec<String>,
-    /// Clock of the learned seconds. Default: the clock of the model that training starts from, else cpu
-    /// (processor time); if some frame has no time by that clock, auto.
+    /// Clock of the learned seconds. Default: the clock of the model that training starts from, else auto for
+    /// frames of a GPU and cpu (processor time) for others; if some frame has no time by that clock, auto.
     #[arg(long, value_enum)]
     pub clock: Option<Clock>,
     /// Only frames with this shading: none, local, scatter or local-scatter.
@@ -411,8 +412,8 @@ struct Trained {
     clock: Clock,
 }
 
-/// Returns the requested clock, else the clock of the model that training starts from, else processor time,
-/// as [`entire_io::clock::for_training`] chooses.
+/// Returns the requested clock, else the clock of the model that training starts from, else [`Clock::Auto`] for frames
+/// of a GPU and processor time for others, as [`entire_io::clock::for_training`] chooses.
 fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let base = match &options.fine_tune {
         Some(path) => {
@@ -427,7 +428,13 @@ fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
         .filter(|f| options.shade.is_none_or(|s| f.scene.shading == s))
         .collect();
     let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
-    entire_io::clock::for_training(options.clock, base, frames.iter().copied())
+    // On a GPU, processor time is only that of the thread that waits.
+    let on_gpu = tables
+        .iter()
+        .filter_map(|t| t.manifest.as_ref())
+        .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
+    let asked = options.clock.or((base.is_none() && on_gpu).then_some(Clock::Auto));
+    entire_io::clock::for_training(asked, base, frames.iter().copied())
 }
 
 impl Options {

@@ -176,6 +176,22 @@ fn drivers_and_workers_are_killed_and_nothing_is_lost() {
     assert_eq!(done.len(), 40);
 }
 
+/// `nohup` lets a program ignore the signal of a closed terminal.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_signal_that_the_parent_ignores_stays_ignored() {
+    let dir = setting(RENDERER);
+    let script =
+        format!("trap '' HUP; exec {:?} farm job.toml --slots 1 --quiet", env!("CARGO_BIN_EXE_entire"));
+    let mut driver = Command::new("sh").args(["-c", &script]).current_dir(dir.path()).spawn().unwrap();
+    while !dir.path().join("db.cdb/.farm/run").exists() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    kill(driver.id(), "-HUP");
+    assert!(driver.wait().unwrap().success());
+    assert_eq!(table(dir.path()).len(), 40);
+}
+
 #[test]
 fn two_drivers_do_not_work_on_one_database() {
     let renderer =

@@ -429,6 +429,10 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     let vectors = "Scalars=\"v\"><DataArray type=\"UInt8\" Name=\"v\" NumberOfComponents=\"3\"></DataArray>";
     write(vti_of(vectors, &format!("Scalars=\"c\">{}", array("c", "5 6"))));
     assert!(cells(&Volume::open(&path).unwrap()));
+    // An image with two axes has one layer of cells.
+    let flat = vti_of(">", &format!(">{}", array("c", "1 2 3 4")));
+    write(flat.replace("0 1 0 1 0 2", "0 2 0 2 0 0"));
+    assert_eq!(Volume::open(&path).unwrap().dims(), [2, 2, 1]);
     // An array whose name begins like VTK's own is read if it is active; an array of ids is never read.
     write(vti_of(&format!("Scalars=\"vtkDensity\">{}{}", points("a"), points("vtkDensity")), ">"));
     assert!(!Volume::open(&path).unwrap().notes().iter().any(|n| n.contains("is read")));

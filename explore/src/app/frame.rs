@@ -57,7 +57,9 @@ impl App {
             let name = l.path.file_name().map(|n| n.to_string_lossy().into_owned());
             (name.unwrap_or_default(), stage, share)
         });
-        let output = self.egui.clone().run_ui(raw, |ui| ui::show(ui, state));
+        let mut output = self.egui.clone().run_ui(raw, |ui| ui::show(ui, state));
+        // Changes of textures come once. They are kept until a frame is shown, which an error may prevent.
+        self.textures.append(std::mem::take(&mut output.textures_delta));
         input.handle_platform_output(window, output.platform_output);
         self.repaint_at = output
             .viewport_output
@@ -77,7 +79,7 @@ impl App {
             aim(&mut primitives, pictures, drawn.is_some(), refined);
         }
         let Some(presenter) = &mut self.presenter else { return Ok(()) };
-        let presented = presenter.show(output.pixels_per_point, &primitives, output.textures_delta)?;
+        let presented = presenter.show(output.pixels_per_point, &primitives, &mut self.textures)?;
         interface += thread_seconds() - cpu - presented.handing;
         if !presented.shown {
             self.redraw();

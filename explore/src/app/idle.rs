@@ -56,8 +56,12 @@ impl App {
         }
         if ready && self.state.show_work && self.state.work.as_ref().is_some_and(|w| !w.is_done()) {
             let budget = self.slice_seconds();
-            if let (Some(work), Some(scene)) = (&mut self.state.work, &mut self.scene) {
-                work.slice(&mut scene.raycaster, budget)?;
+            if let (Some(work), Some(scene)) = (&mut self.state.work, &mut self.scene)
+                && let Err(error) = work.slice(&mut scene.raycaster, budget)
+            {
+                // Without this, the map would be begun again at once, and fail again.
+                (self.state.show_work, self.state.work) = (false, None);
+                return Err(error);
             }
             self.show_now_and_then(false);
             return Ok(ControlFlow::Poll);

@@ -226,7 +226,8 @@ impl Presenter {
         self.device.max_image_side() as usize
     }
 
-    /// Draws the interface and presents it. Returns once the device has finished.
+    /// Draws the interface and presents it. Returns once the device has finished. Takes out of `textures` the changes
+    /// that were made.
     ///
     /// # Errors
     /// When the device fails. A surface that has changed meanwhile is no error (see [`Presented::shown`]).
@@ -234,7 +235,7 @@ impl Presenter {
         &mut self,
         pixels_per_point: f32,
         primitives: &[ClippedPrimitive],
-        mut textures: TexturesDelta,
+        textures: &mut TexturesDelta,
     ) -> Result<Presented> {
         let mut presented = Presented::default();
         let (Some(egui), Some(swapchain)) = (&mut self.egui, &mut self.swapchain) else {

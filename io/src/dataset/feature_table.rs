@@ -231,7 +231,8 @@ impl FeatureTable {
                 unknown"
                 )
             })?;
-        let mut reader = csv::ReaderBuilder::new().from_reader(&bytes[end..]);
+        // The first line is a comment to this reader, so that it counts lines as in the file.
+        let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(bytes);
         let header = reader.headers()?.clone();
         ensure!(
             header.get(0) == Some("frame"),
@@ -242,7 +243,7 @@ impl FeatureTable {
         let (mut numbers, mut values) = (Vec::new(), Vec::new());
         for record in reader.records() {
             let record = record?;
-            let line = record.position().map_or(0, |p| p.line() + 1);
+            let line = record.position().map_or(0, |p| p.line());
             let bad = |name: &str, text: &str| anyhow!("line {line}, column {name}: {text:?} is no number");
             let first = record.get(0).unwrap_or("");
             numbers.push(first.parse().map_err(|_| bad("frame", first))?);
@@ -362,6 +363,7 @@ mod tests {
         );
         assert!(fails(&says(1, "number,x\n1,2\n")).contains("first column"));
         assert!(fails(&says(1, "frame,x\n1,a\n")).contains("line 3, column x"));
+        assert!(fails(&says(1, "frame,x\n1\n")).contains("line: 3"));
         assert!(fails(&says(1, "frame,x\n1,inf\n")).contains("not finite"));
         assert!(fails(&says(2, "frame,x\n1,1\n1,2\n")).contains("twice"));
         assert!(fails(&says(2, "frame,x\n1,1\n")).contains("holds 1 frames and its first line says 2"));

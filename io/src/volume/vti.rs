@@ -166,7 +166,8 @@ fn sizes(extent: [i64; 6], cells: bool) -> Result<[u64; 3]> {
         let Some(n) = cells_along else {
             bail!("VTK extent along {} is {low} to {high}, which holds no voxel", ["x", "y", "z"][axis]);
         };
-        sizes[axis] = if cells { n as u64 } else { (n as u64).saturating_add(1) };
+        // An axis with one point has one layer of cells, as in VTK's images with two axes.
+        sizes[axis] = if cells { (n as u64).max(1) } else { (n as u64).saturating_add(1) };
     }
     Ok(sizes)
 }

@@ -149,7 +149,8 @@ pub(crate) fn plan(
     };
     let (format, unit) = format?;
     let whole = Brick { low: [0; 3], high: dims.map(|n| n - 1), origin: [0; 3], dims };
-    let most = gpu.max_allocation / texel_bytes(format);
+    // A driver may pad rows and slices, so a sixteenth of the largest allocation stays free.
+    let most = gpu.max_allocation / 16 * 15 / texel_bytes(format);
     let (bricks, grid) = match fetch {
         VoxelFetch::Packed => (vec![whole], [1; 3]),
         _ => cut(dims, limit, most).ok_or_else(|| {

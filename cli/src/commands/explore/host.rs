@@ -11,6 +11,7 @@ use clap::ValueEnum;
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Shading, VolumeView};
 use entire_explore::{Host, Progress, RecordedTransfer, Recording, Steering, VolumeSource};
+use entire_farm::quoted;
 use entire_io::dataset::Clock;
 use entire_io::files::{write_json, write_whole};
 use entire_io::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
@@ -179,7 +180,8 @@ impl Host for ExplorerHost {
 
     fn calibration(&self, volume: &Path, shading: Shading) -> String {
         // The window's frames are timed on the host, by wall time.
-        format!("entire calibrate --shade {shading} --clock wall && entire explore {}", volume.display())
+        let volume = quoted(&volume.to_string_lossy());
+        format!("entire calibrate --shade {shading} --clock wall && entire explore {volume}")
     }
 }
 
