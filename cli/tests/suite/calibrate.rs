@@ -139,7 +139,7 @@ fn a_model_states_what_coarser_pictures_cost() {
         assert_eq!(load(&model).unwrap().quality("cpu"), Some(quality));
         assert_eq!(load(&model).unwrap().quality("vulkan"), None);
         let said = stdout(&made);
-        assert!(said.contains("pictures") && said.contains("step alone"), "{said}");
+        assert!(said.contains("pictures") && said.contains("only the step is changed"), "{said}");
         let provenance: serde_json::Value =
             serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
         let pictures = &provenance["calibration"]["pictures"];

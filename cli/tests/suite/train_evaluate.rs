@@ -322,6 +322,16 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     assert!(shown.contains("noise floor, from repeats of a frame"), "{shown}");
 }
 
+/// On a GPU, the processor only waits.
+#[test]
+fn frames_of_a_gpu_teach_the_time_of_the_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("here.safetensors").display().to_string();
+    let table = concat!(env!("CARGO_MANIFEST_DIR"), "/../data/timings/none-h100-members.csv.gz");
+    works(&["train", "--data", table, "--out", &out, "--model-kind", "analytic"]);
+    assert_eq!(model(&out).metadata()[Key::Clock.name()], "device");
+}
+
 #[test]
 fn compared_pictures_put_their_law_into_the_model() {
     let data = data(10);
@@ -341,7 +351,7 @@ fn compared_pictures_put_their_law_into_the_model() {
     let mut arguments = vec!["train", "--data", data.csv(), "--out", &out, "--model-kind", "analytic"];
     arguments.extend(["--pictures", &pictures]);
     let said = works(&arguments);
-    assert!(said.contains("pictures: 3 scenes at 20 steps and sizes"), "{said}");
+    assert!(said.contains("pictures: 3 scenes at 20 ray steps and image sizes"), "{said}");
     let found = load(&model(&out)).unwrap().quality("").unwrap();
     for (own, wanted) in [
         (found.image_weight, truth.image_weight),
