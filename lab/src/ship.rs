@@ -1,6 +1,8 @@
 //! Ships the models of a study: writes model files with their cards. The models are evaluated with the weights as stored.
 
-use crate::study::{Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, Set, Ship, Study, clock, shipped};
+use crate::study::{
+    Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, Study, clock, shipped,
+};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, ModelFile};
 use entire_io::dataset::{Table, read_tables};
@@ -175,7 +177,7 @@ fn provenance(
         .collect();
     file.metadata.insert(Key::Provenance.into(), stored.to_string());
     entire_io::clock::set(file, clock(&study.clock)?);
-    file.metadata.remove("entire.study_key");
+    file.metadata.remove(STUDY_KEY);
     if let Some(manifest) = training.iter().find_map(|t| t.manifest.as_ref()) {
         file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
         file.metadata.insert(Key::Device.into(), manifest.device.clone());

@@ -12,7 +12,7 @@ use entire_train::split::TimedFrames;
 use std::path::{Path, PathBuf};
 
 /// The metadata key under which a stored model holds the hash of the inputs of its training.
-pub(super) const STUDY_KEY: &str = "entire.study_key";
+pub(crate) const STUDY_KEY: &str = "entire.study_key";
 
 /// Version of the fits: raised whenever the same recipe gives another model for the same frames.
 const MADE_AS: u32 = 2;

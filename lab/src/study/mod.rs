@@ -18,6 +18,7 @@ mod tests;
 
 pub(crate) use bars::bars;
 pub(crate) use baselines::{Line, twins};
+pub(crate) use cache::STUDY_KEY;
 pub(crate) use description::{Named, SELECTED, Set, Ship, Study, clock, read};
 pub(crate) use findings::{
     CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult,

@@ -28,7 +28,7 @@ pub(super) struct Predictor {
     /// 95 % interval of RMSE/SD by bootstrap over ensemble members; a volume outside any ensemble counts as a
     /// member of its own.
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
-    /// 95 % interval of median error by the same bootstrap.
+    /// 95 % interval of the median error by the same bootstrap.
     pub(super) mdape_interval: Option<(f64, f64)>,
     /// Errors by kind of frame.
     pub(super) by_kind: Vec<(&'static str, Metrics)>,
