@@ -1,6 +1,6 @@
 //! `entire farm`: render an image database by local processes, HyperQueue or Slurm.
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_farm::database::{self, Database};
 use entire_farm::dispatch::Order;
@@ -157,8 +157,11 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         print!("{}", job.listing());
         return Ok(());
     }
-    for file in [&options.openjd, &options.save_tasks, &options.report].into_iter().flatten() {
-        ensure_not_input(file, [options.job.as_path()])?;
+    for (option, file) in
+        [("--openjd", &options.openjd), ("--save-tasks", &options.save_tasks), ("--report", &options.report)]
+    {
+        let Some(file) = file else { continue };
+        ensure_not_input(file, [options.job.as_path()]).context(option)?;
         make_folder_of(file)?;
     }
     let base = predict::base(&job)?;

@@ -100,7 +100,7 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
 /// When an option or the volume is invalid, the renderer fails, or the picture cannot be written.
 pub(crate) fn run(options: &Options) -> Result<()> {
     // All options are checked before the volume is loaded.
-    ensure_not_input(&options.out, [options.volume.as_path()])?;
+    ensure_not_input(&options.out, [options.volume.as_path()]).context("--out")?;
     make_folder_of(&options.out)?;
     let camera = camera(options.camera, options.fov, options.parallel_scale)?;
     let frame = Frame {

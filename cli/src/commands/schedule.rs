@@ -1,6 +1,6 @@
 //! `entire schedule`: assignment of tasks to nodes, in order, and the predicted end.
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use entire_farm::list::lower_bound;
 use entire_farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
 use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole};
@@ -82,7 +82,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
 fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     let (speeds, out) = (&farm.speeds, &options.out);
-    ensure_not_input(out, [options.tasks.as_path()])?;
+    ensure_not_input(out, [options.tasks.as_path()]).context("--out")?;
     make_folder_of(out)?;
     let deciding = times(tasks, options.by)?;
     let plan = plan(options.method, &deciding, speeds)?;

@@ -231,7 +231,10 @@ fn frames_that_cannot_be() {
         (render("ball.nrrd", "0,0,2", "0.5,0.1,0.5,nan,0.1,1", "8x8", &[]), vec!["lobe 1", "NaN"]),
         (render("ball.nrrd", "0,0,2", "0.5,0.1,-1", "8x8", &[]), vec!["lobe 0", "height is -1"]),
         (render("ball.nrrd", "0,0,2", TF, "8x8", &["--range", "1,0"]), vec!["range is 1…0"]),
-        (render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "ball.nrrd"]), vec!["ball.nrrd is an input"]),
+        (
+            render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "ball.nrrd"]),
+            vec!["--out: ball.nrrd is an input"],
+        ),
     ] {
         // The --out of a case replaces the usual --out, since an option may be given only once.
         let arguments: Vec<&str> = match arguments.iter().rposition(|a| *a == "--out") {

@@ -319,7 +319,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         (&["--cpus", "2"][..], ["--cpus has no effect with --engine local", "--engine hyperqueue"]),
         (&["--sbatch=-p", "--dry-run"], ["--sbatch has no effect", "--engine slurm"]),
         (&["--time-limit", "1h"], ["--time-limit has no effect", "--engine hyperqueue or slurm"]),
-        (&["--dry-run", "--save-tasks", "job.toml"], ["job.toml", "would be replaced"]),
+        (&["--dry-run", "--save-tasks", "job.toml"], ["--save-tasks: job.toml", "would be replaced"]),
     ] {
         refuses(dir.path(), &[&["farm", "job.toml"], more].concat(), &parts);
     }
