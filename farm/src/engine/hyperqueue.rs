@@ -2,7 +2,7 @@
 
 use super::{Bundle, Engine, Event, Places};
 use crate::record::Line;
-use crate::spool::Spool;
+use crate::spool::{Spool, tail};
 use anyhow::{Context, Result, bail, ensure};
 use serde::Deserialize;
 use serde_json::json;
@@ -117,11 +117,6 @@ impl HyperQueue {
         Ok(new)
     }
 
-    /// The last line that a bundle's worker printed.
-    fn said_by(&self, bundle: u64) -> String {
-        crate::spool::tail(&self.places.state.join("logs").join(format!("bundle-{bundle}.log")))
-    }
-
     fn wait_until_ready(&mut self, log: &std::path::Path) -> Result<()> {
         let clock = Instant::now();
         while clock.elapsed() < START {
@@ -139,7 +134,7 @@ impl HyperQueue {
                 Err(_) => break,
             }
         }
-        bail!("HyperQueue did not start: {}; see {}", crate::spool::tail(log), log.display())
+        bail!("HyperQueue did not start: {}; see {}", tail(log), log.display())
     }
 }
 
@@ -181,7 +176,7 @@ impl Engine for HyperQueue {
                 "args": self.places.worker(number)?,
                 "priority": self.priority,
                 "min_time": request,
-                "log": self.places.state.join("logs").join(format!("bundle-{number}.log")),
+                "log": super::log_of(&self.places.state, number),
             }));
             self.spool.follow(number);
             self.open.insert(number);
@@ -230,7 +225,7 @@ impl Engine for HyperQueue {
             match serde_json::from_str(&line) {
                 Ok(Said::Over(bundle)) if self.open.remove(&bundle) => {
                     self.spool.forget(bundle);
-                    let said = self.said_by(bundle);
+                    let said = tail(&super::log_of(&self.places.state, bundle));
                     out.push(Event::Lost(
                         bundle,
                         format!("the bundle's worker ended without an answer: {said}"),
@@ -238,7 +233,7 @@ impl Engine for HyperQueue {
                 }
                 Ok(Said::Failed { failed, why }) if self.open.remove(&failed) => {
                     self.spool.forget(failed);
-                    let said = self.said_by(failed);
+                    let said = tail(&super::log_of(&self.places.state, failed));
                     out.push(Event::Lost(failed, format!("HyperQueue: {why} ({said})")));
                 }
                 Ok(Said::Down(error)) => out.push(Event::Down(format!("HyperQueue: {error}"))),

@@ -110,6 +110,11 @@ pub struct Places {
     pub program: Vec<OsString>,
 }
 
+/// The file that gets the output of a bundle's worker.
+fn log_of(state: &Path, bundle: u64) -> PathBuf {
+    state.join("logs").join(format!("bundle-{bundle}.log"))
+}
+
 impl Places {
     /// The command line of the worker for a bundle.
     ///
@@ -143,7 +148,7 @@ pub(crate) fn clear(state: &Path, bundle: u64) {
     for (folder, end) in [("orders", ".json"), ("spool", ".jsonl"), ("cancel", "")] {
         let _ = std::fs::remove_file(state.join(folder).join(format!("{bundle}{end}")));
     }
-    let _ = std::fs::remove_file(state.join("logs").join(format!("bundle-{bundle}.log")));
+    let _ = std::fs::remove_file(log_of(state, bundle));
 }
 
 /// Tells the worker of a bundle, through the database's state folder, to end after its current task.

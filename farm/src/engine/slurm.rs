@@ -3,7 +3,7 @@
 use super::{Bundle, Engine, Event, Places};
 use crate::command::quoted;
 use crate::record::Line;
-use crate::spool::Spool;
+use crate::spool::{Spool, tail};
 use anyhow::{Context, Result, bail, ensure};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -278,7 +278,7 @@ impl Engine for Slurm {
         for bundle in bundles {
             let number = bundle.sent.bundle;
             self.places.write_order(bundle, self.run)?;
-            let log = self.places.state.join("logs").join(format!("bundle-{number}.log"));
+            let log = super::log_of(&self.places.state, number);
             let log = log.to_str().context("the database's path is not UTF-8")?;
             // Slurm expands % in this name.
             let log = log.replace('%', "%%");
@@ -349,8 +349,7 @@ impl Engine for Slurm {
         for (bundle, why) in lost {
             if self.open.remove(&bundle).is_some() {
                 self.spool.forget(bundle);
-                let log = self.places.state.join("logs").join(format!("bundle-{bundle}.log"));
-                let why = format!("{why}: {}", crate::spool::tail(&log));
+                let why = format!("{why}: {}", tail(&super::log_of(&self.places.state, bundle)));
                 out.push(Event::Lost(bundle, why));
             }
         }
