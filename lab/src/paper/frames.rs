@@ -202,6 +202,11 @@ pub(super) fn of_panel(work: &Work<'_>, panel: Panel) -> Result<Vec<(Place, Stri
     Ok(out)
 }
 
+/// Times of the proxy as text, for a hash of inputs.
+pub(super) fn low_as_text(low: &Low) -> String {
+    low.iter().map(|((table, number), s)| format!(" {table} {number} {:016x}", s.to_bits())).collect()
+}
+
 /// Hash of the inputs of a part of the study.
 pub(super) fn identity(
     work: &Work<'_>,
@@ -226,9 +231,7 @@ pub(super) fn identity(
     for d in &p.data_sets {
         text += &format!(" {} {:?} {:?}", d.name, d.rule, d.members);
     }
-    for ((table, number), seconds) in low {
-        text += &format!(" {table} {number} {:016x}", seconds.to_bits());
-    }
+    text += &low_as_text(low);
     for table in tables {
         text +=
             &format!(" {:016x} {:016x}", table.hash, table.features.as_ref().map_or(0, FeatureTable::hash));

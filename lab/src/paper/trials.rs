@@ -4,7 +4,7 @@
 
 use super::Work;
 use super::description::{Change, Panel, TrialTables, Validation};
-use super::frames::{Low, main_encoder};
+use super::frames::{Low, low_as_text, main_encoder};
 use super::judge::{Judge, line_of};
 use super::results::{Results, kept, write};
 use crate::study::{clock, twins};
@@ -382,9 +382,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     for table in &measured.tables {
         inputs += &format!(" {:016x}", table.hash);
     }
-    for ((table, number), seconds) in &measured.low {
-        inputs += &format!(" {table} {number} {:016x}", seconds.to_bits());
-    }
+    inputs += &low_as_text(&measured.low);
     let mark = fnv1a_text(inputs.as_bytes());
     if kept(work.out, panel, SETS, mode, &mark)?.is_some() {
         return Ok(());

@@ -173,8 +173,9 @@ fn mix(a: u64, b: u64) -> u64 {
 }
 
 /// Plays a range of the frames of a trace with `targets` (one per frame of the trace); the session starts at the
-/// first frame of the range. `codes` are VolumeNet's outputs for the trace's volumes, or empty. The noise of a frame is the same for every controller: `seed` selects one of the
-/// repeats that measured it. `limits` are those of the ray step.
+/// first frame of the range. `codes` are VolumeNet's outputs for the trace's volumes, or empty. The noise of a frame is
+/// the same for every controller: `seed` selects one of the repeats that measured it. `limits` are those of the ray
+/// step.
 ///
 /// # Errors
 /// When a prediction fails; names the frame. When the controller acts on image resolution and the trace holds
