@@ -183,5 +183,11 @@ else
     skip test-ffi "tests under valgrind: it is not installed (apt-get install valgrind)"
 fi
 
+if [[ -z ${ENTIRE_SDK:-} ]]; then
+    say "recipes of Spack and vcpkg"
+    tests/c/recipes.sh || fail "recipes"
+    ok "recipes of Spack and vcpkg"
+fi
+
 printf '\nThe C library passed:\n'
 printf '  %s\n' "${passed[@]}"
