@@ -1,10 +1,10 @@
-# Seconds of `make fuzz-smoke`, for all fuzz targets together.
+# Processor seconds of `make fuzz-smoke`, for all fuzz targets together.
 FUZZ_SECONDS ?= 60
 # Hours of `make fuzz`, for all fuzz targets together.
 HOURS ?= 8
 
 .PHONY: fuzz-smoke
-fuzz-smoke: ## Run every fuzz target, a minute in total (FUZZ_SECONDS=60)
+fuzz-smoke: ## Run every fuzz target, a minute of processor time in total (FUZZ_SECONDS=60)
 	bash scripts/fuzz.sh smoke $(FUZZ_SECONDS)
 
 .PHONY: fuzz

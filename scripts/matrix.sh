@@ -5,7 +5,8 @@
 # Results go to MATRIX_OUT/results.csv, logs beside it. Needs root, for chroot.
 #
 #   scripts/matrix.sh [host|stable|testing]...     default: all three
-#   scripts/matrix.sh short                        only the short tests of the VTK class, with the version of Debian stable
+#   scripts/matrix.sh short [install]              only the short tests of the VTK class, with the version of Debian stable;
+#                                                  install: makes the folder and runs no test
 #
 # MATRIX_FOLDERS  where the folders are kept (default target/matrix); a folder is made again if its list of packages has changed
 # MATRIX_MIRROR   Debian's package mirror (default: that of this machine's apt sources)
@@ -18,13 +19,16 @@ cd "$(dirname "$0")/.."
 root=$PWD
 folders=$(realpath -m "${MATRIX_FOLDERS:-${CARGO_TARGET_DIR:-target}/matrix}")
 out=$(realpath -m "${MATRIX_OUT:-out/matrix}")
-names=("$@") short=
-if ((!${#names[@]})); then names=(host stable testing); fi
-if [[ $* == short ]]; then names=(stable) short=yes; fi
+names=("$@") short= install=
+case $* in
+    "") names=(host stable testing) ;;
+    short) names=(stable) short=yes ;;
+    "short install") names=(stable) short=yes install=yes ;;
+esac
 for name in "${names[@]}"; do
     case $name in
         host | stable | testing) ;;
-        *) echo "matrix.sh: found word \"$name\"; use host, stable, testing, or only short" >&2; exit 2 ;;
+        *) echo "matrix.sh: found word \"$name\"; use host, stable, testing, or only short or short install" >&2; exit 2 ;;
     esac
 done
 
@@ -99,7 +103,7 @@ status=0 suites=() places=()
 why=
 if [[ " ${names[*]} " == *" stable "* || " ${names[*]} " == *" testing "* ]]; then why=$(folder_lacking "$mirror"); fi
 library=$SECONDS
-sdk=$(sdk)
+if [[ ! $install ]]; then sdk=$(sdk); fi
 library=$((SECONDS - library))
 for name in "${names[@]}"; do
     if [[ $name == host ]]; then
@@ -119,6 +123,7 @@ for name in "${names[@]}"; do
         if [[ $short ]]; then skip "test-matrix, Debian $name" "its packages cannot be installed (see $out/$name-folder.log)"; else status=1; fi
         continue
     fi
+    if [[ $install ]]; then continue; fi
     glibc=$(chroot "$folders/$name" getconf GNU_LIBC_VERSION)
     if [[ $(printf '%s\n%s\n' "$glibc" "$(getconf GNU_LIBC_VERSION)" | sort -V | tail -n 1) != "$glibc" ]]; then
         skip "test-matrix, Debian $name" "the C library is built here against $(getconf GNU_LIBC_VERSION), and Debian $name has $glibc"

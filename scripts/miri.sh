@@ -19,7 +19,6 @@ fi
 # Under Miri, code runs some thousand times slower, so these are small tests that reach every scalar kernel.
 kernels=(
     kernels::level::
-    kernels::helper::
     kernels::scalar::
     memory::
     nn::volumenet::tests::small_networks_meet_the_definition

@@ -19,3 +19,26 @@ pub mod mutate;
 pub mod records;
 pub mod state;
 pub mod traces;
+
+/// Defines a target that gives bytes to a check, mutated as text.
+#[macro_export]
+macro_rules! text_target {
+    ($check:path) => {
+        libfuzzer_sys::fuzz_mutator!(|data: &mut [u8], size: usize, max_size: usize, seed: u32| {
+            $crate::mutate::text(data, size, max_size, seed, libfuzzer_sys::fuzzer_mutate)
+        });
+
+        libfuzzer_sys::fuzz_target!(|input: &[u8]| $check(input));
+    };
+}
+
+/// Defines a target that reads volumes of a format.
+#[macro_export]
+macro_rules! volume_target {
+    ($format:ident) => {
+        libfuzzer_sys::fuzz_target!(|input: &[u8]| {
+            let read = $crate::volume::hostile::read_any($crate::volume::Format::$format, input);
+            $crate::checks::check_volume(read)
+        });
+    };
+}

@@ -68,7 +68,8 @@ pub fn number(random: &mut Random, own: f64) -> f64 {
     }
 }
 
-fn put(data: &mut [u8], bytes: &[u8], room: usize) -> usize {
+/// Copies as many of `bytes` into `data` as `room` allows; returns their number.
+pub(crate) fn put(data: &mut [u8], bytes: &[u8], room: usize) -> usize {
     let length = bytes.len().min(room).min(data.len());
     data[..length].copy_from_slice(&bytes[..length]);
     length

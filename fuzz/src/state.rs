@@ -1,6 +1,6 @@
 //! Saved states of a session: mutations with valid checksums, and invariants of accepted states.
 
-use crate::mutate::{Step, number, random};
+use crate::mutate::{Step, number, put, random};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::Session;
@@ -80,9 +80,7 @@ pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) 
         }
     }
     seal(&mut body);
-    let length = body.len().min(room);
-    data[..length].copy_from_slice(&body[..length]);
-    length
+    put(data, &body, room)
 }
 
 thread_local! {

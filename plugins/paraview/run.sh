@@ -65,13 +65,7 @@ else
 fi
 
 build() {
-    local generator=() sdk
-    sdk=$(sdk)
-    if command -v ninja >/dev/null; then generator=(-G Ninja); fi
-    cmake -S plugins/paraview -B "$out/build" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" -DParaView_DIR="$cmake_dir" \
-        "${strict[@]}" -DENTIRE_PANEL="${PARAVIEW_PANEL:-ON}" >"$out/configure.log" 2>&1 ||
-        { tail -n 30 "$out/configure.log" >&2; exit 1; }
-    cmake --build "$out/build" >"$out/build.log" 2>&1 || { tail -n 40 "$out/build.log" >&2; exit 1; }
+    cmake_build plugins/paraview "$out/build" "$out/" -DParaView_DIR="$cmake_dir" -DENTIRE_PANEL="${PARAVIEW_PANEL:-ON}"
     plugin=$(find "$out/build" -name EntireSteering.so | head -n 1)
     echo "paraview: built $plugin"
 }
@@ -82,7 +76,6 @@ display() { timeout "${LIMIT:-600}" xvfb-run -a -s "-screen 0 1280x900x24 -nores
 build
 export ENTIRE_PLUGIN=$plugin
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-here=plugins/paraview/python
 case $what in
     build) ;;
     test) LIMIT=1200 display bash plugins/paraview/check.sh "$out" ${2:-} ;;

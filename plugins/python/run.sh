@@ -19,6 +19,7 @@
 # PYTHON_OUT           folder of the environments and logs (default target/python)
 # PYTHON_ENVIRONMENTS  environments to test in (default "test", with --full "test oldest qt host slicer trame-slicer")
 # ENTIRE_PROFILE       the cargo profile of the wheel (default release)
+# ENTIRE_SHARED        if set, the wheel contains the native module of the gate's build, which is in profile dev
 # VTK_PYTHON           the Python of the environment host (default /usr/bin/python3)
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -48,7 +49,8 @@ environment() {
     cmp -s "$list" "$folder/made-from" && return
     rm -rf "$folder"
     "$python" -m venv "$folder"
-    "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --only-binary :all: \
+    # Modules are compiled when they are imported: most never are.
+    "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-compile --only-binary :all: \
         --requirement "$list" >"$folder.log" 2>&1 || {
         why="$list cannot be installed with $("$python" --version): $(grep -v '^$' "$folder.log" | tail -n 1 | cut -c 1-200)"
         return 1
@@ -68,20 +70,22 @@ wheel() {
     environment build || lacks "$why"
     rm -f out/wheels/entire-*
     mkdir -p out/wheels
+    local cargo=${CARGO:-cargo}
+    if [[ ${ENTIRE_SHARED:-} ]]; then cargo=$PWD/$here/shared_cargo.sh; fi
     # Not `build --sdist`: it builds the wheel from the sdist, whose lock file lacks the other crates of the workspace.
-    maturin build --profile "${ENTIRE_PROFILE:-release}" --strip --locked --out out/wheels
+    ENTIRE_CARGO=${CARGO:-cargo} CARGO=$cargo maturin build --profile "${ENTIRE_PROFILE:-release}" --strip --locked --out out/wheels
     ls -l out/wheels/entire-*
 }
 
-# installed NAME: makes an environment and installs the wheel in it.
+# installed NAME: makes an environment and installs the wheel in it, once.
+declare -A with_wheel
 installed() {
+    [[ -z ${with_wheel[$1]:-} ]] || return 0
     environment "$1" || return
     "$out/$1/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall \
-        out/wheels/entire-*.whl
+        out/wheels/entire-*.whl && with_wheel[$1]=yes
 }
 
-# Runs a command on a display of its own, which does not reset when its last client ends.
-display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
 needs_display() {
     command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
 }

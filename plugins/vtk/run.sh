@@ -37,22 +37,8 @@ compgen -G "/usr/lib/*/cmake/vtk-9*/vtk-config.cmake" >/dev/null || [[ ${VTK_DIR
 python=$(command -v "$python") || { echo "run.sh: $python is not a program; set VTK_PYTHON to the Python that has VTK's module" >&2; exit 2; }
 command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
 
-# Runs a command on a display of its own, which does not reset when its last client ends.
-display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
-
 # build FOLDER OPTION...
-build() {
-    local folder=$1
-    shift
-    local generator=() sdk
-    sdk=$(sdk)
-    if command -v ninja >/dev/null; then generator=(-G Ninja); fi
-    cmake -S plugins/vtk -B "$folder" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" \
-        "${strict[@]}" -DPython3_EXECUTABLE="$python" "$@" >"$folder.configure.log" 2>&1 ||
-        { tail -n 20 "$folder.configure.log" >&2; exit 1; }
-    cmake --build "$folder" ${VTK_JOBS:+--parallel "$VTK_JOBS"} >"$folder.build.log" 2>&1 ||
-        { tail -n 40 "$folder.build.log" >&2; exit 1; }
-}
+build() { cmake_build plugins/vtk "$1" "$1." -DPython3_EXECUTABLE="$python" "${@:2}"; }
 
 mkdir -p "$out"
 case $what in

@@ -123,8 +123,9 @@ ok "parity of Rust and C; the C log is read as a timing table"
 
 if [[ -n ${ENTIRE_SDK:-} ]]; then
     say "panic boundary (a library built with test-panic)"
-    # The build uses the gate's target folder, so that only this library is compiled again.
-    $cargo build --quiet --workspace --features entire-cli/explore,entire-ffi/test-panic --all-targets
+    # The build uses the gate's target folder, so that only this library is compiled again. With --examples, cargo chooses the
+    # same features as in the gate's build.
+    $cargo build --quiet --workspace --features entire-cli/explore,entire-ffi/test-panic --lib --examples
     ffi/package/install.sh --profile dev --no-build --prefix "$work/stage-panic" >/dev/null
     ctest_options="-R panic_boundary" configure_and_test panic "$work/stage-panic" -DENTIRE_TEST_PANIC=ON
 fi

@@ -1,9 +1,0 @@
-#![no_main]
-
-use entire_fuzz::{mutate, records::check_tasks};
-
-libfuzzer_sys::fuzz_mutator!(|data: &mut [u8], size: usize, max_size: usize, seed: u32| {
-    mutate::text(data, size, max_size, seed, libfuzzer_sys::fuzzer_mutate)
-});
-
-libfuzzer_sys::fuzz_target!(|input: &[u8]| check_tasks(input));

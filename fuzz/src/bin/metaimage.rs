@@ -1,0 +1,3 @@
+#![no_main]
+
+entire_fuzz::volume_target!(MetaImage);
