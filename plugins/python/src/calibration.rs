@@ -8,6 +8,7 @@ use crate::lock::Guarded;
 use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
+use entire_core::Error;
 use entire_core::kernels::Executor;
 use entire_steer::calibrate::{Calibrated, Calibration as Core, Picture};
 use pyo3::prelude::*;
@@ -142,20 +143,23 @@ impl Calibration {
     fn fit_bytes<'py>(&self, py: Python<'py>, renderer: &str, clock: &str) -> PyResult<Fitted<'py>> {
         let core = self.0.lock(py)?;
         let core: &Core = &core;
-        let fitted = detached(py, || {
-            let fitted = core.fit([renderer, clock], Executor::Serial)?;
-            Ok((fitted.file.to_bytes()?, fitted))
-        });
-        let (bytes, fitted): (Vec<u8>, Calibrated) = fitted.map_err(raise)?;
-        as_python(py, &bytes, &fitted)
+        fitted(py, || core.fit([renderer, clock], Executor::Serial))
     }
 }
 
 /// A model file's bytes, and its calibration's report.
 pub(crate) type Fitted<'py> = (Bound<'py, PyBytes>, Bound<'py, PyDict>);
 
-/// Result of a calibration, for Python.
-pub(crate) fn as_python<'py>(py: Python<'py>, bytes: &[u8], fitted: &Calibrated) -> PyResult<Fitted<'py>> {
+/// Runs a fit with the interpreter lock released, and returns its result for Python.
+pub(crate) fn fitted<'py>(
+    py: Python<'py>,
+    fit: impl FnOnce() -> Result<Calibrated, Error> + Send,
+) -> PyResult<Fitted<'py>> {
+    let made = detached(py, || {
+        let fitted = fit()?;
+        Ok((fitted.file.to_bytes()?, fitted))
+    });
+    let (bytes, fitted): (Vec<u8>, Calibrated) = made.map_err(raise)?;
     let report = PyDict::new(py);
     report.set_item("frames", fitted.frames)?;
     report.set_item("held_out", fitted.held_out.to_string())?;
@@ -163,5 +167,5 @@ pub(crate) fn as_python<'py>(py: Python<'py>, bytes: &[u8], fitted: &Calibrated)
     report.set_item("rmse_over_sd", fitted.rmse_over_sd)?;
     report.set_item("upper_factor", fitted.upper.factor())?;
     report.set_item("scenes", fitted.quality.map_or(0, |q| q.scenes))?;
-    Ok((PyBytes::new(py, bytes), report))
+    Ok((PyBytes::new(py, &bytes), report))
 }

@@ -14,7 +14,6 @@ mod errors;
 mod files;
 mod frame;
 mod held;
-mod history;
 mod lock;
 mod model;
 mod plan;

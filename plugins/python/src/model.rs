@@ -75,8 +75,8 @@ impl Model {
     fn new(py: Python<'_>, data: Vec<u8>) -> PyResult<Self> {
         let loaded = detached(py, || {
             let file = File::from_bytes(&data)?;
-            let net = file.prednet().map(PredNet::new).transpose()?.map(Arc::new);
-            let encoder = file.volumenet().map(VolumeNet::new).transpose()?;
+            let net = file.prednet.as_ref().map(PredNet::new).transpose()?.map(Arc::new);
+            let encoder = file.volumenet.as_ref().map(VolumeNet::new).transpose()?;
             Ok(Loaded { file, bytes: data, net, encoder, scratch: Guarded::new(None) })
         });
         Ok(Self(Arc::new(loaded.map_err(raise)?)))
@@ -105,14 +105,14 @@ impl Model {
     /// list of (str, int) : Input groups of the prediction network and their sizes, in order.
     #[getter]
     fn inputs(&self) -> Vec<(String, usize)> {
-        self.0.file.inputs().iter().map(|g| (g.name.clone(), g.size)).collect()
+        self.0.file.inputs.iter().map(|g| (g.name.clone(), g.size)).collect()
     }
 
     /// dict of str to str : The file's metadata.
     #[getter]
     fn metadata<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let dict = PyDict::new(py);
-        for (key, value) in self.0.file.metadata() {
+        for (key, value) in &self.0.file.metadata {
             dict.set_item(key, value)?;
         }
         Ok(dict)

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 #[pyclass(frozen, get_all, module = "entire")]
 pub(crate) struct Plan {
     /// int : Number of this plan in its session; never 0.
-    id: u64,
+    pub(crate) id: u64,
     /// float : Ray step in reference steps (smallest voxel spacings).
     step: f32,
     /// float : Pixels between rays along each side of the image, at least 1.
@@ -42,10 +42,6 @@ impl Plan {
             reason: plan.reason.into(),
             target,
         }
-    }
-
-    pub(crate) fn id(&self) -> u64 {
-        self.id
     }
 }
 

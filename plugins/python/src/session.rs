@@ -1,21 +1,19 @@
 //! One render loop.
 
-use crate::calibration::{Fitted, as_python};
+use crate::calibration::{Fitted, fitted};
 use crate::camera::Camera;
 use crate::detach::detached;
 use crate::errors::{NotReadyError, raise};
 use crate::frame::{Shape, cameras};
 use crate::held::Held;
-use crate::history::Entry;
 use crate::lock::Guarded;
 use crate::model::{Loaded, Model};
 use crate::plan::{Plan, Prediction};
-use crate::state::State;
+use crate::state::{Observed, State};
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::kernels::Executor;
 use entire_core::scene::Frame;
-use entire_steer::calibrate::Calibrated;
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::{HybridOptions, Quality, Session as Core, StepLimits};
 use entire_steer::features::{Changes, Setting};
@@ -23,6 +21,7 @@ use entire_steer::predict::{AnalyticModel, Predictor};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList, PyTuple};
+use std::collections::VecDeque;
 use std::sync::{Arc, MutexGuard};
 
 /// The native part of `entire.Session`.
@@ -36,18 +35,6 @@ pub(crate) struct Session {
 impl Session {
     fn state(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, State>> {
         self.state.lock(py)
-    }
-
-    /// Sets a volume. It is scanned and encoded before the session is locked, with the interpreter lock
-    /// released.
-    fn take_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
-        volume.0.summary(py)?;
-        let model = self.model.lock(py)?.clone();
-        let features = match &model {
-            Some(model) => model.features_of(py, &volume.0)?,
-            None => None,
-        };
-        self.state(py)?.take_volume(py, &volume.0, features.as_deref())
     }
 
     /// Sets the transfer function of a call; returns the frame of the call and the locked state.
@@ -104,7 +91,7 @@ impl Session {
         let model = Guarded::new(model.map(|m| m.0.clone()));
         let made = Self { state: Guarded::new(State::new(core)), model, options };
         if let Some(volume) = volume {
-            made.take_volume(py, volume)?;
+            made.set_volume(py, volume)?;
         }
         Ok(made)
     }
@@ -122,7 +109,14 @@ impl Session {
     /// ModelError
     ///     If the model takes volume features and has no encoder.
     fn set_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
-        self.take_volume(py, volume)
+        // The volume is scanned and encoded before the session is locked, with the interpreter lock released.
+        volume.0.summary(py)?;
+        let model = self.model.lock(py)?.clone();
+        let features = match &model {
+            Some(model) => model.features_of(py, &volume.0)?,
+            None => None,
+        };
+        self.state(py)?.take_volume(py, &volume.0, features.as_deref())
     }
 
     /// Sets the transfer function. :meth:`plan` and :meth:`predict` set it too.
@@ -360,7 +354,7 @@ impl Session {
         let mut state = self.state(py)?;
         if let Some(due) = due {
             // Rejected times are documented to have no effect.
-            let _ = state.observe(due.id(), seconds as f32, ObserveFlags { unusual: false, cancelled });
+            let _ = state.observe(due.id, seconds as f32, ObserveFlags { unusual: false, cancelled });
         }
         let frame = held.frame(to_eye, fov, parallel_scale, size, step)?;
         state.follow(frame.camera);
@@ -454,7 +448,7 @@ impl Session {
         cancelled: bool,
     ) -> PyResult<&'static str> {
         let flags = ObserveFlags { unusual, cancelled };
-        Ok(self.state(py)?.observe(plan.id(), seconds as f32, flags)?.into())
+        Ok(self.state(py)?.observe(plan.id, seconds as f32, flags)?.into())
     }
 
     /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. Does not
@@ -542,24 +536,7 @@ impl Session {
         Ok(())
     }
 
-    /// Starts recording planned and observed frames for :meth:`calibrate`. Earlier recorded frames are
-    /// dropped. Not recorded are unusual and cancelled observations, the first frame of the session, and the
-    /// first frame of a volume.
-    ///
-    /// Parameters
-    /// ----------
-    /// frames : int, optional
-    ///     Number of frames to keep, 8 to 65536: a uniform random sample if more are observed. Default 1000.
-    /// model : Model, optional
-    ///     The model to start from, fitted on another machine or renderer; a model with a learned factor must
-    ///     have the same probe as the session. Default: the unit costs of a software renderer.
-    ///
-    /// Raises
-    /// ------
-    /// ValueError
-    ///     For another number of frames, or a model with another probe.
-    /// ModelError
-    ///     For a model of another kind.
+    /// :meth:`entire.Session.record` with the number of `frames` to keep, and an opened `model` or None.
     #[pyo3(signature = (frames, model))]
     fn record_from(&self, py: Python<'_>, frames: usize, model: Option<&Model>) -> PyResult<()> {
         let prior = model.map(|m| m.0.model_file()).transpose()?;
@@ -577,27 +554,10 @@ impl Session {
         let mut state = self.state(py)?;
         // Exclusive access, since predictors are not `Sync`.
         let core = &mut state.core;
-        let fitted = detached(py, move || {
-            let fitted = core.calibrate(Executor::Serial)?;
-            Ok((fitted.file.to_bytes()?, fitted))
-        });
-        let (bytes, fitted): (Vec<u8>, Calibrated) = fitted.map_err(raise)?;
-        as_python(py, &bytes, &fitted)
+        fitted(py, move || core.calibrate(Executor::Serial))
     }
 
-    /// Replaces the session's model. Observations are dropped; volume, transfer function, limits and recorded
-    /// frames stay. If the model takes volume features, set the volume again.
-    ///
-    /// Parameters
-    /// ----------
-    /// model : Model
-    ///
-    /// Raises
-    /// ------
-    /// ModelError
-    ///     For a model without a prediction network.
-    /// ValueError
-    ///     While frames are recorded with another probe than the model's.
+    /// :meth:`entire.Session.set_model` with an opened `model`.
     fn steer_by(&self, py: Python<'_>, model: &Model) -> PyResult<()> {
         let predictor = model.0.predictor()?;
         let mut kept = self.model.lock(py)?;
@@ -633,14 +593,14 @@ impl Session {
     /// or "device"; None for other names, and before a name is set.
     #[getter]
     fn clock(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
-        Ok(self.state(py)?.core.clock().map(Into::into))
+        Ok(self.state(py)?.core.clocks()[0].map(Into::into))
     }
 
     /// str or None : The clock whose seconds the model predicts: "cpu", "wall" or "device"; None if its file
     /// has no clock, and without a model.
     #[getter]
     fn model_clock(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
-        Ok(self.state(py)?.core.model_clock().map(Into::into))
+        Ok(self.state(py)?.core.clocks()[1].map(Into::into))
     }
 
     /// The learned state, as bytes for :meth:`load_state`.
@@ -673,18 +633,23 @@ impl Session {
     ///     ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds), ``step`` (reference
     ///     steps), ``image_sample_distance`` (pixels), ``reason``, ``verdict``.
     fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let entries: Vec<Entry> = self.state(py)?.history.entries().copied().collect();
+        let frames: VecDeque<Observed> = self.state(py)?.history.clone();
         let dict = PyDict::new(py);
-        let numbers = |f: fn(&Entry) -> f32| PyArray1::from_iter(py, entries.iter().map(f));
-        dict.set_item("plan", PyArray1::from_iter(py, entries.iter().map(|e| e.plan)))?;
-        dict.set_item("target", numbers(|e| e.target))?;
-        dict.set_item("predicted", numbers(|e| e.predicted))?;
-        dict.set_item("upper", numbers(|e| e.upper))?;
-        dict.set_item("measured", numbers(|e| e.measured))?;
-        dict.set_item("step", numbers(|e| e.step))?;
-        dict.set_item("image_sample_distance", numbers(|e| e.image_sample_distance))?;
-        dict.set_item("reason", PyList::new(py, entries.iter().map(|e| e.reason))?)?;
-        dict.set_item("verdict", PyList::new(py, entries.iter().map(|e| e.verdict))?)?;
+        dict.set_item("plan", PyArray1::from_iter(py, frames.iter().map(|f| f.plan.id)))?;
+        type Number = (&'static str, fn(&Observed) -> f32);
+        let numbers: [Number; 6] = [
+            ("target", |f| f.target),
+            ("predicted", |f| f.plan.seconds),
+            ("upper", |f| f.plan.upper),
+            ("measured", |f| f.measured),
+            ("step", |f| f.plan.step),
+            ("image_sample_distance", |f| f.plan.image_sample_distance),
+        ];
+        for (name, number) in numbers {
+            dict.set_item(name, PyArray1::from_iter(py, frames.iter().map(number)))?;
+        }
+        dict.set_item("reason", PyList::new(py, frames.iter().map(|f| <&str>::from(f.plan.reason)))?)?;
+        dict.set_item("verdict", PyList::new(py, frames.iter().map(|f| <&str>::from(f.verdict)))?)?;
         Ok(dict)
     }
 }

@@ -1,7 +1,6 @@
 //! State of a session between calls.
 
 use crate::errors::{NotReadyError, raise};
-use crate::history::{Entry, History};
 use crate::plan::Plan;
 use crate::transfer::{Transfer, TransferFunction};
 use crate::volume::Data;
@@ -10,7 +9,20 @@ use entire_steer::control::{ObserveFlags, Verdict};
 use entire_steer::control::{PENDING_PLANS, Plan as CorePlan, Session as Core};
 use entire_steer::features::Changes;
 use pyo3::prelude::*;
+use std::collections::VecDeque;
 use std::sync::Arc;
+
+/// Maximum number of observed frames that are kept.
+const KEPT: usize = 4096;
+
+/// One observed frame.
+#[derive(Clone)]
+pub(crate) struct Observed {
+    pub(crate) plan: CorePlan,
+    pub(crate) target: f32,
+    pub(crate) measured: f32,
+    pub(crate) verdict: Verdict,
+}
 
 /// A session of the core, its current inputs, and its observed frames.
 pub(crate) struct State {
@@ -21,7 +33,8 @@ pub(crate) struct State {
     camera: Option<CoreCamera>,
     /// The last plans and their targets in seconds.
     plans: Box<[Option<(CorePlan, f32)>; PENDING_PLANS]>,
-    pub(crate) history: History,
+    /// The last [`KEPT`] observed frames, oldest first.
+    pub(crate) history: VecDeque<Observed>,
 }
 
 impl State {
@@ -32,7 +45,7 @@ impl State {
             transfer: None,
             camera: None,
             plans: Box::new([None; PENDING_PLANS]),
-            history: History::default(),
+            history: VecDeque::new(),
         }
     }
 
@@ -99,17 +112,10 @@ impl State {
         if let Some((plan, target)) = self.plans[slot(id)]
             && plan.id == id
         {
-            self.history.push(Entry {
-                plan: id,
-                target,
-                predicted: plan.seconds,
-                upper: plan.upper,
-                measured: seconds,
-                step: plan.step,
-                image_sample_distance: plan.image_sample_distance,
-                reason: plan.reason.into(),
-                verdict: verdict.into(),
-            });
+            if self.history.len() == KEPT {
+                self.history.pop_front();
+            }
+            self.history.push_back(Observed { plan, target, measured: seconds, verdict });
         }
         Ok(verdict)
     }

@@ -3,7 +3,7 @@
 use crate::errors::raise;
 use crate::volume::{Data, asarray, astype};
 use entire_core::scene::{
-    ColorNode, ControlPoint, GaussianLobe, Nodes, OpacityNode, TransferFunction as Description, TransferTable,
+    ControlPoint, GaussianLobe, Node, Nodes, TransferFunction as Description, TransferTable,
 };
 use numpy::{PyArray2, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -176,18 +176,18 @@ impl TransferFunction {
     ) -> PyResult<Self> {
         let opacity = opacity.into_iter().map(|node| match node {
             OpacityEntry::Full((position, opacity, midpoint, sharpness)) => {
-                OpacityNode { position, opacity, midpoint, sharpness }
+                Node { position, value: opacity, midpoint, sharpness }
             }
             OpacityEntry::Plain((position, opacity)) => {
-                OpacityNode { position, opacity, midpoint: 0.5, sharpness: 0.0 }
+                Node { position, value: opacity, midpoint: 0.5, sharpness: 0.0 }
             }
         });
         let color = color.into_iter().map(|node| match node {
             ColorEntry::Full((position, r, g, b, midpoint, sharpness)) => {
-                ColorNode { position, color: [r, g, b], midpoint, sharpness }
+                Node { position, value: [r, g, b], midpoint, sharpness }
             }
             ColorEntry::Plain((position, r, g, b)) => {
-                ColorNode { position, color: [r, g, b], midpoint: 0.5, sharpness: 0.0 }
+                Node { position, value: [r, g, b], midpoint: 0.5, sharpness: 0.0 }
             }
         });
         let nodes = Nodes { opacity: opacity.collect(), color: color.collect(), range, clamp };

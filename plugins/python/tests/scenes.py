@@ -15,6 +15,7 @@ __all__ = [
     "add_volume",
     "color_function",
     "image_data",
+    "one_volume",
     "opacity_function",
 ]
 
@@ -66,6 +67,12 @@ class View:
     def pixels(self):
         """Pixels of the window, uint8 [y, x, rgb], without drawing it again."""
         return pixels(self.window)
+
+
+def one_volume(voxels, mapper="gpu", **options):
+    """A window with one volume; returns both."""
+    view = View()
+    return view, add_volume(view.renderer, voxels, mapper, **options)
 
 
 def settings(mapper):

@@ -11,15 +11,14 @@ pytest.importorskip("vtkmodules")
 import entire
 import entire.vtk
 
-from scenes import View, add_volume, settings
+from scenes import View, add_volume, one_volume, settings
 
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed", "smart"])
 @pytest.mark.parametrize("event", ["VolumeMapperRenderStartEvent", "VolumeMapperRenderEndEvent"])
 @pytest.mark.parametrize("what", ["reset", "detach"])
 def test_settings_are_restored_whenever_steering_ends(voxels, kind, event, what):
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
+    view, volume = one_volume(voxels, kind)
     view.draw(1)
     own, before = volume.GetMapper(), settings(volume.GetMapper())
     steering = entire.vtk.hold(view.renderer, volume, seconds=1e-5, clock="cpu")
@@ -52,8 +51,7 @@ def test_read_outs_are_of_the_last_frame(voxels):
 
 
 def test_calibration_hides_the_overlay_from_its_pictures(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     entire.vtk.hold(view.renderer, volume, seconds=1.0, clock="cpu", overlay=True)
     seen = []
 
@@ -67,8 +65,7 @@ def test_calibration_hides_the_overlay_from_its_pictures(voxels):
 
 
 def test_a_volume_changes_hands(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels, "smart")
+    view, volume = one_volume(voxels, "smart")
     smart = volume.GetMapper()
     first = entire.vtk.hold(view.renderer, volume, 0.1)
     second = entire.vtk.hold(view.renderer, volume, 0.001)

@@ -11,7 +11,7 @@ import entire.vtk
 from vtkmodules import vtkCommonCore
 from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkSmartVolumeMapper
 
-from scenes import View, add_volume
+from scenes import add_volume, one_volume
 
 VERSION = vtkCommonCore.vtkVersion().GetVTKVersion()
 
@@ -21,8 +21,7 @@ def test_render_modes_outside_of_vtk_are_refused_by_name(voxels, name):
     mode = {"OSPRay": "OSPRayRenderMode", "ANARI": "AnariRenderMode"}[name]
     if not hasattr(vtkSmartVolumeMapper, mode):
         pytest.skip(f"VTK {VERSION} has no render mode by {name}")
-    view = View()
-    volume = add_volume(view.renderer, voxels, "smart")
+    view, volume = one_volume(voxels, "smart")
     smart = volume.GetMapper()
     smart.SetRequestedRenderMode(getattr(vtkSmartVolumeMapper, mode))
     with pytest.raises(entire.CannotSteer, match=f"told to draw by {name}"):
@@ -43,8 +42,7 @@ def test_render_modes_outside_of_vtk_are_refused_by_name(voxels, name):
 def test_low_resolution_mode_is_refused(voxels):
     if not hasattr(vtkSmartVolumeMapper, "SetLowResMode"):
         pytest.skip(f"VTK {VERSION} has no low-resolution mode in vtkSmartVolumeMapper")
-    view = View()
-    volume = add_volume(view.renderer, voxels, "smart")
+    view, volume = one_volume(voxels, "smart")
     volume.GetMapper().SetLowResMode(vtkSmartVolumeMapper.LowResModeResample)
     with pytest.raises(entire.CannotSteer, match="LowResMode"):
         entire.vtk.hold(view.renderer, volume, 0.1)
@@ -59,8 +57,7 @@ def test_scalars_of_any_layout_are_read_without_a_copy_of_all(voxels, components
         pytest.skip(f"VTK {VERSION} has no structure of arrays in Python")
     steps = []
     for apart in (False, True):
-        view = View()
-        volume = add_volume(view.renderer, voxels)
+        view, volume = one_volume(voxels)
         data = volume.GetMapper().GetInput().GetPointData()
         values = vtkCommonCore.vtkUnsignedCharArray()
         values.SetNumberOfComponents(components)
@@ -88,8 +85,7 @@ def test_scalars_of_any_layout_are_read_without_a_copy_of_all(voxels, components
 
 
 def test_rays_that_begin_at_noise_are_steered(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     steering = entire.vtk.hold(view.renderer, volume, 1e-4)
     view.draw(3)
     leaf = steering.leaves[0]

@@ -29,6 +29,7 @@ from scenes import (
     add_volume,
     color_function,
     image_data,
+    one_volume,
     opacity_function,
     settings,
 )
@@ -73,8 +74,7 @@ def test_frames_are_held(voxels, kind):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("spacing", [(1, 1, 1), (0.5, 1.0, 2.0)])
 def test_still_frames_are_vtks_byte_for_byte(voxels, kind, spacing):
-    view = View()
-    volume = add_volume(view.renderer, voxels[:, :40], kind, spacing=spacing)
+    view, volume = one_volume(voxels[:, :40], kind, spacing=spacing)
     view.draw(2)
     view.orbit(45, 100)
     view.window.Render()
@@ -103,8 +103,7 @@ def test_still_frames_are_vtks_byte_for_byte(voxels, kind, spacing):
 
 @pytest.mark.parametrize(("spacing", "scale"), [(1.0, 1.0), (0.01, 1.0), (5.0, 1.0), (0.5, 2.0)])
 def test_full_quality_is_that_of_a_mapper_that_adjusts_by_itself(voxels, spacing, scale):
-    view = View()
-    volume = add_volume(view.renderer, voxels[:, :40], "gpu", spacing=(spacing,) * 3)
+    view, volume = one_volume(voxels[:, :40], "gpu", spacing=(spacing,) * 3)
     volume.SetScale(scale)
     volume.GetMapper().SetAutoAdjustSampleDistances(1)
     volume.GetProperty().SetScalarOpacityUnitDistance(spacing)
@@ -124,8 +123,7 @@ def test_full_quality_is_that_of_a_mapper_that_adjusts_by_itself(voxels, spacing
 
 
 def test_the_windows_rate_decides_where_there_is_an_interactor(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     interactor = vtkRenderWindowInteractor()
     interactor.SetRenderWindow(view.window)
     steering = entire.vtk.hold(view.renderer, volume, 0.001)
@@ -181,8 +179,7 @@ def test_several_volumes_share_the_time(voxels):
 
 
 def test_scene_changes_are_followed(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     steering = entire.vtk.hold(view.renderer, volume, 0.004)
     view.draw(5)
     leaf = steering.leaves[0]
@@ -247,8 +244,7 @@ def test_scene_changes_are_followed(voxels):
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])
 def test_only_other_functions_are_new(voxels, kind):
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
+    view, volume = one_volume(voxels, kind)
     steering = entire.vtk.hold(view.renderer, volume, 0.004)
     view.draw(2)
     leaf, prop = steering.leaves[0], volume.GetProperty()
@@ -291,8 +287,7 @@ def test_only_other_functions_are_new(voxels, kind):
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])
 def test_voxels_that_change_in_place_are_read_again(voxels, kind):
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
+    view, volume = one_volume(voxels, kind)
     steering = entire.vtk.hold(view.renderer, volume, 0.004)
     image = volume.GetMapper().GetInput()
     scalars = image.GetPointData().GetScalars()
@@ -316,8 +311,7 @@ def test_voxels_that_change_in_place_are_read_again(voxels, kind):
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])
 def test_a_producer_that_exchanges_its_output_is_followed(voxels, kind):
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
+    view, volume = one_volume(voxels, kind)
     mapper, producer = volume.GetMapper(), vtkTrivialProducer()
     other = image_data(voxels[:30])
     producer.SetOutput(image_data(voxels))
@@ -336,8 +330,7 @@ def test_a_producer_that_exchanges_its_output_is_followed(voxels, kind):
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])
 def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
+    view, volume = one_volume(voxels, kind)
     view.draw(1)
     waits, wait = [], view.window.WaitForCompletion
     view.window.__dict__["WaitForCompletion"] = lambda: (waits.append(0), wait())
@@ -356,8 +349,7 @@ def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
 
 
 def test_what_the_application_sets_within_a_frame_is_kept(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     mapper = volume.GetMapper()
     steering = entire.vtk.hold(view.renderer, volume, 0.002)
     mapper.AddObserver("VolumeMapperRenderStartEvent", lambda m, _: m.SetSampleDistance(0.75), -2.0)
@@ -368,8 +360,7 @@ def test_what_the_application_sets_within_a_frame_is_kept(voxels):
 
 
 def test_a_frame_that_cannot_be_predicted_is_vtks(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     volume.GetMapper().GetInput().GetPointData().SetScalars(None)
     steering = entire.vtk.hold(view.renderer, volume, 0.002)
     view.draw(1)
@@ -418,8 +409,7 @@ def test_mappers_that_cannot_be_steered_say_why(module, name, text):
 
 
 def test_misuse_is_said(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     for arguments, text in (
         ((None, volume, 0.1), "vtkRenderer"),
         ((vtkRenderer(),), "no volume"),
@@ -453,8 +443,7 @@ def test_misuse_is_said(voxels):
 
 
 def test_the_scene_keeps_a_steering_alive_and_not_the_other_way_round(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels, "smart")
+    view, volume = one_volume(voxels, "smart")
     gone = weakref.ref(entire.vtk.hold(view.renderer, volume, 0.001))
     gc.collect()
     view.draw(2)
@@ -465,8 +454,7 @@ def test_the_scene_keeps_a_steering_alive_and_not_the_other_way_round(voxels):
 
 
 def test_calibration_serves_the_first_frame(voxels, tmp_path):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     view.draw(2)
     before, camera = settings(volume.GetMapper()), view.renderer.GetActiveCamera().GetPosition()
     unit = volume.GetProperty().GetScalarOpacityUnitDistance(0)
@@ -505,8 +493,7 @@ def test_calibration_serves_the_first_frame(voxels, tmp_path):
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])
 def test_calibration_compares_pictures_and_steering_goes_by_them(voxels, kind):
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
+    view, volume = one_volume(voxels, kind)
     view.draw(1)
     seen = []
 
@@ -533,8 +520,7 @@ def test_calibration_compares_pictures_and_steering_goes_by_them(voxels, kind):
 
 
 def test_a_model_of_another_clock_is_said_once(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     said = r"of the cpu clock.*by the wall clock.*first frames.*--clock wall.*entire\.vtk\.calibrate.*'wall'"
     with pytest.warns(UserWarning, match=said) as warned:
         steering = entire.vtk.hold(view.renderer, volume, 0.004, model="unshaded-selected")
@@ -563,8 +549,7 @@ def test_a_model_of_another_clock_is_said_once(voxels):
 
 
 def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     steering = entire.vtk.hold(view.renderer, volume, 0.004)
     view.draw(4)
     leaf, state = steering.leaves[0], tmp_path / "state"
@@ -596,8 +581,7 @@ def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
 
 
 def test_the_overlay_never_enters_still_frames(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     view.draw(2)
     plain = view.pixels()
     steering = entire.vtk.hold(view.renderer, volume, 0.002, overlay=True)
@@ -613,8 +597,7 @@ def test_the_overlay_never_enters_still_frames(voxels):
 
 
 def test_time_outside_of_the_window_counts(voxels):
-    view = View()
-    volume = add_volume(view.renderer, voxels)
+    view, volume = one_volume(voxels)
     steering = entire.vtk.hold(view.renderer, volume, 0.1, clock="cpu")
     view.draw(8)
     free = steering.history.target[-1]
@@ -630,8 +613,7 @@ def test_time_outside_of_the_window_counts(voxels):
 def test_picking_is_left_alone(voxels, kind):
     from vtkmodules.vtkRenderingCore import vtkHardwareSelector
 
-    view = View()
-    volume = add_volume(view.renderer, voxels, kind)
+    view, volume = one_volume(voxels, kind)
     mapper = volume.GetMapper()
     # No machine meets this target.
     steering = entire.vtk.hold(view.renderer, volume, 1e-6)

@@ -3,6 +3,7 @@
 #ifndef EntireTestScene_h
 #define EntireTestScene_h
 
+#include "vtkCallbackCommand.h"
 #include "vtkCamera.h"
 #include "vtkColorTransferFunction.h"
 #include "vtkFixedPointVolumeRayCastMapper.h"
@@ -28,6 +29,7 @@
 #include <iostream>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace EntireTest
@@ -164,9 +166,13 @@ struct Scene
     this->Volume->SetMapper(next);
   }
 
-  std::vector<unsigned char> Draw()
+  // Draws frames; returns the pixels of the last one.
+  std::vector<unsigned char> Draw(int frames = 1)
   {
-    this->Window->Render();
+    for (int i = 0; i < frames; ++i)
+    {
+      this->Window->Render();
+    }
     vtkNew<vtkWindowToImageFilter> grab;
     grab->SetInput(this->Window);
     grab->ShouldRerenderOff();
@@ -195,24 +201,60 @@ Settings Of(Mapper* mapper)
   return { mapper->GetSampleDistance(), mapper->GetImageSampleDistance(),
     mapper->GetAutoAdjustSampleDistances(), mapper->GetLockSampleDistanceToInputSpacing() };
 }
+inline Settings Of(vtkSmartVolumeMapper* mapper)
+{
+  return { mapper->GetSampleDistance(), 1, mapper->GetAutoAdjustSampleDistances(),
+    mapper->GetInteractiveAdjustSampleDistances() };
+}
 
-inline Settings Read(vtkVolumeMapper* mapper)
+// Calls a function with a GPU, fixed-point or smart mapper as an object of its class; does nothing with other mappers.
+template <class Function>
+void AsItsClass(vtkVolumeMapper* mapper, Function what)
 {
   if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
   {
-    return Of(gpu);
+    what(gpu);
   }
-  if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
+  else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
   {
-    return Of(cpu);
+    what(cpu);
   }
-  if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(mapper))
+  else if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(mapper))
   {
-    return { smart->GetSampleDistance(), 1, smart->GetAutoAdjustSampleDistances(),
-      smart->GetInteractiveAdjustSampleDistances() };
+    what(smart);
   }
-  return { 0, 0, 0, 0 };
 }
+
+inline Settings Read(vtkVolumeMapper* mapper)
+{
+  Settings settings = { 0, 0, 0, 0 };
+  AsItsClass(mapper, [&](auto* each) { settings = Of(each); });
+  return settings;
+}
+
+// Calls a function at every event of an object, after the steering's observer.
+class After
+{
+public:
+  After(vtkObject* subject, unsigned long event, std::function<void()> what)
+    : Subject(subject)
+    , What(std::move(what))
+  {
+    this->Command->SetClientData(this);
+    this->Command->SetCallback(
+      [](vtkObject*, unsigned long, void* data, void*) { static_cast<After*>(data)->What(); });
+    this->Tag = subject->AddObserver(event, this->Command, -1.0f);
+  }
+  ~After() { this->Subject->RemoveObserver(this->Tag); }
+  After(const After&) = delete;
+  void operator=(const After&) = delete;
+
+private:
+  vtkObject* Subject;
+  std::function<void()> What;
+  vtkNew<vtkCallbackCommand> Command;
+  unsigned long Tag;
+};
 
 // Runs the test that the program's arguments name, with the mapper that they name.
 inline int Main(int argc, char* argv[], const std::map<std::string, std::function<void(Kind)>>& tests)

@@ -4,7 +4,6 @@
 #include "Scene.h"
 
 #include "vtkAssembly.h"
-#include "vtkCallbackCommand.h"
 #include "vtkDataArray.h"
 #include "vtkEntireSceneReading.h"
 #include "vtkEntireSteering.h"
@@ -123,8 +122,7 @@ void DrawsWhatVtkDraws(Kind kind)
   for (const double coarsest : { 3.0, 2.0, 5.0 })
   {
     steering->SetCoarsestSampleDistance(coarsest);
-    steered.Draw();
-    shown = steered.Draw();
+    shown = steered.Draw(2);
     CHECK(std::fabs(steering->GetSampleDistance() - coarsest) < 0.1);
     if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(plain.Mapper))
     {
@@ -134,8 +132,7 @@ void DrawsWhatVtkDraws(Kind kind)
     {
       set(cpu);
     }
-    plain.Draw();
-    CHECK(plain.Draw() == shown);
+    CHECK(plain.Draw(2) == shown);
     steering->SetCoarsestImageSampleDistance(kind == FIXED || kind == GPU ? 1.5 : 1);
   }
   // The steered frame differs from a frame without steering.
@@ -217,8 +214,7 @@ void SwitchesOff(Kind kind)
   CHECK(Is(steering->GetReason(), "target unreachable"));
   steering->SetStillUpdateRate(0);
   scene.Window->SetDesiredUpdateRate(0.0001);
-  scene.Draw();
-  scene.Draw();
+  scene.Draw(2);
   CHECK(!Is(steering->GetReason(), "still") && !Is(steering->GetReason(), "target unreachable"));
 }
 
@@ -236,8 +232,7 @@ void FallsBack(Kind kind)
   plain.Window->SetDesiredUpdateRate(0.0001);
   CHECK(plain.Draw() == scene.Draw());
   scene.Interactive();
-  scene.Draw();
-  scene.Draw();
+  scene.Draw(2);
   CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "/nowhere/model.safetensors"));
   CHECK(warnings->GetWarning() && steering->GetNumberOfFallbackFrames() > 0);
   CHECK(steering->GetNumberOfSteeredFrames() == 0);
@@ -364,10 +359,7 @@ void KnowsItsRenderer(Kind kind)
   other->SetTargetFrameTime(1000);
   CHECK(first->Attach(scene.Renderer, scene.Volume) && other->Attach(second, scene.Volume));
   scene.Interactive();
-  for (int i = 0; i < 4; ++i)
-  {
-    scene.Draw();
-  }
+  scene.Draw(4);
   CHECK(first->GetSampleDistance() > 7.9 && other->GetSampleDistance() <= 1.01);
   // The picture of a viewport away from the window's origin is not empty, even with the coarsest settings.
   const auto shown = [&] {
@@ -383,10 +375,7 @@ void KnowsItsRenderer(Kind kind)
   };
   const double fine = shown();
   other->SetTargetFrameTime(1e-6);
-  for (int i = 0; i < 4; ++i)
-  {
-    scene.Draw();
-  }
+  scene.Draw(4);
   CHECK(fine > 0 && shown() > 0.5 * fine);
   CHECK(other->GetSampleDistance() > 7.9 && (other->GetImageSampleDistance() > 1) == (kind == FIXED || kind == SMART_FIXED));
 }
@@ -403,10 +392,7 @@ void KeepsState(Kind kind)
   steering->SetTargetFrameTime(1000);
   CHECK(steering->Attach(scene.Renderer, scene.Volume));
   scene.Interactive();
-  for (int i = 0; i < 6; ++i)
-  {
-    scene.Draw();
-  }
+  scene.Draw(6);
   CHECK(!steering->SaveState("/nowhere/state") && Says(steering->GetStatus(), "/nowhere/state"));
   CHECK(steering->SaveState(file));
   // Predicts the same frame without a learned state, and twice with the state of the file.
@@ -477,10 +463,7 @@ void OutlivesItsObjects(Kind kind)
 {
   vtkNew<vtkEntireSteering> steering;
   int heard = 0;
-  vtkNew<vtkCallbackCommand> command;
-  command->SetClientData(&heard);
-  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) { ++*static_cast<int*>(data); });
-  steering->AddObserver(vtkEntireSteering::FrameEvent, command);
+  const After frame(steering, vtkEntireSteering::FrameEvent, [&] { ++heard; });
   steering->SetTargetFrameTime(1e-6);
   {
     Scene scene(kind);
@@ -520,30 +503,14 @@ void KeepsSettingsMadeDuringFrames(Kind kind)
   scene.Interactive();
   Warm(scene, steering);
   const Settings before = Read(scene.Mapper);
-  vtkNew<vtkCallbackCommand> command;
-  command->SetClientData(&scene);
-  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) {
-    vtkVolumeMapper* mapper = static_cast<Scene*>(data)->Mapper;
-    if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
-    {
-      gpu->SetSampleDistance(0.25f);
-    }
-    else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
-    {
-      cpu->SetSampleDistance(0.25f);
-    }
-    else
-    {
-      vtkSmartVolumeMapper::SafeDownCast(mapper)->SetSampleDistance(0.25f);
-    }
-  });
   const bool smart = kind == SMART || kind == SMART_FIXED;
   // A smart mapper copies its settings to its inner mapper before the inner mapper invokes its start event.
   vtkObject* subject = smart ? static_cast<vtkObject*>(scene.Renderer) : scene.Mapper;
-  const unsigned long tag = subject->AddObserver(
-    smart ? vtkCommand::StartEvent : vtkCommand::VolumeMapperRenderStartEvent, command, -1.0f);
-  scene.Draw();
-  subject->RemoveObserver(tag);
+  {
+    const After start(subject, smart ? vtkCommand::StartEvent : vtkCommand::VolumeMapperRenderStartEvent,
+      [&] { AsItsClass(scene.Mapper, [](auto* mapper) { mapper->SetSampleDistance(0.25f); }); });
+    scene.Draw();
+  }
   const auto kept = [&] {
     const Settings now = Read(scene.Mapper);
     return now.Distance == 0.25f && now.Auto == before.Auto && now.Lock == before.Lock;
@@ -573,10 +540,7 @@ void LeavesRemovedVolumesAlone(Kind kind)
   scene.Interactive();
   Warm(scene, steering);
   int updates = 0;
-  vtkNew<vtkCallbackCommand> command;
-  command->SetClientData(&updates);
-  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) { ++*static_cast<int*>(data); });
-  filter->AddObserver(vtkCommand::EndEvent, command);
+  const After update(filter, vtkCommand::EndEvent, [&] { ++updates; });
   scene.Renderer->RemoveVolume(scene.Volume);
   const vtkIdType steered = steering->GetNumberOfSteeredFrames();
   for (int i = 0; i < 3; ++i)

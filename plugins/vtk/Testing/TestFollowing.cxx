@@ -2,7 +2,6 @@
 // Tests of how vtkEntireSteering detects changes, frames and frame times: TestFollowing NAME MAPPER.
 #include "Scene.h"
 
-#include "vtkCallbackCommand.h"
 #include "vtkDataArray.h"
 #include "vtkDataObject.h"
 #include "vtkEntireSteering.h"
@@ -34,36 +33,9 @@ struct Work : Scene
     this->Steering->SetTargetFrameTime(target);
     CHECK(this->Steering->Attach(this->Renderer, this->Volume));
     this->Interactive();
-    for (int i = 0; i < 4; ++i)
-    {
-      this->Draw();
-    }
+    this->Draw(4);
     CHECK(this->Steering->GetNumberOfSteeredFrames() > 1);
   }
-};
-
-// Calls a function at every event of an object, after the steering's observer.
-class After
-{
-public:
-  After(vtkObject* subject, unsigned long event, std::function<void()> what)
-    : Subject(subject)
-    , What(std::move(what))
-  {
-    this->Command->SetClientData(this);
-    this->Command->SetCallback(
-      [](vtkObject*, unsigned long, void* data, void*) { static_cast<After*>(data)->What(); });
-    this->Tag = subject->AddObserver(event, this->Command, -1.0f);
-  }
-  ~After() { this->Subject->RemoveObserver(this->Tag); }
-  After(const After&) = delete;
-  void operator=(const After&) = delete;
-
-private:
-  vtkObject* Subject;
-  std::function<void()> What;
-  vtkNew<vtkCallbackCommand> Command;
-  unsigned long Tag;
 };
 
 std::string Bytes(const std::string& file)
@@ -271,10 +243,7 @@ void SaysItsClocks(Kind kind)
   scene.Interactive();
   const auto said = [&] {
     warnings->Clear();
-    for (int i = 0; i < 3; ++i)
-    {
-      scene.Draw();
-    }
+    scene.Draw(3);
     CHECK(Empty(steering->GetStatus()) && steering->GetNumberOfFallbackFrames() == 0);
     return warnings->GetWarningMessage();
   };

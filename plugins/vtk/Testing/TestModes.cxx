@@ -90,10 +90,7 @@ void Refuses(Kind kind, int mode, const char* name)
   CHECK(vtkEntireSteering::CanSteer(scene.Mapper) && vtkEntireSteering::GetRefusal(scene.Mapper).empty());
   CHECK(steering->Attach(scene.Renderer, scene.Volume));
   scene.Interactive();
-  for (int i = 0; i < 3; ++i)
-  {
-    scene.Draw();
-  }
+  scene.Draw(3);
   const vtkIdType steered = steering->GetNumberOfSteeredFrames();
   CHECK(steered > 0 && !said->GetWarning());
   SetMode(scene, kind, mode);
@@ -113,8 +110,7 @@ void Refuses(Kind kind, int mode, const char* name)
   CHECK(said->GetError() && !late->GetVolume());
   SetMode(scene, kind, own);
   CHECK(vtkEntireSteering::CanSteer(scene.Mapper));
-  scene.Draw();
-  scene.Draw();
+  scene.Draw(2);
   CHECK(steering->GetNumberOfSteeredFrames() > steered && Empty(steering->GetStatus()));
 }
 
@@ -186,16 +182,11 @@ void DrawsWithJitter(Kind kind)
   CHECK(steering->Attach(steered.Renderer, steered.Volume));
   plain.Interactive();
   steered.Interactive();
-  for (int i = 0; i < 3; ++i)
-  {
-    steered.Draw();
-  }
-  const auto shown = steered.Draw();
+  const auto shown = steered.Draw(4);
   mapper->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
   const auto smooth = plain.Draw();
   CHECK(Jitter(mapper, 0));
-  plain.Draw();
-  CHECK(plain.Draw() == shown && smooth != shown);
+  CHECK(plain.Draw(2) == shown && smooth != shown);
   CHECK(steering->GetNumberOfFallbackFrames() == 0 && Empty(steering->GetStatus()));
 }
 
@@ -223,13 +214,11 @@ void SteersResampledVolumes(Kind kind)
   scene.Draw();
   CHECK(plain.Draw() == scene.Draw() && Is(steering->GetReason(), "still"));
   scene.Interactive();
-  scene.Draw();
-  scene.Draw();
+  scene.Draw(2);
   const double fine = steering->GetSampleDistance();
   CHECK(Is(steering->GetReason(), "finest allowed") && Empty(steering->GetStatus()) && fine > 0);
   steering->SetTargetFrameTime(1e-6);
-  scene.Draw();
-  scene.Draw();
+  scene.Draw(2);
   // The coarsest distance is 8 voxels of the resampled volume, which are larger than 1.
   CHECK(Is(steering->GetReason(), "target unreachable") && steering->GetSampleDistance() > 8.5);
   CHECK(steering->GetNumberOfFallbackFrames() == 0);

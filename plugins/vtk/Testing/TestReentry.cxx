@@ -45,24 +45,15 @@ struct Stage : Scene
     this->StopAdjusting();
     this->Interactive();
     // Inner mappers are made and connected in the first frames.
-    this->Draw();
-    this->Draw();
+    this->Draw(2);
   }
 
   // Turns automatic adjustment off, so that only the application and the steering set image sample distances.
   void StopAdjusting()
   {
-    if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(this->Mapper))
+    AsItsClass(this->Mapper, [](auto* mapper) { mapper->AutoAdjustSampleDistancesOff(); });
+    if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(this->Mapper))
     {
-      gpu->AutoAdjustSampleDistancesOff();
-    }
-    else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(this->Mapper))
-    {
-      cpu->AutoAdjustSampleDistancesOff();
-    }
-    else if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(this->Mapper))
-    {
-      smart->AutoAdjustSampleDistancesOff();
       smart->InteractiveAdjustSampleDistancesOff();
     }
   }
@@ -377,23 +368,10 @@ void Run(const std::string& name, const Event& event, Kind kind)
 
 int main(int argc, char* argv[])
 {
-  const auto event = argc == 3 ? EVENTS.find(argv[1]) : EVENTS.end();
-  const auto kind = argc == 3 ? KINDS.find(argv[2]) : KINDS.end();
-  if (event == EVENTS.end() || kind == KINDS.end())
+  std::map<std::string, std::function<void(Kind)>> tests;
+  for (const auto& each : EVENTS)
   {
-    std::cerr << "usage: TestReentry EVENT MAPPER, with EVENT one of";
-    for (const auto& each : EVENTS)
-    {
-      std::cerr << " " << each.first;
-    }
-    std::cerr << " and MAPPER one of";
-    for (const auto& each : KINDS)
-    {
-      std::cerr << " " << each.first;
-    }
-    std::cerr << "\n";
-    return 2;
+    tests[each.first] = [&each](Kind kind) { Run(each.first, each.second, kind); };
   }
-  Run(event->first, event->second, kind->second);
-  return EXIT_SUCCESS;
+  return Main(argc, argv, tests);
 }

@@ -206,12 +206,16 @@ class Steering:
 
     def _drop(self, volume: Any) -> None:
         for leaf in [leaf for leaf in self.leaves if leaf.volume is volume]:
-            self._last = None if self._last is leaf else self._last
-            leaf._leave()
-            self.leaves.remove(leaf)
-            _held.pop(volume.__this__, None)
+            self._release(leaf)
         if not self.leaves:
             self.detach()
+
+    def _release(self, leaf: Leaf) -> None:
+        self._last = None if self._last is leaf else self._last
+        leaf._leave()
+        self.leaves.remove(leaf)
+        if _held.get(leaf.address) is self:
+            del _held[leaf.address]
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -529,11 +533,7 @@ class Steering:
         for leaf in [
             leaf for leaf in self.leaves if leaf.volume is None or leaf.volume.__this__ not in there
         ]:
-            self._last = None if self._last is leaf else self._last
-            leaf._leave()
-            self.leaves.remove(leaf)
-            if _held.get(leaf.address) is self:
-                del _held[leaf.address]
+            self._release(leaf)
         known = {leaf.volume.__this__ for leaf in self.leaves}
         for address, volume in there.items():
             if address not in known and _holder(volume) is None:
