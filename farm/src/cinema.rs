@@ -7,16 +7,6 @@ use anyhow::Result;
 use entire_io::files::write_whole_with;
 use std::collections::HashMap;
 
-/// A finished image of the database.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Row {
-    /// Measured times and result.
-    pub(crate) answer: Answer,
-    /// Rendering seconds that were expected when the image's task was sent. If this prediction was lost, the
-    /// measured seconds.
-    pub(crate) predicted_s: f64,
-}
-
 /// The columns of the table.
 const COLUMNS: [&str; 15] = [
     "volume",
@@ -40,14 +30,14 @@ const COLUMNS: [&str; 15] = [
 ///
 /// # Errors
 /// When the table cannot be written.
-pub(crate) fn write(job: &Job, done: &HashMap<u32, Row>) -> Result<()> {
+pub(crate) fn write(job: &Job, done: &HashMap<u32, Answer>) -> Result<()> {
     let mut tasks: Vec<u32> = done.keys().copied().collect();
     tasks.sort_unstable();
     write_whole_with(&job.output.join("data.csv"), |file| {
         let mut table = csv::Writer::from_writer(file);
         table.write_record(COLUMNS)?;
         for task in tasks {
-            let (at, row) = (job.place(task as usize), &done[&task]);
+            let (at, answer) = (job.place(task as usize), &done[&task]);
             let (volume, camera, size) =
                 (&job.volumes[at.volume], job.cameras[at.camera], job.sizes[at.size]);
             let id = job.id(task as usize);
@@ -61,10 +51,10 @@ pub(crate) fn write(job: &Job, done: &HashMap<u32, Row>) -> Result<()> {
                 size[0].to_string(),
                 size[1].to_string(),
                 job.steps[at.step].to_string(),
-                format!("{:.6}", row.predicted_s),
-                format!("{:.6}", row.answer.seconds),
-                format!("{:.6}", row.answer.load_s),
-                row.answer.node.clone(),
+                format!("{:.6}", answer.predicted_s),
+                format!("{:.6}", answer.seconds),
+                format!("{:.6}", answer.load_s),
+                answer.node.clone(),
                 format!("{id:016x}"),
                 job.image(id),
             ])?;

@@ -1,7 +1,7 @@
 //! A job's database on the disk: finished tasks, from the journal and from answers of workers that the
 //! journal lacks.
 
-use super::cinema::{self, Row};
+use super::cinema;
 use super::job::Job;
 use super::journal::Journal;
 use super::learn::{CONSTANT_SD_WITH_MODEL, CONSTANT_SD_WITHOUT_MODEL, Shape};
@@ -19,9 +19,9 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 pub struct Database<'a> {
     pub(super) job: &'a Job,
     pub(super) journal: Journal,
-    pub(super) numbers: HashMap<u64, u32>,
-    /// Results of finished tasks.
-    pub(super) done: HashMap<u32, Row>,
+    numbers: HashMap<u64, u32>,
+    /// Results of finished tasks. If an expected time was lost, it is the measured one.
+    pub(super) done: HashMap<u32, Answer>,
     pub(super) quarantined: HashMap<u32, String>,
     pub(super) run: u64,
 }
@@ -56,12 +56,12 @@ impl<'a> Database<'a> {
                     );
                 }
                 Entry::Inputs { files } => inputs = Some(files),
-                Entry::Done { answer, predicted_s } => {
+                Entry::Done { answer, .. } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
                         // A task whose picture was missing has been rendered again: its last entry replaces
                         // earlier entries.
-                        done.insert(task, Row { answer, predicted_s });
+                        done.insert(task, answer);
                     } else {
                         gone.extend(parse_id(&answer.task));
                     }
@@ -153,6 +153,11 @@ impl<'a> Database<'a> {
         self.journal.flush()
     }
 
+    /// Number of the task with this id; `None` if the job has no such task.
+    pub(super) fn number(&self, task: &str) -> Option<u32> {
+        self.numbers.get(&parse_id(task)?).copied()
+    }
+
     /// The number of this run.
     pub fn run(&self) -> u64 {
         self.run
@@ -176,9 +181,7 @@ impl<'a> Database<'a> {
         for file in &files {
             for line in spool::lines(file)? {
                 let Line::Answer(answer) = line else { continue };
-                let Some(&task) = parse_id(&answer.task).and_then(|id| self.numbers.get(&id)) else {
-                    continue;
-                };
+                let Some(task) = self.number(&answer.task) else { continue };
                 if answer.error.is_none() && !self.done.contains_key(&task) && self.is_there(&answer, true) {
                     self.finish(task, answer);
                 }
@@ -195,11 +198,12 @@ impl<'a> Database<'a> {
         Ok(())
     }
 
-    pub(super) fn finish(&mut self, task: u32, answer: Answer) {
+    pub(super) fn finish(&mut self, task: u32, mut answer: Answer) {
         let predicted_s = if answer.predicted_s > 0.0 { answer.predicted_s } else { answer.seconds };
         self.journal.add(&Entry::Done { answer: answer.clone(), predicted_s });
         self.quarantined.remove(&task);
-        self.done.insert(task, Row { answer, predicted_s });
+        answer.predicted_s = predicted_s;
+        self.done.insert(task, answer);
     }
 
     fn is_there(&self, answer: &Answer, whole: bool) -> bool {
@@ -216,7 +220,7 @@ impl<'a> Database<'a> {
     /// Compares the sizes of the image files with the journal; if `whole` is true, also their checksums.
     fn check_images(&mut self, whole: bool) -> Result<()> {
         let missing: Vec<u32> =
-            self.done.iter().filter(|(_, row)| !self.is_there(&row.answer, whole)).map(|(t, _)| *t).collect();
+            self.done.iter().filter(|(_, a)| !self.is_there(a, whole)).map(|(t, _)| *t).collect();
         for task in &missing {
             self.done.remove(task);
         }
@@ -233,8 +237,8 @@ impl<'a> Database<'a> {
     /// finished tasks. `base`: ln of the base seconds of every task.
     pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
         let mut planner = planner(self.job, base, setting);
-        for (task, row) in &self.done {
-            planner.done_before(*task, 0, row.answer.seconds);
+        for (task, answer) in &self.done {
+            planner.done_before(*task, 0, answer.seconds);
         }
         planner.refresh();
         planner

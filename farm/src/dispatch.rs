@@ -4,7 +4,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
-use std::cmp::Ordering;
+use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
 /// Maximum number of tasks in a bundle.
@@ -34,23 +34,21 @@ pub(crate) struct Ask<'a> {
     pub(crate) blind: bool,
 }
 
-#[derive(Clone, Debug, PartialEq)]
-struct Front {
-    seconds: f32,
-    volume: u32,
-}
+/// A time with a total order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Time(pub(crate) f64);
 
-impl Eq for Front {}
+impl Eq for Time {}
 
-impl PartialOrd for Front {
+impl PartialOrd for Time {
     fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl Ord for Front {
+impl Ord for Time {
     fn cmp(&self, other: &Self) -> Ordering {
-        self.seconds.total_cmp(&other.seconds).then(other.volume.cmp(&self.volume))
+        self.0.total_cmp(&other.0)
     }
 }
 
@@ -64,7 +62,8 @@ pub(crate) struct Dispatcher {
     work: Vec<f64>,
     counts: Vec<u32>,
     holders: Vec<u32>,
-    heap: BinaryHeap<Front>,
+    /// The key of each volume's next task, and the volume.
+    heap: BinaryHeap<(Time, Reverse<usize>)>,
     /// True for each volume with an entry in the heap. The seconds of an entry may be outdated; they are
     /// checked when the entry is taken.
     listed: Vec<bool>,
@@ -220,8 +219,9 @@ impl Dispatcher {
         }
     }
 
-    fn key(&self, task: u32) -> f32 {
-        if self.arrival || self.uniform { -(task as f32) } else { self.seconds[task as usize] }
+    fn key(&self, task: u32) -> Time {
+        let key = if self.arrival || self.uniform { -(task as f32) } else { self.seconds[task as usize] };
+        Time(f64::from(key))
     }
 
     /// The next waiting task of a volume. Removes tasks that were already sent from the end of the volume's
@@ -239,7 +239,7 @@ impl Dispatcher {
     fn push_front(&mut self, v: usize) {
         if let (Some(task), false) = (self.front(v), self.listed[v]) {
             self.listed[v] = true;
-            self.heap.push(Front { seconds: self.key(task), volume: v as u32 });
+            self.heap.push((self.key(task), Reverse(v)));
         }
     }
 
@@ -317,11 +317,10 @@ impl Dispatcher {
 
     /// Returns the volume of the next task in the sending order, for example of the longest waiting task.
     fn longest(&mut self) -> Option<usize> {
-        while let Some(front) = self.heap.pop() {
-            let v = front.volume as usize;
+        while let Some((key, Reverse(v))) = self.heap.pop() {
             self.listed[v] = false;
             match self.front(v) {
-                Some(task) if self.key(task) == front.seconds => return Some(v),
+                Some(task) if self.key(task) == key => return Some(v),
                 Some(_) => self.push_front(v),
                 None => {}
             }

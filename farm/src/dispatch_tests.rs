@@ -122,7 +122,7 @@ fn orders_are_those_of_a_plain_search() {
         let longest = (0..n)
             .filter(|t| waits[*t as usize])
             .max_by(|a, b| {
-                let key = |t: u32| (known[t as usize].to_bits(), std::cmp::Reverse((volume[t as usize], t)));
+                let key = |t: u32| (known[t as usize].to_bits(), Reverse((volume[t as usize], t)));
                 key(*a).cmp(&key(*b))
             })
             .unwrap();

@@ -5,7 +5,7 @@ use super::engine::{self, Bundle, Engine, Event};
 use super::job::Job;
 use super::options::Options;
 use super::planner::{Planner, Setting, State, Straggler};
-use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, parse_id, unix_now};
+use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, unix_now};
 use super::show::{Show, View};
 use super::spool;
 use anyhow::{Result, bail, ensure};
@@ -74,7 +74,6 @@ struct Drive<'a, 'b> {
     losses: HashMap<u32, u32>,
     /// The task that each bundle's worker has begun last.
     at: HashMap<u64, u32>,
-    submitted: HashSet<u64>,
     /// Number of bundles, since the last line of a worker, that were lost before a worker began a task.
     stillborn: usize,
     busy: f64,
@@ -84,8 +83,6 @@ struct Drive<'a, 'b> {
     now: usize,
     full: Option<String>,
     down: Option<String>,
-    waits: Vec<u64>,
-    free: Vec<bool>,
 }
 
 /// Runs a job to its end.
@@ -119,10 +116,10 @@ pub fn run(
     }
     planner.number_from(database.run << 32);
     let mut nodes = HashMap::new();
-    for (&task, row) in &database.done {
+    for (&task, answer) in &database.done {
         let next = nodes.len();
-        let node = *nodes.entry(row.answer.node.clone()).or_insert(next);
-        planner.done_before(task, if setting.bound { 0 } else { node }, row.answer.seconds);
+        let node = *nodes.entry(answer.node.clone()).or_insert(next);
+        planner.done_before(task, if setting.bound { 0 } else { node }, answer.seconds);
     }
     for task in database.quarantined.keys() {
         planner.quarantine(None, *task);
@@ -142,7 +139,6 @@ pub fn run(
         at: unix_now(),
     });
     database.journal.flush()?;
-    let slots = engine.slots();
     let mut drive = Drive {
         database,
         planner,
@@ -152,7 +148,6 @@ pub fn run(
         failures: HashMap::new(),
         losses: HashMap::new(),
         at: HashMap::new(),
-        submitted: HashSet::new(),
         stillborn: 0,
         busy: 0.0,
         over: 0,
@@ -161,8 +156,6 @@ pub fn run(
         now: 0,
         full: None,
         down: None,
-        waits: Vec::new(),
-        free: vec![true; slots],
     };
     let result = drive.run(start);
     let flushed = drive.database.journal.flush();
@@ -280,13 +273,8 @@ impl Drive<'_, '_> {
         let now = unix_now();
         let mut bundles = Vec::new();
         if self.engine.bound() {
-            for slot in 0..self.free.len() {
-                if self.free[slot]
-                    && let Some(sent) = self.planner.next(Some(slot), now)
-                {
-                    self.free[slot] = false;
-                    bundles.push(sent);
-                }
+            for slot in self.planner.free_slots() {
+                bundles.extend(self.planner.next(Some(slot), now));
             }
         } else {
             while self.planner.running() < self.engine.slots() + self.engine.waiting() {
@@ -326,9 +314,7 @@ impl Drive<'_, '_> {
             }
             let seconds = sent.tasks.iter().zip(&sent.predicted_s);
             let orders = seconds.map(|(t, s)| self.database.order(*t, f64::from(*s))).collect();
-            self.submitted.insert(sent.bundle);
-            self.waits.push(sent.bundle);
-            ready.push(Bundle { sent, orders, upper_s });
+            ready.push(Bundle { number: sent.bundle, slot: sent.slot, orders, upper_s });
         }
         self.engine.submit(&ready)?;
         Ok(ready.is_empty())
@@ -337,7 +323,7 @@ impl Drive<'_, '_> {
     /// Waiting bundles, the most urgent first.
     fn urgency(&self) -> Vec<u64> {
         let seconds = |b: &u64| self.planner.open(*b).iter().map(|t| self.planner.expected(*t)).sum::<f64>();
-        let mut waits = self.waits.clone();
+        let mut waits = self.planner.not_begun();
         waits.sort_by(|a, b| seconds(b).total_cmp(&seconds(a)));
         waits
     }
@@ -353,13 +339,15 @@ impl Drive<'_, '_> {
                     let now = unix_now();
                     self.first.get_or_insert(now);
                     self.planner.begun(bundle, now);
-                    self.waits.retain(|b| *b != bundle);
-                    if let Some(&task) = parse_id(&begins).and_then(|id| self.database.numbers.get(&id)) {
+                    if let Some(task) = self.database.number(&begins) {
                         self.at.insert(bundle, task);
                     }
                 }
                 Event::Line(bundle, Line::Answer(answer)) => self.answer(bundle, answer)?,
-                Event::Line(bundle, Line::End { .. }) => self.ended(bundle),
+                Event::Line(bundle, Line::End { .. }) => {
+                    self.over += 1;
+                    self.ended(bundle);
+                }
                 Event::Lost(bundle, why) => self.lost(bundle, &why)?,
                 Event::Fresh(slot) => {
                     self.planner.forget(slot);
@@ -372,9 +360,7 @@ impl Drive<'_, '_> {
     }
 
     fn answer(&mut self, bundle: u64, answer: Answer) -> Result<()> {
-        let Some(&task) = parse_id(&answer.task).and_then(|id| self.database.numbers.get(&id)) else {
-            return Ok(());
-        };
+        let Some(task) = self.database.number(&answer.task) else { return Ok(()) };
         if let Some(error) = answer.error.clone() {
             return self.failed(bundle, task, &error, answer.disk_full);
         }
@@ -441,25 +427,14 @@ impl Drive<'_, '_> {
     }
 
     fn ended(&mut self, bundle: u64) {
-        let slot = self.planner.slot_of(bundle);
-        self.planner.ended(bundle, unix_now());
-        self.over += 1;
-        self.finish_bundle(bundle, slot);
-    }
-
-    fn finish_bundle(&mut self, bundle: u64, slot: Option<usize>) {
-        if let Some(slot) = slot {
-            self.free[slot] = true;
-        } else {
+        if self.planner.slot_of(bundle).is_none() {
             engine::clear(&self.database.job.state(), bundle);
         }
+        self.planner.ended(bundle, unix_now());
         self.at.remove(&bundle);
-        self.submitted.remove(&bundle);
-        self.waits.retain(|b| *b != bundle);
     }
 
     fn lost(&mut self, bundle: u64, why: &str) -> Result<()> {
-        let slot = self.planner.slot_of(bundle);
         let at = self.at.get(&bundle).copied().filter(|t| self.planner.open(bundle).contains(t));
         if let Some(task) = at.filter(|_| !why.is_empty()) {
             self.database.journal.add(&Entry::Lost { task: self.id(task), why: why.to_owned() });
@@ -477,35 +452,24 @@ impl Drive<'_, '_> {
                 self.stillborn
             );
         }
-        self.planner.ended(bundle, unix_now());
-        self.finish_bundle(bundle, slot);
+        self.ended(bundle);
         Ok(())
     }
 
     /// Starts an engine in place of one that has ended. The bundles of the ended engine are lost, except for
     /// the answers in the spool.
     fn restart(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<()> {
-        let open: Vec<u64> = self.submitted.iter().copied().collect();
-        for bundle in open {
-            for line in
-                spool::lines(&self.database.job.state().join("spool").join(format!("{bundle}.jsonl")))?
-            {
+        for bundle in self.planner.bundles() {
+            for line in spool::lines(&spool::path(&self.database.job.state(), bundle))? {
                 if let Line::Answer(answer) = line {
                     self.answer(bundle, answer)?;
                 }
             }
             engine::cancel(&self.database.job.state(), bundle);
-            let slot = self.planner.slot_of(bundle);
             self.planner.ended(bundle, unix_now());
-            if let Some(slot) = slot {
-                self.free[slot] = true;
-            }
         }
-        self.submitted.clear();
         self.at.clear();
-        self.waits.clear();
         self.engine = start(self.database.run)?;
-        self.free = vec![true; self.engine.slots()];
         Ok(())
     }
 

@@ -83,12 +83,16 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
         if count == 0 || line.last() != Some(&b'\n') {
             return Ok(good);
         }
-        let entry = serde_json::from_slice(&line).with_context(|| {
+        let mut entry: Entry = serde_json::from_slice(&line).with_context(|| {
             format!(
                 "line {number} is damaged; restore the journal from a copy, or set another `output` in the job \
                  file"
             )
         })?;
+        // The answer itself may lack the expected seconds.
+        if let Entry::Done { answer, predicted_s } = &mut entry {
+            answer.predicted_s = *predicted_s;
+        }
         each(entry)?;
         good += count as u64;
     }

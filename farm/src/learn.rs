@@ -10,8 +10,6 @@
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
-pub(crate) use super::gauss::normal;
-use super::gauss::normal_below;
 use super::job::Job;
 use entire_core::scene::Camera;
 use entire_steer::numeric::{back, forward, solve};
@@ -51,6 +49,17 @@ const SCATTER_SLOPE_WITH_MODEL: (f64, f64) = (0.2, 4.0);
 const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
+
+/// Returns a random number from the standard normal distribution (Box and Muller 1958).
+pub(crate) fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+    (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
+}
+
+/// Returns the probability that a standard normal number is below `x`.
+fn normal_below(x: f64) -> f64 {
+    0.5 * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2)
+}
 
 /// Features of a job's tasks.
 #[derive(Clone, Debug)]
@@ -125,7 +134,10 @@ impl Shape {
                 }
             }
         }
-        Self::new(base, volume, row, transfer, terms, job.volumes.len(), job.transfers.len())
+        let transfers = job.transfers.len();
+        let transfers = if (2..=MAX_TRANSFERS).contains(&transfers) { transfers } else { 0 };
+        let (volumes, constant) = (job.volumes.len(), CONSTANT_SD_WITHOUT_MODEL);
+        Self { base, volume, row, transfer, terms, volumes, transfers, constant }
     }
 
     /// Returns the features of tasks of which only base seconds and volume are known.
@@ -135,21 +147,16 @@ impl Shape {
         let n = base_seconds.len();
         let mut terms = [0.0; FIXED];
         terms[0] = 1.0;
-        let volume = volume.iter().map(|v| *v as u32).collect();
-        Self::new(base, volume, vec![0; n], vec![0; n], vec![terms], volumes, 1)
-    }
-
-    fn new(
-        base: Vec<f32>,
-        volume: Vec<u32>,
-        row: Vec<u32>,
-        transfer: Vec<u16>,
-        terms: Vec<[f32; FIXED]>,
-        volumes: usize,
-        transfers: usize,
-    ) -> Self {
-        let transfers = if (2..=MAX_TRANSFERS).contains(&transfers) { transfers } else { 0 };
-        Self { base, volume, row, transfer, terms, volumes, transfers, constant: CONSTANT_SD_WITHOUT_MODEL }
+        Self {
+            base,
+            volume: volume.iter().map(|v| *v as u32).collect(),
+            row: vec![0; n],
+            transfer: vec![0; n],
+            terms: vec![terms],
+            volumes,
+            transfers: 0,
+            constant: CONSTANT_SD_WITHOUT_MODEL,
+        }
     }
 
     /// Number of tasks.

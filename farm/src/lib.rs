@@ -12,7 +12,6 @@ pub mod database;
 pub mod dispatch;
 pub mod drive;
 pub mod engine;
-mod gauss;
 pub mod job;
 mod job_file;
 mod journal;

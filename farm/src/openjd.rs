@@ -47,8 +47,8 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
     for bundle in bundles {
         places.write_order(bundle, run)?;
     }
-    let first = bundles.iter().map(|b| b.sent.bundle).min().unwrap_or(0);
-    let last = bundles.iter().map(|b| b.sent.bundle).max().unwrap_or(0);
+    let first = bundles.iter().map(|b| b.number).min().unwrap_or(0);
+    let last = bundles.iter().map(|b| b.number).max().unwrap_or(0);
     let longest = bundles.iter().map(|b| b.upper_s).fold(1.0, f64::max).ceil() as u64;
     // OpenJD accepts a default path only below the template's folder; otherwise the submitter gives the path.
     let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -1,7 +1,7 @@
 //! The plan during a run: waiting and running tasks, their expected times, and the predicted end. Driver and
 //! simulator use the same planner.
 
-use super::dispatch::{Ask, Dispatcher, Order};
+use super::dispatch::{Ask, Dispatcher, Order, Time};
 use super::learn::{Learner, Shape};
 use super::load::Loads;
 use std::collections::{BTreeMap, HashSet, VecDeque};
@@ -218,6 +218,22 @@ impl Planner {
         self.running.len()
     }
 
+    /// Numbers of the running bundles, ascending.
+    pub(crate) fn bundles(&self) -> Vec<u64> {
+        self.running.keys().copied().collect()
+    }
+
+    /// Numbers of the running bundles of which no task has begun, ascending.
+    pub(crate) fn not_begun(&self) -> Vec<u64> {
+        self.running.iter().filter(|(_, r)| r.begun.is_none()).map(|(bundle, _)| *bundle).collect()
+    }
+
+    /// Slots to which no running bundle is bound.
+    pub(crate) fn free_slots(&self) -> Vec<usize> {
+        let busy: HashSet<usize> = self.running.values().filter_map(|r| r.sent.slot).collect();
+        (0..self.slots.len()).filter(|slot| !busy.contains(slot)).collect()
+    }
+
     /// True if no task waits and no bundle runs.
     pub(crate) fn is_over(&self) -> bool {
         self.pending() == 0 && self.running.is_empty()
@@ -385,23 +401,5 @@ impl Planner {
             .collect();
         out.sort_by(|a, b| b.elapsed_s.total_cmp(&a.elapsed_s));
         out
-    }
-}
-
-/// A time with a total order.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Time(pub(crate) f64);
-
-impl Eq for Time {}
-
-impl PartialOrd for Time {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Time {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        self.0.total_cmp(&other.0)
     }
 }

@@ -119,10 +119,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         (None, None) => PROBE_SIDE,
         (Some(_), _) => make()?.probe_side(),
     };
-    let encoder = match model.as_ref().and_then(|m| m.volumenet()) {
-        Some(parts) => Some(VolumeNet::new(parts)?),
-        None => None,
-    };
+    let encoder = model.as_ref().and_then(|m| m.volumenet.as_ref()).map(VolumeNet::new).transpose()?;
     let per_volume = job.len() / job.volumes.len();
     let bar = progress_bar("predicting tasks");
     bar.set_length(job.volumes.len() as u64);

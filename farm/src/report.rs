@@ -22,7 +22,7 @@ struct Run {
     at: f64,
     engine: String,
     slots: usize,
-    done: Vec<(Answer, f64)>,
+    done: Vec<Answer>,
     etas: Vec<(f64, f64, [f64; 3])>,
 }
 
@@ -32,23 +32,22 @@ struct Run {
 /// When no task is finished yet, or a file cannot be read or written.
 pub fn write(job: &Job, file: &Path) -> Result<()> {
     let mut runs: Vec<Run> = Vec::new();
-    // Images that another farm rendered may precede the first run of this one.
-    let elsewhere =
-        |at| Run { at, engine: "another farm".into(), slots: 1, done: Vec::new(), etas: Vec::new() };
+    let run = |at, engine, slots| Run { at, engine, slots, done: Vec::new(), etas: Vec::new() };
     let (mut failed, mut lost) = (0, 0);
     let mut quarantined: BTreeMap<String, (String, String)> = BTreeMap::new();
     for entry in super::journal::entries(&job.state())? {
         match entry {
             Entry::Run { at, engine, slots, .. } => {
-                runs.push(Run { at, engine, slots, done: Vec::new(), etas: Vec::new() });
+                runs.push(run(at, engine, slots));
             }
-            Entry::Done { answer, predicted_s } => {
+            Entry::Done { answer, .. } => {
                 quarantined.remove(&answer.task);
+                // Images that another farm rendered may precede the first run of this one.
                 if runs.is_empty() {
-                    runs.push(elsewhere(answer.begin));
+                    runs.push(run(answer.begin, "another farm".into(), 1));
                 }
                 if let Some(run) = runs.last_mut() {
-                    run.done.push((answer, predicted_s));
+                    run.done.push(answer);
                 }
             }
             Entry::Inputs { .. } => {}
@@ -64,11 +63,11 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
             }
         }
     }
-    let all: Vec<&(Answer, f64)> = runs.iter().flat_map(|r| &r.done).collect();
+    let all: Vec<&Answer> = runs.iter().flat_map(|r| &r.done).collect();
     ensure!(!all.is_empty(), "{} holds no image yet; render some first", job.output.display());
     let mut wanted: HashSet<u64> = job.numbers().into_keys().collect();
-    let images = all.iter().filter(|(a, _)| parse_id(&a.task).is_some_and(|id| wanted.remove(&id))).count();
-    let work: f64 = all.iter().map(|(a, _)| a.seconds + a.load_s).sum();
+    let images = all.iter().filter(|a| parse_id(&a.task).is_some_and(|id| wanted.remove(&id))).count();
+    let work: f64 = all.iter().map(|a| a.seconds + a.load_s).sum();
     let mut page = Page::new(
         format!("Farm: {}", job.name),
         &format!(
@@ -108,14 +107,14 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
 /// Assigns each task to a lane of the Gantt chart: the first lane of its node that is free when the task
 /// begins. Returns the lane of each task, and the names of the lanes. A lane has the name of its node; a dot
 /// is added except for the node's first lane.
-fn lanes(done: &[(Answer, f64)]) -> (Vec<usize>, Vec<String>) {
+fn lanes(done: &[Answer]) -> (Vec<usize>, Vec<String>) {
     let mut order: Vec<usize> = (0..done.len()).collect();
-    order.sort_by(|a, b| done[*a].0.begin.total_cmp(&done[*b].0.begin));
+    order.sort_by(|a, b| done[*a].begin.total_cmp(&done[*b].begin));
     let mut free: BTreeMap<&str, Vec<(usize, f64)>> = BTreeMap::new();
     let mut names = Vec::new();
     let mut out = vec![0; done.len()];
     for i in order {
-        let answer = &done[i].0;
+        let answer = &done[i];
         let node = free.entry(&answer.node).or_default();
         let lane = match node.iter_mut().find(|(_, end)| *end <= answer.begin + 1e-3) {
             Some(lane) => lane,
@@ -143,7 +142,7 @@ fn gantt(page: &mut Page, run: &Run, number: usize, of: usize) {
         place[*lane] = row;
     }
     let (mut loads, mut frames) = (Vec::new(), Vec::new());
-    for (i, (a, _)) in run.done.iter().enumerate() {
+    for (i, a) in run.done.iter().enumerate() {
         let row = place[lane[i]];
         if row == usize::MAX {
             continue;
@@ -167,14 +166,14 @@ fn gantt(page: &mut Page, run: &Run, number: usize, of: usize) {
     page.chart(&chart, &text);
 }
 
-fn accuracy(page: &mut Page, all: &[&(Answer, f64)]) {
+fn accuracy(page: &mut Page, all: &[&Answer]) {
     page.heading("Predicted against measured");
     let stride = all.len().div_ceil(POINTS).max(1);
-    let points = all.iter().step_by(stride).map(|(a, p)| (*p, a.seconds, String::new())).collect();
+    let points = all.iter().step_by(stride).map(|a| (a.predicted_s, a.seconds, String::new())).collect();
     let chart = Chart::new("", Axis::log("predicted / s"), Axis::log("measured / s"))
         .series(Series::new("", Mark::Points(points)))
         .rule(Rule::Diagonal("equal".into()));
-    let mut errors: Vec<f64> = all.iter().map(|(a, p)| (p / a.seconds - 1.0).abs()).collect();
+    let mut errors: Vec<f64> = all.iter().map(|a| (a.predicted_s / a.seconds - 1.0).abs()).collect();
     let middle = entire_io::metrics::median(&mut errors).unwrap_or(f64::NAN);
     let text = format!(
         "Seconds that were expected when a task was sent, and the task's measured seconds without loading. Median \
@@ -185,7 +184,7 @@ fn accuracy(page: &mut Page, all: &[&(Answer, f64)]) {
 }
 
 fn ends(page: &mut Page, run: &Run) {
-    let Some(end) = run.done.iter().map(|(a, _)| a.end - run.at).reduce(f64::max) else { return };
+    let Some(end) = run.done.iter().map(|a| a.end - run.at).reduce(f64::max) else { return };
     let known: Vec<&(f64, f64, [f64; 3])> =
         run.etas.iter().filter(|e| e.2.iter().all(|v| v.is_finite())).collect();
     if known.len() < 2 {
@@ -204,12 +203,12 @@ fn ends(page: &mut Page, run: &Run) {
 
 fn gains(page: &mut Page, run: &Run) -> Result<()> {
     page.heading("Time saved by the order of tasks");
-    let mut tasks: Vec<&(Answer, f64)> = run.done.iter().collect();
-    tasks.sort_by(|a, b| a.0.task.cmp(&b.0.task));
+    let mut tasks: Vec<&Answer> = run.done.iter().collect();
+    tasks.sort_by(|a, b| a.task.cmp(&b.task));
     let slots = run.slots.max(1);
     let speeds = vec![1.0; slots];
     let busy = vec![0.0; slots];
-    let seconds: Vec<f64> = tasks.iter().map(|(a, _)| a.seconds).collect();
+    let seconds: Vec<f64> = tasks.iter().map(|a| a.seconds).collect();
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     // Without predictions no order is better than another, so this is the mean of 32 random orders.
     let any: f64 = (0..32u64)
@@ -220,7 +219,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
         })
         .sum::<f64>()
         / 32.0;
-    order.sort_by(|a, b| tasks[*b].1.total_cmp(&tasks[*a].1));
+    order.sort_by(|a, b| tasks[*b].predicted_s.total_cmp(&tasks[*a].predicted_s));
     let longest = queue_end(&order.iter().map(|i| seconds[*i]).collect::<Vec<_>>(), &busy, &speeds);
     let mut share = vec![0.0; slots];
     for (i, s) in seconds.iter().enumerate() {
@@ -228,7 +227,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     }
     let dealt = share.into_iter().fold(0.0, f64::max);
     let bound = lower_bound(&seconds, &speeds)?;
-    let took = run.done.iter().map(|(a, _)| a.end - run.at).fold(0.0, f64::max);
+    let took = run.done.iter().map(|a| a.end - run.at).fold(0.0, f64::max);
     let mut table =
         Table::new(vec![Column::text("order"), Column::number("end / s"), Column::number("end / bound")]);
     for (name, end) in [
@@ -248,10 +247,10 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     Ok(())
 }
 
-fn slowest(page: &mut Page, job: &Job, all: &[&(Answer, f64)]) {
+fn slowest(page: &mut Page, job: &Job, all: &[&Answer]) {
     page.heading("Slower than expected");
-    let mut late: Vec<&&(Answer, f64)> = all.iter().collect();
-    late.sort_by(|a, b| (b.0.seconds / b.1).total_cmp(&(a.0.seconds / a.1)));
+    let mut late = all.to_vec();
+    late.sort_by(|a, b| (b.seconds / b.predicted_s).total_cmp(&(a.seconds / a.predicted_s)));
     let names: HashMap<u64, u32> = if job.len() <= 1_000_000 { job.numbers() } else { HashMap::new() };
     let mut table = Table::new(vec![
         Column::text("task"),
@@ -260,14 +259,14 @@ fn slowest(page: &mut Page, job: &Job, all: &[&(Answer, f64)]) {
         Column::number("predicted / s"),
         Column::number("measured / s"),
     ]);
-    for (a, p) in late.into_iter().take(10) {
+    for a in late.into_iter().take(10) {
         let task = parse_id(&a.task).and_then(|id| names.get(&id));
         let volume = task.map(|t| job.volumes[job.place(*t as usize).volume].name.clone());
         table.row(vec![
             a.task.as_str().into(),
             volume.unwrap_or_default().into(),
             a.node.as_str().into(),
-            format!("{p:.3}").into(),
+            format!("{:.3}", a.predicted_s).into(),
             format!("{:.3}", a.seconds).into(),
         ]);
     }

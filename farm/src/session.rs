@@ -156,7 +156,8 @@ impl Session {
     }
 }
 
-fn forward(reader: impl BufRead, to: &mpsc::Sender<String>) {
+/// Sends the lines of `reader` until it ends.
+pub(super) fn forward(reader: impl BufRead, to: &mpsc::Sender<String>) {
     for line in reader.split(b'\n') {
         let Ok(line) = line else { return };
         if to.send(String::from_utf8_lossy(&line).into_owned()).is_err() {

@@ -1,11 +1,11 @@
 //! A discrete-event simulator of farms. It runs the planner of real engines on tasks with given true times.
 //! Bundles have latency, volumes are loaded, nodes differ in speed and fail.
 
-use super::planner::{Planner, Time};
+use super::dispatch::Time;
+use super::planner::Planner;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 
 /// The simulated world: durations, speeds and failures.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -14,10 +14,8 @@ pub struct World {
     pub seconds: Vec<f64>,
     /// Index of each task's volume.
     pub volume: Vec<usize>,
-    /// Seconds to load each volume on a node that never had it.
-    pub load_cold: Vec<f64>,
-    /// Seconds to load each volume on a node that had it before.
-    pub load_warm: Vec<f64>,
+    /// Seconds to load each volume.
+    pub load: Vec<f64>,
     /// Relative speed of each slot.
     pub speeds: Vec<f64>,
     /// Latency of each bundle on its slot, seconds.
@@ -47,15 +45,6 @@ pub struct Ran {
     pub end: f64,
 }
 
-/// An estimate of the end during a run.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Said {
-    /// Time of the estimate, seconds from the beginning.
-    pub at: f64,
-    /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds from the beginning.
-    pub end: [f64; 3],
-}
-
 /// Result of a simulated run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
@@ -69,8 +58,9 @@ pub struct Outcome {
     pub loads: usize,
     /// Number of bundles that were lost.
     pub lost: usize,
-    /// Estimates of the end, one for each share of `ask_at` of [`simulate`].
-    pub said: Vec<Said>,
+    /// Estimates of the end, one for each share of `ask_at` of [`simulate`]: quantiles 0.05, 0.5 and 0.95,
+    /// seconds from the beginning.
+    pub said: Vec<[f64; 3]>,
 }
 
 enum Event {
@@ -86,27 +76,15 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
     let slots = world.speeds.len();
     let mut rng = ChaCha8Rng::seed_from_u64(world.seed);
     let mut out = Outcome::default();
-    let mut heap: BinaryHeap<Reverse<(Time, u64)>> = BinaryHeap::new();
-    let mut events: Vec<Option<Event>> = Vec::new();
-    let mut unused: Vec<usize> = Vec::new();
-    let mut order = 0u32;
-    // The low 32 bits of the key are the event's index. The high 32 bits are a counter, which keeps events of
-    // equal times in order.
-    let mut push = |heap: &mut BinaryHeap<Reverse<(Time, u64)>>,
-                    events: &mut Vec<Option<Event>>,
-                    unused: &mut Vec<usize>,
-                    at: f64,
-                    event: Event| {
-        order = order.wrapping_add(1);
-        let place = unused.pop().unwrap_or_else(|| {
-            events.push(None);
-            events.len() - 1
-        });
-        events[place] = Some(event);
-        heap.push(Reverse((Time(at), u64::from(order) << 32 | place as u64)));
+    let mut events: BTreeMap<(Time, u64), Event> = BTreeMap::new();
+    let mut count = 0;
+    // The counter keeps events of equal times in order.
+    let mut push = |events: &mut BTreeMap<(Time, u64), Event>, at: f64, event: Event| {
+        count += 1;
+        events.insert((Time(at), count), event);
     };
     for slot in 0..slots {
-        push(&mut heap, &mut events, &mut unused, 0.0, Event::Free(slot));
+        push(&mut events, 0.0, Event::Free(slot));
     }
     let total: f64 = world.seconds.iter().sum();
     let mut ask_at: Vec<f64> = ask_at.iter().rev().copied().collect();
@@ -115,10 +93,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
     let mut loaded: HashSet<(usize, usize)> = HashSet::new();
     let mut idle: Vec<usize> = Vec::new();
     let mut engine_free = 0.0f64;
-    while let Some(Reverse((Time(now), key))) = heap.pop() {
-        let place = (key & 0xffff_ffff) as usize;
-        let Some(event) = events[place].take() else { continue };
-        unused.push(place);
+    while let Some(((Time(now), _), event)) = events.pop_first() {
         let mut asks: Vec<usize> = Vec::new();
         match event {
             Event::Free(slot) => asks.push(slot),
@@ -134,7 +109,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                 out.makespan = now;
                 while ask_at.last().is_some_and(|share| worked >= share * total) {
                     ask_at.pop();
-                    out.said.push(Said { at: now, end: planner.eta(now).map(|s| now + s) });
+                    out.said.push(planner.eta(now).map(|s| now + s));
                 }
             }
             Event::Over { bundle, slot } => {
@@ -149,7 +124,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                 if world.bound {
                     planner.forget(slot);
                 }
-                push(&mut heap, &mut events, &mut unused, now + world.repair, Event::Free(slot));
+                push(&mut events, now + world.repair, Event::Free(slot));
                 asks.append(&mut idle);
             }
         }
@@ -170,8 +145,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
             };
             let mut load = 0.0;
             if !(world.bound && held[slot] == Some(sent.volume)) {
-                let warm = loaded.contains(&(slot, sent.volume));
-                load = if warm { world.load_warm[sent.volume] } else { world.load_cold[sent.volume] };
+                load = world.load[sent.volume];
                 out.loads += 1;
                 held[slot] = Some(sent.volume);
             }
@@ -185,7 +159,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                     break;
                 }
                 let done = Event::Done { bundle: sent.bundle, task, slot, start, seconds, load };
-                push(&mut heap, &mut events, &mut unused, at, done);
+                push(&mut events, at, done);
                 load = 0.0;
             }
             let over = if lost {
@@ -193,7 +167,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
             } else {
                 Event::Over { bundle: sent.bundle, slot }
             };
-            push(&mut heap, &mut events, &mut unused, at.min(lost_at), over);
+            push(&mut events, at.min(lost_at), over);
         }
     }
     out

@@ -23,8 +23,7 @@ fn world(seconds: Vec<f64>, slots: usize) -> World {
     World {
         seconds,
         volume: vec![0; n],
-        load_cold: vec![0.0],
-        load_warm: vec![0.0],
+        load: vec![0.0],
         speeds: vec![1.0; slots],
         bound: true,
         ..World::default()
@@ -104,9 +103,9 @@ fn the_end_is_foretold() {
         let mut p = planner(&base, &volume, vec![0.0; 6], 8, true);
         let mut w = world(truth, 8);
         w.volume = volume;
-        (w.load_cold, w.load_warm) = (vec![0.0; 6], vec![0.0; 6]);
+        w.load = vec![0.0; 6];
         let out = simulate(&mut p, &w, &[0.1]);
-        let [low, middle, high] = out.said[0].end;
+        let [low, middle, high] = out.said[0];
         hits += usize::from((low..=high).contains(&out.makespan));
         errors.push((middle / out.makespan - 1.0).abs());
     }
@@ -121,7 +120,7 @@ fn known_loads_are_waited_for_and_counted() {
     let volume: Vec<usize> = (0..240).map(|i| i / 40).collect();
     let mut p = planner(&seconds, &volume, vec![8.0; 6], 8, false);
     let mut w = world(seconds.clone(), 8);
-    (w.volume, w.load_cold, w.load_warm) = (volume, vec![8.0; 6], vec![8.0; 6]);
+    (w.volume, w.load) = (volume, vec![8.0; 6]);
     let out = simulate(&mut p, &w, &[]);
     let busy: f64 = out.ran.iter().map(|r| r.end - r.start).sum();
     assert!((busy - seconds.iter().sum::<f64>() - 8.0 * out.loads as f64).abs() < 1e-6);
@@ -146,10 +145,9 @@ fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
     let shape = Shape::of_volumes(&base, &volume).with_constant(CONSTANT_SD_WITH_MODEL);
     let mut p = Planner::new(shape, Loads::known(vec![0.0; 13]), setting);
     p.add_stage((0..384).collect());
-    w.volume = volume;
-    (w.load_cold, w.load_warm) = (vec![0.0; 13], vec![0.0; 13]);
+    (w.volume, w.load) = (volume, vec![0.0; 13]);
     let out = simulate(&mut p, &w, &[0.1]);
-    (out.said[0].end, out.makespan)
+    (out.said[0], out.makespan)
 }
 
 #[test]

@@ -1,11 +1,17 @@
 //! The spool: files to which workers append their answers. The driver reads them while they grow.
 
+use super::engine::Event;
 use super::record::Line;
 use anyhow::{Context, Result};
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+
+/// The file to which a bundle's worker appends its answers.
+pub(crate) fn path(state: &Path, bundle: u64) -> PathBuf {
+    state.join("spool").join(format!("{bundle}.jsonl"))
+}
 
 /// Returns the complete lines of a spool file; none if the file does not exist. Partial lines of a killed
 /// worker are skipped.
@@ -47,14 +53,14 @@ impl Follow {
 /// Reader of the answers that workers append to the files of running bundles.
 #[derive(Debug)]
 pub(crate) struct Spool {
-    folder: PathBuf,
+    state: PathBuf,
     open: HashMap<u64, Follow>,
 }
 
 impl Spool {
     /// The spool of a state folder.
     pub(crate) fn new(state: &Path) -> Self {
-        Self { folder: state.join("spool"), open: HashMap::new() }
+        Self { state: state.to_owned(), open: HashMap::new() }
     }
 
     /// Starts to read a bundle's file, from its beginning.
@@ -62,19 +68,24 @@ impl Spool {
         self.open.entry(bundle).or_default();
     }
 
-    /// Returns the lines that were added since the last call, each with the number of its bundle.
+    /// Numbers of the bundles whose files are read.
+    pub(crate) fn bundles(&self) -> impl Iterator<Item = u64> + '_ {
+        self.open.keys().copied()
+    }
+
+    /// Returns the lines that were added since the last call. A file is read up to the bundle's end.
     ///
     /// # Errors
     /// When a file cannot be read.
-    pub(crate) fn poll(&mut self) -> Result<Vec<(u64, Line)>> {
+    pub(crate) fn poll(&mut self) -> Result<Vec<Event>> {
         let mut out = Vec::new();
         let mut ended = Vec::new();
         for (&bundle, follow) in &mut self.open {
-            for line in follow.read(&self.folder.join(format!("{bundle}.jsonl")))? {
+            for line in follow.read(&path(&self.state, bundle))? {
                 if matches!(line, Line::End { .. }) {
                     ended.push(bundle);
                 }
-                out.push((bundle, line));
+                out.push(Event::Line(bundle, line));
             }
         }
         for bundle in ended {
@@ -83,9 +94,9 @@ impl Spool {
         Ok(out)
     }
 
-    /// Stops reading a bundle's file.
-    pub(crate) fn forget(&mut self, bundle: u64) {
-        self.open.remove(&bundle);
+    /// Stops reading a bundle's file. Returns false if the file was not read.
+    pub(crate) fn forget(&mut self, bundle: u64) -> bool {
+        self.open.remove(&bundle).is_some()
     }
 }
 

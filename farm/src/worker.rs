@@ -12,9 +12,9 @@ use entire_io::child::wait_at_most;
 use entire_io::device::{self, Device};
 use entire_io::files::{make_folder_of, open_volume, write_whole};
 use entire_io::identity;
-
 use entire_io::volume::Reading;
 use entire_report::encode_png;
+use serde::de::DeserializeOwned;
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
@@ -27,6 +27,11 @@ use std::time::{Duration, Instant};
 pub(crate) fn is_full(error: &std::io::Error) -> bool {
     use std::io::ErrorKind::{QuotaExceeded, StorageFull};
     matches!(error.kind(), StorageFull | QuotaExceeded)
+}
+
+fn read_json<T: DeserializeOwned>(file: &Path) -> Result<T> {
+    let text = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+    serde_json::from_slice(&text).with_context(|| format!("{}", file.display()))
 }
 
 /// The renderer of a worker.
@@ -66,10 +71,7 @@ impl Worker {
     /// # Errors
     /// When the renderer's description cannot be read, or no renderer can be opened.
     pub fn open(state: &Path, node: String) -> Result<Self> {
-        let file = state.join("renderer.json");
-        let text = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
-        let renderer: Renderer =
-            serde_json::from_slice(&text).with_context(|| format!("{}", file.display()))?;
+        let renderer: Renderer = read_json(&state.join("renderer.json"))?;
         let limit = |t: &Option<f64>| t.map(Duration::from_secs_f64);
         let painter = match &renderer {
             Renderer::Entire { .. } => {
@@ -135,11 +137,8 @@ impl Worker {
     /// # Errors
     /// When the description cannot be read or the spool cannot be written.
     pub fn bundle(&mut self, number: u64) -> Result<()> {
-        let file = self.state.join("orders").join(format!("{number}.json"));
-        let text = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
-        let bundle: BundleOrder =
-            serde_json::from_slice(&text).with_context(|| format!("{}", file.display()))?;
-        let path = self.state.join("spool").join(format!("{number}.jsonl"));
+        let bundle: BundleOrder = read_json(&self.state.join("orders").join(format!("{number}.json")))?;
+        let path = super::spool::path(&self.state, number);
         let done: Vec<String> = super::spool::lines(&path)?
             .into_iter()
             .filter_map(|l| if let Line::Answer(a) = l { a.error.is_none().then_some(a.task) } else { None })

@@ -14,10 +14,10 @@ use entire_vk_raycaster::Renderer;
 pub fn of(model: &Model) -> Option<Clock> {
     let of_provenance = || {
         let provenance: serde_json::Value =
-            serde_json::from_str(model.metadata().get(Key::Provenance.name())?).ok()?;
+            serde_json::from_str(model.metadata.get(Key::Provenance.name())?).ok()?;
         Some(provenance.get("clock")?.as_str()?.to_owned())
     };
-    let name = model.metadata().get(Key::Clock.name()).cloned().or_else(of_provenance)?;
+    let name = model.metadata.get(Key::Clock.name()).cloned().or_else(of_provenance)?;
     Clock::from_str(&name, false).ok().filter(|c| *c != Clock::Auto)
 }
 

@@ -22,20 +22,14 @@ pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
         (1..=MAX_FACTOR).contains(&factor),
         "volumes can be enlarged by whole factors of 1 to {MAX_FACTOR}; {factor} was asked for"
     );
-    let view = volume.view();
-    let from = volume.dims();
-    let dims = from.map(|n| n * factor);
+    let dims = volume.dims().map(|n| n * factor);
     let [x, y, z] = dims;
     ensure!(
         dims.iter().all(|n| *n <= MAX_VOLUME_EDGE),
         "enlarged {factor} times, the volume would have {x} x {y} x {z} voxels; at most {MAX_VOLUME_EDGE} along each axis \
          are accepted"
     );
-    let data = of_the_same_type(volume, trilinear(&view, dims)?);
-    let spacing = volume.spacing().map(|s| s / factor as f32);
-    let mut enlarged = Volume::new(data, dims, spacing, volume.name())?;
-    enlarged.set_range(Some(view.range()))?;
-    Ok(enlarged)
+    resampled(volume, dims, volume.spacing().map(|s| s / factor as f32))
 }
 
 /// Resamples a volume to `edge` voxels along every axis, by trilinear interpolation at the new voxels'
@@ -49,23 +43,23 @@ pub fn resample(volume: &Volume, edge: usize) -> Result<Volume> {
         (1..=512).contains(&edge),
         "volumes can be resampled to 1 to 512 voxels an edge; {edge} was asked for"
     );
-    let view = volume.view();
-    let from = volume.dims();
-    let spacing = volume.spacing();
-    let data = of_the_same_type(volume, trilinear(&view, [edge; 3])?);
-    let spacing = std::array::from_fn(|a| spacing[a] * from[a] as f32 / edge as f32);
-    let mut out = Volume::new(data, [edge; 3], spacing, volume.name())?;
-    out.set_range(Some(view.range()))?;
-    Ok(out)
+    let (from, spacing) = (volume.dims(), volume.spacing());
+    resampled(volume, [edge; 3], std::array::from_fn(|a| spacing[a] * from[a] as f32 / edge as f32))
 }
 
-fn of_the_same_type(volume: &Volume, values: Vec<f32>) -> VolumeData {
-    match volume.data() {
+/// Returns a volume of another size, of the same type and with the same range.
+fn resampled(volume: &Volume, dims: [usize; 3], spacing: [f32; 3]) -> Result<Volume> {
+    let view = volume.view();
+    let values = trilinear(&view, dims)?;
+    let data = match volume.data() {
         VolumeData::U8(_) => VolumeData::U8(values.iter().map(|v| v.round() as u8).collect()),
         VolumeData::U16(_) => VolumeData::U16(values.iter().map(|v| v.round() as u16).collect()),
         VolumeData::I16(_) => VolumeData::I16(values.iter().map(|v| v.round() as i16).collect()),
         VolumeData::F32(_) => VolumeData::F32(values),
-    }
+    };
+    let mut out = Volume::new(data, dims, spacing, volume.name())?;
+    out.set_range(view.range())?;
+    Ok(out)
 }
 
 fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Result<Vec<f32>> {

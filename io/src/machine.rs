@@ -1,6 +1,6 @@
 //! Provenance of numbers: the machine, its load, the program's version and the date.
 
-use entire_core::kernels::{Isa, Level};
+use entire_core::kernels::Level;
 use serde::Serialize;
 
 /// Returns the program's version and, if it was built from a checkout, its commit.
@@ -101,8 +101,8 @@ pub fn machine() -> String {
 /// Returns the widest vector instructions of the processor; `None` without AVX2.
 fn vectors() -> Option<&'static str> {
     match Level::available().last()?.isa() {
-        Isa::Avx2 => Some("AVX2"),
-        Isa::Avx512 => Some("AVX-512"),
+        "avx2" => Some("AVX2"),
+        "avx512" => Some("AVX-512"),
         _ => None,
     }
 }

@@ -7,7 +7,7 @@ use entire_farm::dispatch::Order;
 use entire_farm::drive;
 use entire_farm::engine::{Bundle, Engine, HyperQueue, Local, Places, Slurm};
 use entire_farm::job::Job;
-use entire_farm::planner::{Planner, Sent, Setting, State};
+use entire_farm::planner::{Planner, Setting, State};
 use entire_farm::show::{duration, parse_duration};
 use entire_farm::worker::Worker;
 use entire_farm::{openjd, predict, report, survey};
@@ -359,14 +359,7 @@ fn export(
             let load = planner.loads().seconds(volume, false);
             let upper_s = planner.learner().upper(&tasks, 0.99) + 2.0 * load + 60.0;
             let orders = tasks.iter().map(|t| database.order(*t, planner.expected(*t))).collect();
-            let predicted_s: Vec<f32> = tasks.iter().map(|t| planner.expected(*t) as f32).collect();
-            let expected_s = load + predicted_s.iter().map(|s| f64::from(*s)).sum::<f64>();
-            let bundle = (database.run() << 32) + k as u64;
-            Bundle {
-                sent: Sent { bundle, tasks, slot: None, volume, expected_s, predicted_s },
-                orders,
-                upper_s,
-            }
+            Bundle { number: (database.run() << 32) + k as u64, slot: None, orders, upper_s }
         })
         .collect();
     openjd::export(job, places, &bundles, database.run(), file)?;

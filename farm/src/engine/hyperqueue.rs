@@ -1,13 +1,13 @@
 //! HyperQueue, through its Python package: a small driver script, run with the user's Python.
 
 use super::{Bundle, Engine, Event, Places};
-use crate::record::Line;
+use crate::session::forward;
 use crate::spool::{Spool, tail};
 use anyhow::{Context, Result, bail, ensure};
+use entire_io::child::wait_at_most;
 use serde::Deserialize;
 use serde_json::json;
-use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -40,9 +40,8 @@ pub struct HyperQueue {
     child: Child,
     input: Option<ChildStdin>,
     lines: Receiver<String>,
+    /// Answers of the bundles that were sent and have not ended.
     spool: Spool,
-    /// Bundles that were sent and have not ended.
-    open: BTreeSet<u64>,
     priority: i32,
 }
 
@@ -102,17 +101,9 @@ impl HyperQueue {
         let out = child.stdout.take().context("the script has no standard output")?;
         let input = child.stdin.take();
         let (send, lines) = mpsc::channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(out).lines() {
-                let Ok(line) = line else { break };
-                if send.send(line).is_err() {
-                    break;
-                }
-            }
-        });
+        std::thread::spawn(move || forward(BufReader::new(out), &send));
         let spool = Spool::new(&places.state);
-        let mut new =
-            Self { places, run, options, child, input, lines, spool, open: BTreeSet::new(), priority: 0 };
+        let mut new = Self { places, run, options, child, input, lines, spool, priority: 0 };
         new.wait_until_ready(&log)?;
         Ok(new)
     }
@@ -147,10 +138,6 @@ impl Engine for HyperQueue {
         self.options.workers
     }
 
-    fn bound(&self) -> bool {
-        false
-    }
-
     fn overhead(&self) -> f64 {
         Self::OVERHEAD
     }
@@ -166,7 +153,7 @@ impl Engine for HyperQueue {
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
         let mut all = Vec::new();
         for bundle in bundles {
-            let number = bundle.sent.bundle;
+            let number = bundle.number;
             self.places.write_order(bundle, self.run)?;
             self.priority -= 1;
             // A time request has no effect on workers without a time limit.
@@ -179,7 +166,6 @@ impl Engine for HyperQueue {
                 "log": super::log_of(&self.places.state, number),
             }));
             self.spool.follow(number);
-            self.open.insert(number);
         }
         let line = json!({ "submit": all }).to_string() + "\n";
         if let Some(input) = &mut self.input {
@@ -192,12 +178,11 @@ impl Engine for HyperQueue {
     fn cancel(&mut self) -> Result<()> {
         // The Python package cannot cancel bundles. Instead, workers end if they find a marker
         // file before their next task.
-        self.open.iter().for_each(|b| super::cancel(&self.places.state, *b));
+        self.spool.bundles().for_each(|b| super::cancel(&self.places.state, b));
         Ok(())
     }
 
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>> {
-        let mut out = Vec::new();
         let mut said = Vec::new();
         let clock = Instant::now();
         let wait = wait.min(Duration::from_millis(30));
@@ -215,26 +200,16 @@ impl Engine for HyperQueue {
         }
         // The spool is read after the script's events, so that it has all answers of the bundles that have
         // ended.
-        for (bundle, line) in self.spool.poll()? {
-            if matches!(line, Line::End { .. }) {
-                self.open.remove(&bundle);
-            }
-            out.push(Event::Line(bundle, line));
-        }
+        let mut out = self.spool.poll()?;
+        let log = |bundle: u64| tail(&super::log_of(&self.places.state, bundle));
         for line in said {
             match serde_json::from_str(&line) {
-                Ok(Said::Over(bundle)) if self.open.remove(&bundle) => {
-                    self.spool.forget(bundle);
-                    let said = tail(&super::log_of(&self.places.state, bundle));
-                    out.push(Event::Lost(
-                        bundle,
-                        format!("the bundle's worker ended without an answer: {said}"),
-                    ));
+                Ok(Said::Over(bundle)) if self.spool.forget(bundle) => {
+                    let why = format!("the bundle's worker ended without an answer: {}", log(bundle));
+                    out.push(Event::Lost(bundle, why));
                 }
-                Ok(Said::Failed { failed, why }) if self.open.remove(&failed) => {
-                    self.spool.forget(failed);
-                    let said = tail(&super::log_of(&self.places.state, failed));
-                    out.push(Event::Lost(failed, format!("HyperQueue: {why} ({said})")));
+                Ok(Said::Failed { failed, why }) if self.spool.forget(failed) => {
+                    out.push(Event::Lost(failed, format!("HyperQueue: {why} ({})", log(failed))));
                 }
                 Ok(Said::Down(error)) => out.push(Event::Down(format!("HyperQueue: {error}"))),
                 _ => {}
@@ -250,11 +225,6 @@ impl Engine for HyperQueue {
 impl Drop for HyperQueue {
     fn drop(&mut self) {
         self.input = None;
-        let clock = Instant::now();
-        while clock.elapsed() < Duration::from_secs(3) && matches!(self.child.try_wait(), Ok(None)) {
-            std::thread::sleep(Duration::from_millis(20));
-        }
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        let _ = wait_at_most(&mut self.child, Duration::from_secs(3));
     }
 }

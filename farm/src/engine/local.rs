@@ -2,17 +2,15 @@
 //! pipe.
 
 use super::{Bundle, Engine, Event, Places};
-use crate::record::{BundleOrder, Line};
-use anyhow::{Context, Result, bail};
+use crate::record::Line;
+use anyhow::{Context, Result};
+use entire_io::child::wait_at_most;
 use entire_io::machine;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
-
-/// Maximum number, per slot, of workers that end one after another before they begin a task.
-const STILLBORN: u32 = 3;
 
 /// The engine.
 pub struct Local {
@@ -21,7 +19,6 @@ pub struct Local {
     workers: Vec<Worker>,
     send: Sender<(usize, u64, Option<String>)>,
     lines: Receiver<(usize, u64, Option<String>)>,
-    stillborn: u32,
     stopping: bool,
 }
 
@@ -45,7 +42,7 @@ impl Local {
     /// When a process cannot be started.
     pub fn start(places: Places, slots: usize, run: u64) -> Result<Self> {
         let (send, lines) = mpsc::channel();
-        let mut new = Self { places, run, workers: Vec::new(), send, lines, stillborn: 0, stopping: false };
+        let mut new = Self { places, run, workers: Vec::new(), send, lines, stopping: false };
         for slot in 0..slots {
             let worker = new.spawn(slot, slots, 0)?;
             new.workers.push(worker);
@@ -114,10 +111,7 @@ impl Local {
                 let Ok(line) = serde_json::from_str::<Line>(&line) else { return Ok(()) };
                 let bundle = worker.bundle.unwrap_or(u64::MAX);
                 match &line {
-                    Line::Begin { begins } => {
-                        worker.at = Some(begins.clone());
-                        self.stillborn = 0;
-                    }
+                    Line::Begin { begins } => worker.at = Some(begins.clone()),
                     Line::Answer(_) => {}
                     Line::End { .. } => {
                         worker.bundle = None;
@@ -137,12 +131,8 @@ impl Local {
                     }
                     return Ok(());
                 }
-                let said = crate::spool::tail(&self.log(slot));
-                self.stillborn += 1;
-                if self.stillborn > STILLBORN * slots as u32 {
-                    bail!("workers end before they begin a task ({status}): {said}");
-                }
                 if let Some(bundle) = bundle {
+                    let said = crate::spool::tail(&self.log(slot));
                     out.push(Event::Lost(bundle, format!("worker {slot} ended ({status}): {said}")));
                 }
                 self.workers[slot] = self.spawn(slot, slots, generation + 1)?;
@@ -172,13 +162,11 @@ impl Engine for Local {
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
         for bundle in bundles {
-            let slot = bundle.sent.slot.context("a bundle without a slot")?;
-            let order =
-                BundleOrder { bundle: bundle.sent.bundle, run: self.run, tasks: bundle.orders.clone() };
-            let mut line = serde_json::to_vec(&order)?;
+            let slot = bundle.slot.context("a bundle without a slot")?;
+            let mut line = serde_json::to_vec(&bundle.order(self.run))?;
             line.push(b'\n');
             let worker = &mut self.workers[slot];
-            worker.bundle = Some(bundle.sent.bundle);
+            worker.bundle = Some(bundle.number);
             worker.since = Instant::now();
             if let Some(input) = &mut worker.input {
                 // If the worker has ended, the reading thread reports that, and the bundle counts as lost.
@@ -230,13 +218,8 @@ impl Drop for Local {
         }
         let clock = Instant::now();
         for worker in &mut self.workers {
-            while clock.elapsed() < Duration::from_secs(2) && matches!(worker.child.try_wait(), Ok(None)) {
-                std::thread::sleep(Duration::from_millis(10));
-            }
-            if matches!(worker.child.try_wait(), Ok(None)) {
-                let _ = worker.child.kill();
-                let _ = worker.child.wait();
-            }
+            let left = Duration::from_secs(2).saturating_sub(clock.elapsed());
+            let _ = wait_at_most(&mut worker.child, left);
         }
     }
 }

@@ -9,8 +9,7 @@ pub use hyperqueue::{HyperQueue, Options as HyperQueueOptions};
 pub use local::Local;
 pub use slurm::{Options as SlurmOptions, Slurm};
 
-use super::planner::Sent;
-use super::record::{Line, Order};
+use super::record::{BundleOrder, Line, Order};
 use anyhow::{Context, Result};
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -19,14 +18,23 @@ use std::time::Duration;
 /// A bundle for an engine.
 #[derive(Clone, Debug)]
 pub struct Bundle {
-    /// The planner's record of the bundle.
-    pub sent: Sent,
+    /// Number of the bundle.
+    pub number: u64,
+    /// Slot of the bundle, if it is bound to one.
+    pub slot: Option<usize>,
     /// The work orders of the bundle's tasks.
     pub orders: Vec<Order>,
     /// Time that is requested from the engine for the bundle, seconds: the 99 % quantile of its rendering
     /// time, with loading and overhead, doubled for each loss of a task. Infinite for workers of this machine,
     /// which need no request.
     pub upper_s: f64,
+}
+
+impl Bundle {
+    /// Returns the bundle as a worker reads it. `run`: number of the run that sends the bundle.
+    fn order(&self, run: u64) -> BundleOrder {
+        BundleOrder { bundle: self.number, run, tasks: self.orders.clone() }
+    }
 }
 
 /// Events of an engine.
@@ -50,7 +58,9 @@ pub trait Engine {
     /// Number of bundles that run at once.
     fn slots(&self) -> usize;
     /// True if each bundle is sent to a given slot, whose persistent worker keeps its volume.
-    fn bound(&self) -> bool;
+    fn bound(&self) -> bool {
+        false
+    }
     /// Initial estimate of a bundle's overhead on its slot, seconds.
     fn overhead(&self) -> f64;
     /// Longest time request that the engine accepts, seconds; `None` for no limit.
@@ -136,10 +146,8 @@ impl Places {
     /// # Errors
     /// When the file cannot be written.
     pub(crate) fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
-        let order =
-            super::record::BundleOrder { bundle: bundle.sent.bundle, run, tasks: bundle.orders.clone() };
-        let path = self.state.join("orders").join(format!("{}.json", bundle.sent.bundle));
-        entire_io::files::write_whole(&path, &serde_json::to_vec(&order)?)
+        let path = self.state.join("orders").join(format!("{}.json", bundle.number));
+        entire_io::files::write_whole(&path, &serde_json::to_vec(&bundle.order(run))?)
     }
 }
 

@@ -7,6 +7,7 @@ use crate::spool::{Spool, tail};
 use anyhow::{Context, Result, bail, ensure};
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::ffi::OsStr;
 use std::io::Write;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -71,7 +72,7 @@ struct Queued {
 }
 
 /// Runs a command of Slurm and returns its output.
-fn ask(program: &str, arguments: &[String], input: Option<&str>) -> Result<String> {
+fn ask(program: &str, arguments: &[impl AsRef<OsStr>], input: Option<&str>) -> Result<String> {
     let mut child = Command::new(program)
         .args(arguments)
         .stdin(if input.is_some() { Stdio::piped() } else { Stdio::null() })
@@ -91,10 +92,6 @@ fn ask(program: &str, arguments: &[String], input: Option<&str>) -> Result<Strin
     let error = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{program} ended with {}: {}", output.status, error.trim());
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
-}
-
-fn words(words: &[&str]) -> Vec<String> {
-    words.iter().map(|w| (*w).to_owned()).collect()
 }
 
 /// Seconds of a limit as sinfo prints it, `days-hours:minutes:seconds` or fewer of these; `None` for no
@@ -153,13 +150,13 @@ impl Slurm {
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
         let hint = "Slurm does not answer; check that slurmctld is running and that SLURM_CONF is the path of its \
                     configuration file";
-        let listed = ask("sinfo", &words(&["-h", "-N", "-o", "%N"]), None).context(hint)?;
+        let listed = ask("sinfo", &["-h", "-N", "-o", "%N"], None).context(hint)?;
         let mut names: Vec<&str> = listed.lines().map(str::trim).filter(|n| !n.is_empty()).collect();
         names.sort_unstable();
         names.dedup();
         let slots = options.nodes.unwrap_or(names.len());
         ensure!(slots > 0, "sinfo lists no node; give the number of bundles that run at once with --slots");
-        let listed = ask("sinfo", &words(&["-h", "-o", "%P %l"]), None)?;
+        let listed = ask("sinfo", &["-h", "-o", "%P %l"], None)?;
         let named = partitions(&options.sbatch, std::env::var("SBATCH_PARTITION").ok());
         let limit = options.limit.or(longest_request(&listed, named.as_deref())).map(|l| l - GRACE);
         ensure!(
@@ -258,10 +255,6 @@ impl Engine for Slurm {
         self.slots
     }
 
-    fn bound(&self) -> bool {
-        false
-    }
-
     fn overhead(&self) -> f64 {
         Self::OVERHEAD
     }
@@ -276,7 +269,7 @@ impl Engine for Slurm {
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
         for bundle in bundles {
-            let number = bundle.sent.bundle;
+            let number = bundle.number;
             self.places.write_order(bundle, self.run)?;
             let log = super::log_of(&self.places.state, number);
             let log = log.to_str().context("the database's path is not UTF-8")?;
@@ -311,11 +304,8 @@ impl Engine for Slurm {
         for (place, bundle) in bundles.iter().enumerate() {
             if let Some(job) = self.open.get(bundle).filter(|j| j.state == "PENDING") {
                 // The command fails if the job has started. The job then needs no priority.
-                let _ = ask(
-                    "scontrol",
-                    &words(&["update", &format!("JobId={}", job.id), &format!("Nice={}", 10 * place)]),
-                    None,
-                );
+                let (job, nice) = (format!("JobId={}", job.id), format!("Nice={}", 10 * place));
+                let _ = ask("scontrol", &["update", &job, &nice], None);
             }
         }
         Ok(())
@@ -339,12 +329,11 @@ impl Engine for Slurm {
             self.looked = Some(Instant::now());
         }
         // The spool is read after the queue, so that it has all answers of the jobs that have ended.
-        let mut out = Vec::new();
-        for (bundle, line) in self.spool.poll()? {
-            if matches!(line, Line::End { .. }) {
-                self.open.remove(&bundle);
+        let mut out = self.spool.poll()?;
+        for event in &out {
+            if let Event::Line(bundle, Line::End { .. }) = event {
+                self.open.remove(bundle);
             }
-            out.push(Event::Line(bundle, line));
         }
         for (bundle, why) in lost {
             if self.open.remove(&bundle).is_some() {
@@ -384,7 +373,8 @@ mod tests {
     fn the_limit_is_that_of_the_partition_that_jobs_go_to() {
         let listed = "debug* 30:00\nlong 7-00:00:00\nshort 10:00\nopen infinite\n";
         let limit = |options: &[&str], environment: Option<&str>| {
-            let named = partitions(&words(options), environment.map(str::to_owned));
+            let options: Vec<String> = options.iter().map(ToString::to_string).collect();
+            let named = partitions(&options, environment.map(str::to_owned));
             longest_request(listed, named.as_deref())
         };
         assert_eq!(limit(&[], None), Some(1800.0));

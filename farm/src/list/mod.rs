@@ -1,15 +1,13 @@
 //! Task lists, and their assignment to nodes.
 
-mod affinity;
 mod bound;
 mod exchange;
 mod queue;
 #[cfg(test)]
 mod tests;
 
-pub use affinity::{AffinityTask, simulate_affinity};
 pub use bound::lower_bound;
-pub use queue::{Span, Timeline, simulate_queue};
+pub use queue::{AffinityTask, Span, Timeline, simulate_affinity, simulate_queue};
 
 use anyhow::{Context, Result, ensure};
 use entire_io::files::{decode_text, read_bytes};

@@ -1,7 +1,8 @@
-//! A dynamic queue: a free node takes the next task.
+//! Dynamic queues: a free node takes the next task, or one that needs its loaded volume.
 
 use anyhow::{Result, bail, ensure};
 use entire_steer::schedule::longest_first;
+use std::collections::VecDeque;
 
 /// Time span and node of a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,6 +26,17 @@ pub struct Timeline {
     pub makespan: f64,
 }
 
+/// A task that needs a volume.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AffinityTask {
+    /// The volume that the task needs.
+    pub volume: usize,
+    /// Seconds of the task on a node of speed 1, without loading.
+    pub seconds: f64,
+    /// Seconds to load the volume on a node that does not hold it. They do not depend on the node's speed.
+    pub load: f64,
+}
+
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
 /// `times` are the true times; predictions determine only the order. Arrival order is `0..n`;
 /// [`longest_first`] returns the order of predicted times, longest first. Every dispatch costs `dispatch`
@@ -33,15 +45,47 @@ pub struct Timeline {
 /// # Errors
 /// For unusable times, speeds or dispatch cost, or an order that is not a permutation of the tasks.
 pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: f64) -> Result<Timeline> {
-    check(times, speeds)?;
-    check_order(order, times.len())?;
-    check_dispatch(dispatch)?;
+    let tasks: Vec<_> = times.iter().map(|&seconds| AffinityTask { volume: 0, seconds, load: 0.0 }).collect();
+    simulate_affinity(order, &tasks, speeds, 1, dispatch)
+}
+
+/// Simulates a queue in which a node keeps its last volume. The node takes the first task on this volume
+/// among the next `window` tasks of the order, or the next task if there is none. Every dispatch costs
+/// `dispatch` seconds of the node.
+///
+/// # Errors
+/// For unusable times, speeds or dispatch cost, a window of 0, or an order that is not a permutation of the
+/// tasks.
+pub fn simulate_affinity(
+    order: &[usize],
+    tasks: &[AffinityTask],
+    speeds: &[f64],
+    window: usize,
+    dispatch: f64,
+) -> Result<Timeline> {
+    let times: Vec<f64> = tasks.iter().map(|t| t.seconds).collect();
+    check(&times, speeds)?;
+    let loads: Vec<f64> = tasks.iter().map(|t| t.load).collect();
+    check(&loads, speeds)?;
+    check_order(order, tasks.len())?;
+    ensure!(
+        dispatch.is_finite() && dispatch >= 0.0,
+        "the dispatch cost is {dispatch} seconds; it must be finite and not negative"
+    );
+    ensure!(window > 0, "the window is 0 tasks; it must be at least 1");
     let mut free = vec![0.0f64; speeds.len()];
+    let mut holds: Vec<Option<usize>> = vec![None; speeds.len()];
+    let mut waiting: VecDeque<usize> = order.iter().copied().collect();
     let mut spans = Vec::with_capacity(order.len());
-    for &task in order {
+    while !waiting.is_empty() {
         let node = first_free(&free, speeds);
+        let near = waiting.iter().take(window).position(|&t| holds[node] == Some(tasks[t].volume));
+        let Some(task) = waiting.remove(near.unwrap_or(0)) else { break };
+        let AffinityTask { volume, seconds, load } = tasks[task];
+        let loading = if holds[node] == Some(volume) { 0.0 } else { load };
+        holds[node] = Some(volume);
         let start = free[node];
-        let end = start + dispatch + times[task] / speeds[node];
+        let end = start + dispatch + loading + seconds / speeds[node];
         free[node] = end;
         spans.push(Span { task, node, start, end });
     }
@@ -50,7 +94,7 @@ pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: 
 }
 
 /// Checks that times are finite and not negative, and speeds finite and positive.
-pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
+fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     ensure!(!speeds.is_empty(), "there are no nodes; at least one is needed");
     if let Some((node, speed)) = speeds.iter().enumerate().find(|(_, s)| !(s.is_finite() && **s > 0.0)) {
         bail!("the speed of node {node} is {speed}; it must be finite and positive");
@@ -60,21 +104,12 @@ pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     Ok(())
 }
 
-/// Checks that a dispatch cost is finite and not negative.
-pub(super) fn check_dispatch(seconds: f64) -> Result<()> {
-    ensure!(
-        seconds.is_finite() && seconds >= 0.0,
-        "the dispatch cost is {seconds} seconds; it must be finite and not negative"
-    );
-    Ok(())
-}
-
-pub(super) fn first_free(free: &[f64], speeds: &[f64]) -> usize {
+fn first_free(free: &[f64], speeds: &[f64]) -> usize {
     let earlier = |&a: &usize, &b: &usize| free[a].total_cmp(&free[b]).then(speeds[b].total_cmp(&speeds[a]));
     (0..free.len()).min_by(earlier).unwrap_or(0)
 }
 
-pub(super) fn check_order(order: &[usize], tasks: usize) -> Result<()> {
+fn check_order(order: &[usize], tasks: usize) -> Result<()> {
     let mut seen = vec![false; tasks];
     for &task in order {
         match seen.get_mut(task) {

@@ -331,7 +331,7 @@ mod tests {
             features.measure(&summary, &mut transfer, &frame).unwrap();
             let of = features.quantities(Setting::from(&frame));
             for q in SceneQuantity::ALL {
-                let value = of(*q);
+                let value = of(q);
                 text += &format!("{q} {value:.3e}\n");
             }
         }

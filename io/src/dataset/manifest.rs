@@ -19,7 +19,7 @@ pub const STEP_REFERENCE: &str = "smallest voxel spacing";
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
 /// Machine, renderer and settings of a measurement. Written beside the table as `NAME.manifest.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// [`MANIFEST_FORMAT`].
     pub format: String,

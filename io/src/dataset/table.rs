@@ -40,7 +40,7 @@ pub const COLUMNS: [&str; 26] = [
 ];
 
 /// A timing table in memory, repeats grouped into frames.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
     /// File of the table.
     pub path: PathBuf,

@@ -258,8 +258,7 @@ struct Logs {
 
 impl Logs {
     fn of(frame: &TimedFrame, clock: Clock, passes: usize) -> Option<Self> {
-        let repeats: Vec<f64> =
-            frame.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).map(f64::ln).collect();
+        let repeats: Vec<f64> = frame.times(clock).into_iter().map(f64::ln).collect();
         // If some repeats lack a time, repeats cannot be assigned to passes.
         let whole = repeats.len() == frame.repeats.len() && repeats.len().is_multiple_of(passes);
         let median = median(&mut repeats.clone())?;

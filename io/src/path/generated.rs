@@ -2,7 +2,7 @@
 
 use super::{CameraPose, Keyframe, Lobe, MAX_FRAMES, PATH_FORMAT, PathFile, Transfer};
 use anyhow::{Result, ensure};
-use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, VolumeView};
+use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, VolumeView, normalize};
 
 /// Paths that are generated for a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -108,7 +108,7 @@ impl Values {
             .step_by(stride as usize)
             .map(|i| {
                 let (x, rest) = (i as usize % nx, i as usize / nx);
-                volume.normalize(volume.value(x, rest % ny, (rest / ny).min(nz - 1)))
+                normalize(volume.range(), volume.value(x, rest % ny, (rest / ny).min(nz - 1)))
             })
             .filter(|v| v.is_finite())
             .collect();

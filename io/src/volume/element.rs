@@ -58,7 +58,27 @@ pub(crate) fn byte_count(dims: [usize; 3], element: Element) -> Result<u64> {
         .context("the sizes in the header multiply to more bytes than can be addressed")
 }
 
-/// Reads the voxels of a volume; memory grows with the received bytes.
+/// Calls the macro `$do` with the kind of [`VolumeData`] that holds an element's voxels, the stored type, and the type
+/// in memory.
+macro_rules! with_types {
+    ($element:expr, $do:ident) => {
+        match $element {
+            Element::U8 => $do!(U8, u8, u8),
+            Element::I8 => $do!(I16, i8, i16),
+            Element::U16 => $do!(U16, u16, u16),
+            Element::I16 => $do!(I16, i16, i16),
+            Element::U32 => $do!(F32, u32, f32),
+            Element::I32 => $do!(F32, i32, f32),
+            Element::U64 => $do!(F32, u64, f32),
+            Element::I64 => $do!(F32, i64, f32),
+            Element::F32 => $do!(F32, f32, f32),
+            Element::F64 => $do!(F32, f64, f32),
+        }
+    };
+}
+
+/// Reads the voxels of a volume; memory grows with the received bytes. With a slope and an intercept in `scale`, a
+/// voxel's value is its stored `number * slope + intercept`, rounded once.
 ///
 /// # Errors
 /// When there are fewer bytes than sizes and type require, or the compressed data is broken; the error states
@@ -68,102 +88,50 @@ pub(crate) fn read_voxels(
     dims: [usize; 3],
     element: Element,
     endian: Endian,
+    scale: Option<(f64, f64)>,
 ) -> Result<VolumeData> {
     check_length(stream, dims, element)?;
     let voxels = dims[0] * dims[1] * dims[2];
-    macro_rules! convert {
-        ($variant:ident, $stored:ty, |$v:ident| $converted:expr) => {
-            VolumeData::$variant(match endian {
-                Endian::Little => collect(stream, voxels, |b| {
-                    let $v = <$stored>::from_le_bytes(b);
-                    $converted
-                })?,
-                Endian::Big => collect(stream, voxels, |b| {
-                    let $v = <$stored>::from_be_bytes(b);
-                    $converted
-                })?,
-            })
-        };
-    }
-    Ok(match element {
-        Element::U8 => VolumeData::U8(bytes(stream, voxels)?),
-        Element::I8 => convert!(I16, i8, |v| i16::from(v)),
-        Element::U16 => convert!(U16, u16, |v| v),
-        Element::I16 => convert!(I16, i16, |v| v),
-        Element::I32 => convert!(F32, i32, |v| v as f32),
-        Element::U32 => convert!(F32, u32, |v| v as f32),
-        Element::I64 => convert!(F32, i64, |v| v as f32),
-        Element::U64 => convert!(F32, u64, |v| v as f32),
-        Element::F32 => convert!(F32, f32, |v| v),
-        Element::F64 => convert!(F32, f64, |v| v as f32),
-    })
-}
-
-/// Reads voxels as [`read_voxels`] does; a voxel's value is its stored `number * slope + intercept`, rounded
-/// once.
-///
-/// # Errors
-/// Those of [`read_voxels`].
-pub(crate) fn read_scaled_voxels(
-    stream: &mut Stream<'_>,
-    dims: [usize; 3],
-    element: Element,
-    endian: Endian,
-    slope: f64,
-    intercept: f64,
-) -> Result<VolumeData> {
-    check_length(stream, dims, element)?;
-    let voxels = dims[0] * dims[1] * dims[2];
-    let scale = |value: f64| (value * slope + intercept) as f32;
-    macro_rules! convert {
-        ($stored:ty) => {
-            match endian {
-                Endian::Little => collect(stream, voxels, |b| scale(<$stored>::from_le_bytes(b) as f64))?,
-                Endian::Big => collect(stream, voxels, |b| scale(<$stored>::from_be_bytes(b) as f64))?,
+    macro_rules! collect_as {
+        ($kind:ident, $stored:ty, $kept:ty, $from_bytes:ident) => {
+            match scale {
+                None => VolumeData::$kind(collect(stream, voxels, |b| <$stored>::$from_bytes(b) as $kept)?),
+                Some((slope, intercept)) => VolumeData::F32(collect(stream, voxels, |b| {
+                    (<$stored>::$from_bytes(b) as f64 * slope + intercept) as f32
+                })?),
             }
         };
     }
-    Ok(VolumeData::F32(match element {
-        Element::U8 => convert!(u8),
-        Element::I8 => convert!(i8),
-        Element::U16 => convert!(u16),
-        Element::I16 => convert!(i16),
-        Element::U32 => convert!(u32),
-        Element::I32 => convert!(i32),
-        Element::U64 => convert!(u64),
-        Element::I64 => convert!(i64),
-        Element::F32 => convert!(f32),
-        Element::F64 => convert!(f64),
-    }))
+    macro_rules! convert {
+        ($kind:ident, $stored:ty, $kept:ty) => {
+            match endian {
+                Endian::Little => collect_as!($kind, $stored, $kept, from_le_bytes),
+                Endian::Big => collect_as!($kind, $stored, $kept, from_be_bytes),
+            }
+        };
+    }
+    Ok(with_types!(element, convert))
+}
+
+/// Describes voxels of a size and type, for messages.
+fn described([x, y, z]: [usize; 3], element: Element) -> String {
+    let size = element.bytes();
+    format!("{x} x {y} x {z} voxels of {size} byte{}", if size == 1 { "" } else { "s" })
 }
 
 /// Refuses a stream that cannot hold the voxels.
 fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Result<()> {
     let expected = byte_count(dims, element)?;
-    match stream.remaining() {
-        Remaining::Exact(found) if found < expected => bail!(
-            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the file has {found}; it is cut short \
-             or its header is wrong",
-            stream.prefix(),
-            dims[0],
-            dims[1],
-            dims[2],
-            element.bytes(),
-            if element.bytes() == 1 { "" } else { "s" }
-        ),
-        Remaining::AtMost(most) if most < expected => bail!(
-            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the compressed data can hold {most} \
-             at most; it is cut short or its header is wrong",
-            stream.prefix(),
-            dims[0],
-            dims[1],
-            dims[2],
-            element.bytes(),
-            if element.bytes() == 1 { "" } else { "s" }
-        ),
-        _ => {}
-    }
-    Ok(())
+    let found = match stream.remaining() {
+        Remaining::Exact(found) if found < expected => format!("the file has {found}"),
+        Remaining::AtMost(most) if most < expected => format!("the compressed data can hold {most} at most"),
+        _ => return Ok(()),
+    };
+    bail!(
+        "{}{} need {expected} bytes, {found}; it is cut short or its header is wrong",
+        stream.prefix(),
+        described(dims, element)
+    )
 }
 
 /// Checks the bytes after the voxels. If fewer bytes follow than the voxels occupy, they are ignored, and a
@@ -187,43 +155,25 @@ pub(crate) fn expect_end(
     if behind == 0 {
         return Ok(None);
     }
-    let [x, y, z] = dims;
-    let size = element.bytes();
-    let bytes = if size == 1 { "byte" } else { "bytes" };
+    let voxels = described(dims, element);
     if behind >= expected {
         let found = match stream.remaining() {
             Remaining::Exact(_) => (expected + behind).to_string(),
             Remaining::AtMost(_) => format!("{} or more", expected + behind),
         };
         bail!(
-            "{prefix}{x} x {y} x {z} voxels of {size} {bytes} need {expected} bytes, the data has {found}; check \
-             sizes and type in the header, and save a second volume to a file of its own"
+            "{prefix}{voxels} need {expected} bytes, the data has {found}; check sizes and type in the header, and \
+             save a second volume to a file of its own"
         );
     }
     Ok(Some(format!(
-        "{prefix}{behind} bytes after the {expected} bytes of {x} x {y} x {z} voxels of {size} {bytes} are \
-         left out; check sizes and type in the header if no bytes should follow"
+        "{prefix}{behind} bytes after the {expected} bytes of {voxels} are left out; check sizes and type in the \
+         header if no bytes should follow"
     )))
 }
 
 /// Number of bytes that are read and converted at a time.
 const CHUNK: usize = 1 << 16;
-
-fn bytes(stream: &mut Stream<'_>, voxels: usize) -> Result<Vec<u8>> {
-    let mut out: Vec<u8> = Vec::new();
-    start(&mut out, stream, voxels)?;
-    while out.len() < voxels {
-        let more = CHUNK.min(voxels - out.len());
-        grow(&mut out, more, voxels)?;
-        let from = out.len();
-        out.resize(from + more, 0);
-        let got = fill(stream, &mut out[from..]).map_err(|error| broken(stream, &error, from, voxels, 1))?;
-        if got < more {
-            return Err(short(stream, from + got, voxels, 1));
-        }
-    }
-    Ok(out)
-}
 
 fn collect<const BYTES: usize, T>(
     stream: &mut Stream<'_>,
@@ -318,73 +268,51 @@ pub(crate) fn parse_voxels(
     dims: [usize; 3],
     element: Element,
 ) -> Result<VolumeData> {
-    let voxels = dims[0] * dims[1] * dims[2];
+    let [x, y, z] = dims;
+    let voxels = x * y * z;
     // A number and the blank behind it take at least two bytes.
     let (Remaining::Exact(most) | Remaining::AtMost(most)) = stream.remaining();
     if most.saturating_add(1) / 2 < voxels as u64 {
         bail!(
-            "{}{} x {} x {} voxels as text need at least {} bytes, the data has {most}; it is cut short or \
-             its header is wrong",
+            "{}{x} x {y} x {z} voxels as text need at least {} bytes, the data has {most}; it is cut short or its header \
+             is wrong",
             stream.prefix(),
-            dims[0],
-            dims[1],
-            dims[2],
             (voxels as u64).saturating_mul(2) - 1
         );
     }
-    macro_rules! whole {
-        ($variant:ident, $stored:ty, |$v:ident| $converted:expr) => {
-            VolumeData::$variant(parse(stream, voxels, |text| {
+    macro_rules! parse_as {
+        ($kind:ident, $stored:ty, $kept:ty) => {
+            VolumeData::$kind(parse(stream, voxels, |text| {
                 // Some writers put a decimal point into whole numbers.
-                let $v: $stored = match text.parse() {
-                    Ok(v) => v,
-                    Err(_) => {
-                        let f: f64 = text.parse().ok()?;
-                        let inside =
-                            f.fract() == 0.0 && f >= <$stored>::MIN as f64 && f <= <$stored>::MAX as f64;
-                        if !inside {
-                            return None;
-                        }
-                        f as $stored
-                    }
-                };
-                Some($converted)
+                let number = text.parse::<$stored>().ok().or_else(|| {
+                    let f: f64 = text.parse().ok()?;
+                    let inside = f.fract() == 0.0 && f >= <$stored>::MIN as f64 && f <= <$stored>::MAX as f64;
+                    inside.then_some(f as $stored)
+                });
+                Some(number? as $kept)
             })?)
         };
     }
-    Ok(match element {
-        Element::U8 => whole!(U8, u8, |v| v),
-        Element::I8 => whole!(I16, i8, |v| i16::from(v)),
-        Element::U16 => whole!(U16, u16, |v| v),
-        Element::I16 => whole!(I16, i16, |v| v),
-        Element::I32 => whole!(F32, i32, |v| v as f32),
-        Element::U32 => whole!(F32, u32, |v| v as f32),
-        Element::I64 => whole!(F32, i64, |v| v as f32),
-        Element::U64 => whole!(F32, u64, |v| v as f32),
-        Element::F32 => VolumeData::F32(parse(stream, voxels, |text| text.parse().ok())?),
-        Element::F64 => {
-            VolumeData::F32(parse(stream, voxels, |text| text.parse::<f64>().ok().map(|v| v as f32))?)
-        }
-    })
+    Ok(with_types!(element, parse_as))
 }
 
 /// Largest length of a number in text, in characters; a longer number is an error.
 const MAX_TOKEN: usize = 512;
 
 fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Option<T>) -> Result<Vec<T>> {
+    let prefix = stream.prefix();
     let mut out = Vec::new();
     let mut token: Vec<u8> = Vec::new();
     loop {
         let mut byte = [0u8];
         let end = fill(stream, &mut byte)
-            .map_err(|error| anyhow::anyhow!("{}number {}: {error}", stream.prefix(), out.len()))?
+            .map_err(|error| anyhow::anyhow!("{prefix}number {}: {error}", out.len()))?
             == 0;
         if !end && !byte[0].is_ascii_whitespace() && byte[0] != b',' {
             token.push(byte[0]);
             if token.len() > MAX_TOKEN {
                 bail!(
-                    "{}number {} is longer than {MAX_TOKEN} characters; the data is not text",
-                    stream.prefix(),
+                    "{prefix}number {} is longer than {MAX_TOKEN} characters; the data is not text",
                     out.len()
                 );
             }
@@ -393,16 +321,13 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
         if !token.is_empty() {
             if out.len() == voxels {
                 bail!(
-                    "{}there are more than the {voxels} numbers that the sizes call for; check the sizes in \
-                     the header",
-                    stream.prefix()
+                    "{prefix}there are more than the {voxels} numbers that the sizes call for; check the sizes in the \
+                     header"
                 );
             }
-            let value = std::str::from_utf8(&token).ok().and_then(&number);
-            let Some(value) = value else {
+            let Some(value) = std::str::from_utf8(&token).ok().and_then(&number) else {
                 bail!(
-                    "{}number {} is {:?}; the type in the header does not allow it",
-                    stream.prefix(),
+                    "{prefix}number {} is {:?}; the type in the header does not allow it",
                     out.len(),
                     String::from_utf8_lossy(&token)
                 );
@@ -417,9 +342,8 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
     }
     if out.len() < voxels {
         bail!(
-            "{}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its \
-             header is wrong",
-            stream.prefix(),
+            "{prefix}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its header is \
+             wrong",
             out.len()
         );
     }

@@ -20,6 +20,7 @@ const MAX_LINE: usize = 1 << 16;
 const MAX_LINES: usize = 1 << 14;
 const MAX_AXES: usize = 10;
 
+#[derive(Default)]
 struct Header {
     element: Option<Element>,
     axes: Option<usize>,
@@ -110,27 +111,13 @@ fn voxels(
     }
     let [binary, other] = header.big_endian;
     let endian = if binary.or(other).unwrap_or(false) { Endian::Big } else { Endian::Little };
-    let data = read_voxels(&mut stream, dims, element, endian)?;
+    let data = read_voxels(&mut stream, dims, element, endian, None)?;
     notes.extend(expect_end(&mut stream, dims, element)?);
     Ok(data)
 }
 
 fn header(stream: &mut Stream<'_>) -> Result<Header> {
-    let mut header = Header {
-        element: None,
-        axes: None,
-        sizes: None,
-        spacing: None,
-        element_size: None,
-        channels: 1,
-        binary: true,
-        big_endian: [None; 2],
-        compressed: false,
-        header_size: 0,
-        length: 0,
-        data_file: String::new(),
-        several: None,
-    };
+    let mut header = Header { channels: 1, binary: true, ..Header::default() };
     stream.skip_mark()?;
     for number in 1..=MAX_LINES {
         let Some(line) = stream.line(MAX_LINE)? else {

@@ -24,7 +24,7 @@
 //! | any type with a NIfTI slope, intercept other than 1, 0 | 32-bit float of value × slope + intercept |
 //!
 //! NaN and infinite voxels are kept; they count as the ends of the range when a view normalizes them (see
-//! [`VolumeView::normalize`]). Voxels with a fill value ([`VolumeView::fill_values`], or those that
+//! [`normalize`](entire_core::scene::normalize)). Voxels with a fill value ([`VolumeView::fill_values`], or those that
 //! [`Reading::fill`] names) get the minimum of all other values, and [`Volume::notes`] says so. Axes stay in
 //! the file's order, and x is the fastest. Voxel spacings are used; positions and directions in space are
 //! not.
@@ -47,7 +47,7 @@ pub(crate) use stream::{Companions, Folder, without_mark};
 pub use stream::{Stream, Watcher};
 
 use anyhow::{Context, Result, bail};
-use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
+use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 use reading::{hide_fill, narrow, non_finite};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -91,11 +91,6 @@ impl VolumeData {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
-
-    /// The element type.
-    pub fn scalar_type(&self) -> ScalarType {
-        self.scalars().scalar_type()
-    }
 }
 
 /// A checked scalar volume that owns its voxels: x fastest, one component, no padding.
@@ -104,9 +99,8 @@ pub struct Volume {
     data: VolumeData,
     dims: [usize; 3],
     spacing: [f32; 3],
-    range: Option<(f32, f32)>,
-    /// The default range, computed once from the voxels.
-    found_range: (f32, f32),
+    /// The scalar range that maps to [0, 1].
+    range: (f32, f32),
     name: String,
     source: PathBuf,
     notes: Vec<String>,
@@ -214,17 +208,9 @@ impl Volume {
                 data.len()
             );
         }
-        let found_range = view.range();
-        Ok(Self {
-            data,
-            dims,
-            spacing,
-            range: None,
-            found_range,
-            name: name.into(),
-            source: PathBuf::new(),
-            notes: Vec::new(),
-        })
+        let range = view.range();
+        let (name, source) = (name.into(), PathBuf::new());
+        Ok(Self { data, dims, spacing, range, name, source, notes: Vec::new() })
     }
 
     /// Reads a volume file. The format follows from the name's ending, else from the first bytes.
@@ -310,7 +296,7 @@ impl Volume {
         let mut volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
         notes.extend(non_finite(&volume.view()));
         notes.extend(narrow(&volume.view(), reading.range));
-        let range = reading.range_of(&volume.view());
+        let range = reading.range_of(&volume.view()).unwrap_or(volume.range);
         volume.set_range(range)?;
         volume.notes = notes;
         Ok(volume)
@@ -322,8 +308,7 @@ impl Volume {
         self.checked_view(self.range).expect("sizes, spacing and range were checked when they were set")
     }
 
-    fn checked_view(&self, range: Option<(f32, f32)>) -> Result<VolumeView<'_>, entire_core::Error> {
-        let range = range.unwrap_or(self.found_range);
+    fn checked_view(&self, range: (f32, f32)) -> Result<VolumeView<'_>, entire_core::Error> {
         VolumeView::with(
             self.data.scalars(),
             self.dims,
@@ -331,11 +316,11 @@ impl Volume {
         )
     }
 
-    /// Sets the scalar range that maps to [0, 1]; `None` for the default.
+    /// Sets the scalar range that maps to [0, 1].
     ///
     /// # Errors
     /// When an end is not finite, or the low end is above the high end.
-    pub(crate) fn set_range(&mut self, range: Option<(f32, f32)>) -> Result<()> {
+    pub(crate) fn set_range(&mut self, range: (f32, f32)) -> Result<()> {
         self.checked_view(range)?;
         self.range = range;
         Ok(())
@@ -354,11 +339,6 @@ impl Volume {
     /// Voxel spacing along x, y, z, in the file's unit of length (1 where the file states none).
     pub fn spacing(&self) -> [f32; 3] {
         self.spacing
-    }
-
-    /// The scalar range that was set, if any.
-    pub fn range(&self) -> Option<(f32, f32)> {
-        self.range
     }
 
     /// The volume's name: from its description, else the file's name without its ending.
@@ -534,9 +514,9 @@ mod tests {
         assert!(Volume::new(VolumeData::U8(vec![0; 3]), [2, 2, 1], [1.0; 3], "v").is_err());
         assert!(Volume::new(VolumeData::U8(vec![0; 4]), [2, 2, 1], [1.0, f32::NAN, 1.0], "v").is_err());
         let mut v = ok.clone();
-        assert!(v.set_range(Some((2.0, 1.0))).is_err());
-        assert_eq!(v.range(), None);
-        v.set_range(Some((0.0, 8.0))).unwrap();
-        assert_eq!(v.view().normalize(v.view().value(1, 1, 0)), 0.5);
+        assert!(v.set_range((2.0, 1.0)).is_err());
+        assert_eq!(v.range, (1.0, 4.0));
+        v.set_range((0.0, 8.0)).unwrap();
+        assert_eq!(entire_core::scene::normalize(v.view().range(), v.view().value(1, 1, 0)), 0.5);
     }
 }

@@ -9,7 +9,7 @@
 //! The project has its own reader, since the crate `nifti` 0.18 reads only NIfTI-1 and panics where a
 //! header's sizes contradict each other.
 
-use super::element::{expect_end, read_scaled_voxels, read_voxels};
+use super::element::{expect_end, read_voxels};
 use super::stream::Stream;
 use super::{Element, Endian, Parts, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
@@ -85,11 +85,8 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
     stream.skip(header.offset as u64 - header.taken)?;
     let Header { endian, slope, .. } = header;
     let intercept = if header.intercept.is_finite() { header.intercept } else { 0.0 };
-    let data = if slope.is_finite() && slope != 0.0 && (slope, intercept) != (1.0, 0.0) {
-        read_scaled_voxels(&mut stream, dims, element, endian, slope, intercept)?
-    } else {
-        read_voxels(&mut stream, dims, element, endian)?
-    };
+    let scaled = slope.is_finite() && slope != 0.0 && (slope, intercept) != (1.0, 0.0);
+    let data = read_voxels(&mut stream, dims, element, endian, scaled.then_some((slope, intercept)))?;
     notes.extend(expect_end(&mut stream, dims, element)?);
     Ok(Parts { data, dims, spacing, name: None, notes })
 }
@@ -110,33 +107,21 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
     let length = if second { NIFTI2_BYTES } else { NIFTI1_BYTES };
     bytes[..4].copy_from_slice(&size);
     take(stream, &mut bytes[4..length], 4)?;
-    let magic: [u8; 4] = if second { at(&bytes, 4) } else { at(&bytes, 344) };
-    match (&magic, second) {
+    let magic = if second { &bytes[4..8] } else { &bytes[344..348] };
+    match (magic, second) {
         (b"n+1\0", false) | (b"n+2\0", true) => {}
         (b"ni1\0", false) | (b"ni2\0", true) => {
             bail!("the voxels are in a second file (.hdr and .img); convert the pair to one .nii file")
         }
         _ => bail!(
             "not a NIfTI file: its magic is {:?} (an Analyze 7.5 file has none); convert it to NIfTI",
-            String::from_utf8_lossy(&magic)
+            String::from_utf8_lossy(magic)
         ),
     }
-    let short = |offset: usize| match endian {
-        Endian::Little => i16::from_le_bytes(at(&bytes, offset)),
-        Endian::Big => i16::from_be_bytes(at(&bytes, offset)),
-    };
-    let long = |offset: usize| match endian {
-        Endian::Little => i64::from_le_bytes(at(&bytes, offset)),
-        Endian::Big => i64::from_be_bytes(at(&bytes, offset)),
-    };
-    let float = |offset: usize| match endian {
-        Endian::Little => f32::from_le_bytes(at(&bytes, offset)),
-        Endian::Big => f32::from_be_bytes(at(&bytes, offset)),
-    };
-    let double = |offset: usize| match endian {
-        Endian::Little => f64::from_le_bytes(at(&bytes, offset)),
-        Endian::Big => f64::from_be_bytes(at(&bytes, offset)),
-    };
+    let short = |offset| i16::from_le_bytes(at(&bytes, offset, endian));
+    let long = |offset| i64::from_le_bytes(at(&bytes, offset, endian));
+    let float = |offset| f32::from_le_bytes(at(&bytes, offset, endian));
+    let double = |offset| f64::from_le_bytes(at(&bytes, offset, endian));
     let axis = [0, 1, 2, 3, 4, 5, 6];
     Ok(if second {
         Header {
@@ -165,8 +150,13 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
     })
 }
 
-fn at<const N: usize>(bytes: &[u8; NIFTI2_BYTES], offset: usize) -> [u8; N] {
-    std::array::from_fn(|i| bytes[offset + i])
+/// Returns the bytes of a number, the least significant byte first.
+fn at<const N: usize>(bytes: &[u8; NIFTI2_BYTES], offset: usize, endian: Endian) -> [u8; N] {
+    let mut number = std::array::from_fn(|i| bytes[offset + i]);
+    if endian == Endian::Big {
+        number.reverse();
+    }
+    number
 }
 
 fn take(stream: &mut Stream<'_>, out: &mut [u8], from: usize) -> Result<()> {

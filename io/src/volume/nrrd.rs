@@ -153,7 +153,7 @@ fn voxels(
         Some(Encoding::Hex) => stream = stream.unhex(),
         _ => {}
     }
-    let data = read_voxels(&mut stream, dims, element, endian)?;
+    let data = read_voxels(&mut stream, dims, element, endian, None)?;
     notes.extend(expect_end(&mut stream, dims, element)?);
     Ok(data)
 }
@@ -178,9 +178,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         if line.is_empty() {
             break;
         }
-        let line = std::str::from_utf8(&line)
-            .map(str::to_owned)
-            .unwrap_or_else(|_| String::from_utf8_lossy(&line).into_owned());
+        let line = String::from_utf8_lossy(&line);
         if line.starts_with('#') {
             continue;
         }
@@ -319,14 +317,13 @@ fn text(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::stream::NoCompanions;
-    use super::super::{Format, Volume, VolumeData};
+    use super::super::{Folder, Format, Volume, VolumeData};
     use super::*;
     use flate2::{Compression, write::GzEncoder};
     use std::io::Write;
 
     fn open(bytes: &[u8]) -> Result<Volume> {
-        Volume::read(Format::Nrrd, Stream::from_bytes(bytes), "v.nrrd", &NoCompanions)
+        Volume::read(Format::Nrrd, Stream::from_bytes(bytes), "v.nrrd", &Folder::new("none"))
     }
 
     fn message(bytes: &[u8]) -> String {

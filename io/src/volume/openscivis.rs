@@ -96,7 +96,7 @@ fn voxels(mut stream: Stream<'_>, packed: bool, description: Description) -> Res
     if packed {
         stream = stream.gunzip();
     }
-    let data = read_voxels(&mut stream, dims, element, endian)?;
+    let data = read_voxels(&mut stream, dims, element, endian, None)?;
     let notes = expect_end(&mut stream, dims, element)?.into_iter().collect();
     Ok(Parts { data, dims, spacing, name, notes })
 }

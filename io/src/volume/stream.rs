@@ -3,7 +3,6 @@
 use anyhow::{Context, Result, anyhow, bail};
 use bzip2::bufread::MultiBzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
-use std::fmt;
 use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -66,12 +65,6 @@ pub struct Stream<'a> {
     remaining: Remaining,
     read: u64,
     label: String,
-}
-
-impl fmt::Debug for Stream<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Stream").field("label", &self.label).field("remaining", &self.remaining).finish()
-    }
 }
 
 impl<'a> Stream<'a> {
@@ -196,20 +189,15 @@ impl<'a> Stream<'a> {
     /// # Errors
     /// When fewer bytes are left.
     pub(crate) fn skip(&mut self, count: u64) -> Result<()> {
-        if let Remaining::Exact(left) = self.remaining
-            && left < count
-        {
+        let prefix = self.prefix();
+        let left = match self.remaining {
+            Remaining::Exact(left) if left < count => left,
+            _ => io::copy(&mut self.take(count), &mut io::sink())
+                .with_context(|| format!("{prefix}skipping {count} bytes"))?,
+        };
+        if left < count {
             bail!(
-                "{}the header says to skip {count} bytes, only {left} are left; is the file cut short?",
-                self.prefix()
-            );
-        }
-        let skipped = io::copy(&mut self.take(count), &mut io::sink())
-            .with_context(|| format!("{}skipping {count} bytes", self.prefix()))?;
-        if skipped < count {
-            bail!(
-                "{}the header says to skip {count} bytes, only {skipped} are left; is the file cut short?",
-                self.prefix()
+                "{prefix}the header says to skip {count} bytes, only {left} are left; is the file cut short?"
             );
         }
         Ok(())
@@ -239,10 +227,8 @@ impl<'a> Stream<'a> {
     /// Returns the rest of the stream, decompressed as gzip (one or several members). Bytes after the last member, such
     /// as the zeros with which some programs fill blocks, are ignored.
     pub(crate) fn gunzip(self) -> Stream<'a> {
-        self.decompressed(|reader| {
-            let members = Members { member: Some(GzDecoder::new(reader)) };
-            Box::new(BufReader::with_capacity(1 << 16, members))
-        })
+        let most = |packed: u64| packed.saturating_mul(DEFLATE_GROWTH);
+        self.decoded(most, |reader| Members { member: Some(GzDecoder::new(reader)) })
     }
 
     /// Returns the rest of the stream, decompressed as zlib, or as gzip if it starts with the magic bytes of
@@ -254,24 +240,17 @@ impl<'a> Stream<'a> {
         if self.peek()?.starts_with(&[0x1f, 0x8b]) {
             return Ok(self.gunzip());
         }
-        Ok(self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, ZlibDecoder::new(reader)))))
+        Ok(self.decoded(|packed| packed.saturating_mul(DEFLATE_GROWTH), ZlibDecoder::new))
     }
 
     /// Returns the rest of the stream, decompressed as bzip2 (one or several streams).
     pub(crate) fn bunzip(self) -> Stream<'a> {
-        let (Remaining::Exact(packed) | Remaining::AtMost(packed)) = self.remaining;
-        let label = self.label;
-        let reader = BufReader::with_capacity(1 << 16, MultiBzDecoder::new(self.reader));
-        let remaining = Remaining::AtMost(packed.saturating_mul(BZIP2_GROWTH));
-        Stream { reader: Box::new(reader), remaining, read: 0, label }
+        self.decoded(|packed| packed.saturating_mul(BZIP2_GROWTH), MultiBzDecoder::new)
     }
 
     /// Returns the rest of the stream, decoded from pairs of hexadecimal digits; blanks are skipped.
     pub(crate) fn unhex(self) -> Stream<'a> {
-        let (Remaining::Exact(digits) | Remaining::AtMost(digits)) = self.remaining;
-        let label = self.label;
-        let reader = BufReader::with_capacity(1 << 16, Hexadecimal { inner: self.reader });
-        Stream { reader: Box::new(reader), remaining: Remaining::AtMost(digits / 2), read: 0, label }
+        self.decoded(|digits| digits / 2, |inner| Hexadecimal { inner })
     }
 
     /// Returns the `count` bytes before the last `behind` bytes of the stream; memory grows with the received
@@ -325,17 +304,17 @@ impl<'a> Stream<'a> {
         Ok(Stream { reader: Box::new(io::Cursor::new(held)), remaining, read: 0, label: self.label })
     }
 
-    fn decompressed(
+    /// Returns the rest of the stream, decoded. `most` returns the maximum number of decoded bytes for a number of
+    /// encoded ones.
+    fn decoded<R: Read + 'a>(
         self,
-        decompress: impl FnOnce(Box<dyn BufRead + 'a>) -> Box<dyn BufRead + 'a>,
+        most: impl FnOnce(u64) -> u64,
+        decode: impl FnOnce(Box<dyn BufRead + 'a>) -> R,
     ) -> Stream<'a> {
-        let (Remaining::Exact(packed) | Remaining::AtMost(packed)) = self.remaining;
-        Stream {
-            reader: decompress(self.reader),
-            remaining: Remaining::AtMost(packed.saturating_mul(DEFLATE_GROWTH)),
-            read: 0,
-            label: self.label,
-        }
+        let (Remaining::Exact(encoded) | Remaining::AtMost(encoded)) = self.remaining;
+        let reader = BufReader::with_capacity(1 << 16, decode(self.reader));
+        let remaining = Remaining::AtMost(most(encoded));
+        Stream { reader: Box::new(reader), remaining, read: 0, label: self.label }
     }
 }
 
@@ -490,16 +469,9 @@ pub(crate) trait Companions {
 }
 
 /// Files in the folder of a header.
-#[derive(Clone)]
 pub(crate) struct Folder {
     path: PathBuf,
     watcher: Option<Arc<dyn Watcher>>,
-}
-
-impl fmt::Debug for Folder {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Folder").field("path", &self.path).finish_non_exhaustive()
-    }
 }
 
 impl Folder {
@@ -537,24 +509,5 @@ impl Companions for Folder {
             .collect();
         names.sort();
         names
-    }
-}
-
-/// No data files: everything must be in the stream itself.
-#[cfg(test)]
-pub(crate) struct NoCompanions;
-
-#[cfg(test)]
-impl Companions for NoCompanions {
-    fn open(&self, name: &str) -> Result<Stream<'_>> {
-        bail!("the header names the data file {name:?}, and there are no files beside it")
-    }
-
-    fn exists(&self, _name: &str) -> bool {
-        false
-    }
-
-    fn ending_in(&self, _suffix: &str) -> Vec<String> {
-        Vec::new()
     }
 }

@@ -75,8 +75,9 @@ struct Piece {
 }
 
 struct File {
-    big_endian: bool,
-    wide_header: bool,
+    endian: Endian,
+    /// Bytes of a number in the header of a binary array: 4 or 8.
+    width: u64,
     compressor: Compressor,
     extent: [i64; 6],
     spacing: [f64; 3],
@@ -222,54 +223,46 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
             array.kind
         );
     };
-    let endian = if file.big_endian { Endian::Big } else { Endian::Little };
     let expected = byte_count(dims, element)?;
-    match &array.place {
+    let context = || format!("array {shown:?}");
+    let stored: Cow<'_, [u8]> = match &array.place {
         Place::Ascii(range) => {
             let mut text = Stream::from_bytes(&bytes[range.clone()]);
-            parse_voxels(&mut text, dims, element)
+            return parse_voxels(&mut text, dims, element).with_context(context);
         }
-        place => {
-            let stored = match place {
-                Place::Appended(offset) => {
-                    let Some((base64, start)) = file.appended else {
-                        bail!("array {shown:?} is appended, the file has no AppendedData; is it cut short?");
-                    };
-                    let rest = usize::try_from(*offset)
-                        .ok()
-                        .and_then(|offset| bytes.get(start.checked_add(offset)?..));
-                    let Some(rest) = rest else {
-                        bail!(
-                            "array {shown:?} begins at byte {offset} of the appended data, which has {}; is \
-                             the file cut short?",
-                            bytes.len() - start
-                        );
-                    };
-                    if base64 { Cow::Owned(from_base64(rest, file, expected)?) } else { Cow::Borrowed(rest) }
-                }
-                Place::Inline(range) | Place::Ascii(range) => {
-                    Cow::Owned(from_base64(&bytes[range.clone()], file, expected)?)
-                }
+        Place::Inline(range) => Cow::Owned(from_base64(&bytes[range.clone()], file, expected)?),
+        Place::Appended(offset) => {
+            let Some((base64, start)) = file.appended else {
+                bail!("array {shown:?} is appended, the file has no AppendedData; is it cut short?");
             };
-            let voxels = if file.compressor != Compressor::None {
-                decompress(&stored, file, expected)?
-            } else {
-                let (header, rest) = word(&stored, file)?;
-                if header != expected {
-                    bail!(
-                        "array {shown:?} has {header} bytes, {} x {} x {} voxels of {} bytes need {expected}",
-                        dims[0],
-                        dims[1],
-                        dims[2],
-                        element.bytes()
-                    );
-                }
-                Cow::Borrowed(rest)
+            let rest =
+                usize::try_from(*offset).ok().and_then(|offset| bytes.get(start.checked_add(offset)?..));
+            let Some(rest) = rest else {
+                bail!(
+                    "array {shown:?} begins at byte {offset} of the appended data, which has {}; is the file cut \
+                     short?",
+                    bytes.len() - start
+                );
             };
-            read_voxels(&mut Stream::from_bytes(&voxels), dims, element, endian)
+            if base64 { Cow::Owned(from_base64(rest, file, expected)?) } else { Cow::Borrowed(rest) }
         }
-    }
-    .with_context(|| format!("array {shown:?}"))
+    };
+    let voxels = if file.compressor != Compressor::None {
+        Cow::Owned(decompress(&stored, file, expected)?)
+    } else {
+        let (header, rest) = word(&stored, file)?;
+        if header != expected {
+            bail!(
+                "array {shown:?} has {header} bytes, {} x {} x {} voxels of {} bytes need {expected}",
+                dims[0],
+                dims[1],
+                dims[2],
+                element.bytes()
+            );
+        }
+        Cow::Borrowed(rest)
+    };
+    read_voxels(&mut Stream::from_bytes(&voxels), dims, element, file.endian, None).with_context(context)
 }
 
 impl Section {
@@ -350,8 +343,8 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
 
 fn parse(bytes: &[u8]) -> Result<File> {
     let mut file = File {
-        big_endian: false,
-        wide_header: false,
+        endian: Endian::Little,
+        width: 4,
         compressor: Compressor::None,
         extent: [0, -1, 0, -1, 0, -1],
         spacing: [1.0; 3],
@@ -386,14 +379,14 @@ fn parse(bytes: &[u8]) -> Result<File> {
                 if kind != "ImageData" {
                     bail!("VTK file of type {kind:?}; accepted is ImageData (save a regular grid as .vti)");
                 }
-                file.big_endian = match attribute(tag, "byte_order")?.as_deref() {
-                    None | Some("LittleEndian") => false,
-                    Some("BigEndian") => true,
+                file.endian = match attribute(tag, "byte_order")?.as_deref() {
+                    None | Some("LittleEndian") => Endian::Little,
+                    Some("BigEndian") => Endian::Big,
                     Some(other) => bail!("byte_order is {other:?}; accepted are LittleEndian and BigEndian"),
                 };
-                file.wide_header = match attribute(tag, "header_type")?.as_deref() {
-                    None | Some("UInt32") => false,
-                    Some("UInt64") => true,
+                file.width = match attribute(tag, "header_type")?.as_deref() {
+                    None | Some("UInt32") => 4,
+                    Some("UInt64") => 8,
                     Some(other) => bail!("header_type is {other:?}; accepted are UInt32 and UInt64"),
                 };
                 file.compressor = match attribute(tag, "compressor")?.as_deref() {
@@ -562,7 +555,7 @@ fn numbers<T: std::str::FromStr, const N: usize>(name: &str, text: &str) -> Resu
 
 /// Decodes the header and the data of one array from base64 text, which other arrays may follow.
 fn from_base64(text: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
-    let width = if file.wide_header { 8 } else { 4 };
+    let width = file.width;
     let mut needed = expected.saturating_add(width);
     if file.compressor != Compressor::None {
         let (blocks, _) = word(&decode_base64(text, width)?, file)?;
@@ -610,13 +603,13 @@ fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
 
 /// Returns one number of a binary header, and the bytes after it.
 fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
-    let cut = || anyhow::anyhow!("the binary data ends within its header; the file is cut short");
-    Ok(if file.wide_header {
-        let (head, rest) = bytes.split_first_chunk::<8>().ok_or_else(cut)?;
-        (if file.big_endian { u64::from_be_bytes(*head) } else { u64::from_le_bytes(*head) }, rest)
-    } else {
-        let (head, rest) = bytes.split_first_chunk::<4>().ok_or_else(cut)?;
-        (u64::from(if file.big_endian { u32::from_be_bytes(*head) } else { u32::from_le_bytes(*head) }), rest)
+    let (head, rest) = bytes
+        .split_at_checked(file.width as usize)
+        .context("the binary data ends within its header; the file is cut short")?;
+    let add = |number: u64, byte: &u8| number << 8 | u64::from(*byte);
+    Ok(match file.endian {
+        Endian::Little => (head.iter().rfold(0, add), rest),
+        Endian::Big => (head.iter().fold(0, add), rest),
     })
 }
 
@@ -625,7 +618,7 @@ const LZ4_GROWTH: u64 = 255;
 
 /// Decompresses blocks: a header of block count, block size, size of the last block (0: a full block) and the
 /// packed sizes, then the blocks.
-fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u8]>> {
+fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     let (blocks, rest) = word(bytes, file)?;
     let (block, rest) = word(rest, file)?;
     let (last, mut sizes) = word(rest, file)?;
@@ -636,8 +629,7 @@ fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u
             "the compressed blocks hold {blocks} x {block} (last {last}) bytes, the voxels need {expected}"
         );
     }
-    let width = if file.wide_header { 8 } else { 4 };
-    let table = blocks.checked_mul(width).filter(|n| *n <= sizes.len() as u64);
+    let table = blocks.checked_mul(file.width).filter(|n| *n <= sizes.len() as u64);
     let Some(table) = table else {
         bail!("the binary data ends within its table of {blocks} blocks; the file is cut short");
     };
@@ -685,5 +677,5 @@ fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u
             );
         }
     }
-    Ok(Cow::Owned(out))
+    Ok(out)
 }

@@ -2,7 +2,7 @@
 //! volumes, predicted end times, planning of a million tasks. The simulator runs the planner that real
 //! engines run.
 
-use super::search::{Problem, best_of};
+use super::search::{Problem, best_of, shuffled};
 use super::tables::{HELD_OUT, tasks};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
@@ -17,7 +17,7 @@ use entire_farm::{database, drive};
 use entire_io::metrics::median;
 use entire_steer::schedule::assign_longest_first;
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use std::path::Path;
 use std::time::Instant;
 
@@ -48,14 +48,7 @@ pub(crate) fn setting(slots: usize) -> Setting {
 /// A farm of equal slots. Task i takes `seconds[i]` on volume `volume[i]`; each loading of volume v takes
 /// `load[v]` seconds.
 pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots: usize) -> World {
-    World {
-        seconds,
-        volume,
-        load_cold: load.clone(),
-        load_warm: load,
-        speeds: vec![1.0; slots],
-        ..World::default()
-    }
+    World { seconds, volume, load, speeds: vec![1.0; slots], ..World::default() }
 }
 
 /// Returns the largest ratio of two makespans over 2 to 64 nodes, and the number of nodes at which it occurs.
@@ -64,13 +57,17 @@ pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots
 ///
 /// # Errors
 /// When a time is not usable.
-pub(crate) fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
-    let (decide, judge) = (predicted(tasks), measured(tasks));
+fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
+    worst(&predicted(tasks), &measured(tasks))
+}
+
+/// Returns the ratio of [`worst_static`] for tasks with the times `judge`, assigned by the times `decide`.
+pub(super) fn worst(decide: &[f64], judge: &[f64]) -> Result<(f64, usize)> {
     let mut worst = (0.0f64, 0);
     for nodes in 2..=64 {
         let speeds = vec![1.0; nodes];
-        let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(&judge, &speeds);
-        let ratio = of(&decide)? / of(&judge)?;
+        let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(judge, &speeds);
+        let ratio = of(decide)? / of(judge)?;
         if ratio > worst.0 {
             worst = (ratio, nodes);
         }
@@ -109,10 +106,7 @@ pub(crate) fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64,
     for run in 0..runs {
         let mut rng = ChaCha8Rng::seed_from_u64(1000 + run);
         let (name, pool) = &pools[run as usize % pools.len()];
-        let mut chosen: Vec<usize> = (0..pool.len()).collect();
-        for i in (1..chosen.len()).rev() {
-            chosen.swap(i, (rng.next_u64() % (i as u64 + 1)) as usize);
-        }
+        let mut chosen = shuffled(pool.len(), &mut rng);
         chosen.truncate(PAPER);
         let tasks: Vec<Task> = chosen.iter().map(|i| pool[*i].clone()).collect();
         let (base, truth, volume) = (predicted(&tasks), measured(&tasks), volume_numbers(&tasks));
@@ -122,7 +116,7 @@ pub(crate) fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64,
         let mut planner = plan(&base, &volume, Loads::known(load.clone()), setting(slots));
         let world = World { bound: true, ..world(truth, volume, load, slots) };
         let out = simulate(&mut planner, &world, &[0.1]);
-        let said = out.said.first().context("no end was predicted")?.end;
+        let said = out.said.first().context("no end was predicted")?;
         let hit = (said[0]..=said[2]).contains(&out.makespan);
         hits += u32::from(hit);
         errors.push((said[1] / out.makespan - 1.0).abs());
