@@ -64,11 +64,6 @@ pub(crate) enum Axis {
     Bottom,
 }
 
-impl Axis {
-    pub(crate) const ALL: [Self; 6] =
-        [Self::Front, Self::Right, Self::Top, Self::Back, Self::Left, Self::Bottom];
-}
-
 entire_core::names! { Axis:
     Front "front",
     Right "right",

@@ -10,7 +10,7 @@
 use crate::transfer::{Curve, Opacity};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::GaussianLobe;
-use entire_core::scene::{ColorNode, Nodes, OpacityNode, TransferFunction};
+use entire_core::scene::{Node, Nodes, TransferFunction};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -128,17 +128,17 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
     let unit = ends(&colors) == (0.0, 1.0) && opacity.as_ref().is_none_or(|o| ends(o) == (0.0, 1.0));
     let (low, high) = if unit { (0.0, 1.0) } else { (low, high) };
     let normal = |x: f64| (((x - low) / (high - low).max(f64::MIN_POSITIVE)) as f32).clamp(0.0, 1.0);
-    let color_nodes: Vec<ColorNode> = colors
+    let color_nodes: Vec<Node<[f64; 3]>> = colors
         .iter()
-        .map(|c| ColorNode { position: c[0], color: [c[1], c[2], c[3]], midpoint: 0.5, sharpness: 0.0 })
+        .map(|c| Node { position: c[0], value: [c[1], c[2], c[3]], midpoint: 0.5, sharpness: 0.0 })
         .collect();
-    let opacity_nodes: Vec<OpacityNode> = match &opacity {
+    let opacity_nodes: Vec<Node<f64>> = match &opacity {
         Some(list) => list
             .iter()
-            .map(|p| OpacityNode { position: p[0], opacity: p[1], midpoint: p[2], sharpness: p[3] })
+            .map(|p| Node { position: p[0], value: p[1], midpoint: p[2], sharpness: p[3] })
             .collect(),
         None => [(low, 0.0), (high, 0.2)]
-            .map(|(position, opacity)| OpacityNode { position, opacity, midpoint: 0.5, sharpness: 0.0 })
+            .map(|(position, opacity)| Node { position, value: opacity, midpoint: 0.5, sharpness: 0.0 })
             .to_vec(),
     };
     // The core checks the nodes and evaluates the curved segments.
@@ -158,7 +158,7 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
     let mut points: Vec<[f32; 2]> = Vec::new();
     for (i, node) in opacity_nodes.iter().enumerate() {
         let s = normal(node.position);
-        points.push([s, node.opacity as f32]);
+        points.push([s, node.value as f32]);
         let bent = node.midpoint != 0.5 || node.sharpness != 0.0;
         if let (Some(next), true) = (opacity_nodes.get(i + 1), bent) {
             let end = normal(next.position);

@@ -1,6 +1,6 @@
 //! Histogram of a volume's values.
 
-use entire_core::scene::VolumeView;
+use entire_core::scene::{VolumeView, normalize};
 
 /// Number of bins of the normalized scalars.
 pub(crate) const BINS: usize = 256;
@@ -26,7 +26,7 @@ impl Histogram {
         let mut i = 0;
         while i < view.shape().voxels {
             let (x, rest) = (i as usize % nx, i as usize / nx);
-            let s = view.normalize(view.value(x, rest % ny, rest / ny));
+            let s = normalize(view.range(), view.value(x, rest % ny, rest / ny));
             counts[((s * (BINS - 1) as f32 + 0.5) as usize).min(BINS - 1)] += 1;
             i += stride;
         }

@@ -230,14 +230,8 @@ impl Steer {
         session.mark(changes);
         let plan = session.plan(frame, target as f32)?;
         let side = |n: u32| ((n as f32 / plan.image_sample_distance) as u32).max(1);
-        let drawn = Frame {
-            termination: frame.termination,
-            shading: frame.shading,
-            skipping: frame.skipping,
-            step: plan.step,
-            ..Frame::new(frame.camera, side(frame.width), side(frame.height))?
-        }
-        .checked()?;
+        let (width, height) = (side(frame.width), side(frame.height));
+        let drawn = Frame { width, height, step: plan.step, jitter: false, ..*frame }.checked()?;
         Ok(Planned { plan, frame: drawn, other })
     }
 

@@ -29,14 +29,8 @@ impl WorkMap {
         let pixels = f64::from(CELLS[0] * CELLS[1] * CELL_PIXELS * CELL_PIXELS);
         let scale = (pixels / (sides[0] * sides[1])).sqrt();
         let side = |a: usize| ((sides[a] * scale).round() as u32).max(CELLS[a]);
-        let coarse = Frame {
-            termination: frame.termination,
-            shading: frame.shading,
-            skipping: frame.skipping,
-            step: 1.0,
-            ..Frame::new(frame.camera, side(0), side(1))?
-        }
-        .checked()?;
+        let coarse =
+            Frame { width: side(0), height: side(1), step: 1.0, jitter: false, ..*frame }.checked()?;
         Ok(Self { samples: vec![0.0; (CELLS[0] * CELLS[1]) as usize], next: 0, frame: coarse })
     }
 

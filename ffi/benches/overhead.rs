@@ -36,7 +36,8 @@ fn main() {
     };
     let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{path}: {e}"));
     let model = Model::from_bytes(&bytes).expect("a model file");
-    let net = PredNet::new(model.prednet().expect("a prediction network")).expect("a prediction network");
+    let net =
+        PredNet::new(model.prednet.as_ref().expect("a prediction network")).expect("a prediction network");
     let mut scratch = net.scratch(1).unwrap();
     let mut inputs = vec![0.5f32; net.inputs()];
 

@@ -1,29 +1,34 @@
 //! Pointers and by-value structs at the boundary: all code that reads or writes the caller's memory.
 
-use crate::result::Failure;
 use crate::result::entire_result::*;
+use crate::result::{Failure, refuse};
 use std::ffi::{CStr, c_char};
 use std::mem::size_of;
 
-/// Checks at compile time that a by-value struct, all of whose fields are listed, has no padding on 64-bit
-/// targets: a later version adds fields at the end, and bytes of padding would already count in
-/// `struct_size`.
-macro_rules! no_padding {
-    ($noun:ident { $($field:ident),+ $(,)? }) => {
+/// Implements [`ByValue`] for a struct of the ABI, from the default values of all fields after `struct_size`.
+/// Checks at compile time that the struct has no padding on 64-bit targets: a later version adds fields at
+/// the end, and bytes of padding would already count in `struct_size`.
+macro_rules! by_value {
+    ($noun:ident { $($field:ident: $default:expr),+ $(,)? }) => {
+        // SAFETY: the ABI's structs are `repr(C)` and begin with `struct_size`; any bits are values of their
+        // fields (integers, floats and raw pointers).
+        unsafe impl crate::abi::ByValue for $noun {
+            const NAME: &'static str = stringify!($noun);
+            fn defaults() -> Self {
+                Self { struct_size: size_of::<Self>(), $($field: $default),+ }
+            }
+        }
+
         #[cfg(target_pointer_width = "64")]
         const _: () = {
             const fn size<T, F>(_: fn(&T) -> &F) -> usize {
                 size_of::<F>()
             }
-            // Does not compile where a field is missing from the list.
-            const _: fn($noun) = |value| {
-                let $noun { $($field: _),+ } = value;
-            };
-            assert!(0 $(+ size::<$noun, _>(|value| &value.$field))+ == size_of::<$noun>());
+            assert!(size_of::<usize>() $(+ size::<$noun, _>(|value| &value.$field))+ == size_of::<$noun>());
         };
     };
 }
-pub(crate) use no_padding;
+pub(crate) use by_value;
 
 /// Upper limit of `struct_size`: no struct of this ABI is nearly that large; a larger value is uninitialized
 /// memory.
@@ -46,15 +51,13 @@ pub(crate) unsafe trait ByValue: Copy {
 
 fn check_size<T: ByValue>(size: usize) -> Result<(), Failure> {
     if !(T::FIRST_SIZE..LARGEST_STRUCT).contains(&size) {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_STRUCT_SIZE,
-            format!(
-                "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name}) \
-                 or call {name}_init",
-                size_of::<T>(),
-                name = T::NAME
-            ),
-        ));
+            "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name}) \
+             or call {name}_init",
+            size_of::<T>(),
+            name = T::NAME
+        );
     }
     Ok(())
 }
@@ -81,15 +84,13 @@ pub(crate) unsafe fn read_struct<T: ByValue>(at: *const T) -> Result<T, Failure>
         std::slice::from_raw_parts(at.cast::<u8>().add(known), size - known)
     };
     if unknown.iter().any(|&byte| byte != 0) {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_STRUCT_SIZE,
-            format!(
-                "{}.struct_size is {size} and fields beyond the {} bytes that this library knows are set; \
-                 use a library as new as the header, or leave them zero",
-                T::NAME,
-                size_of::<T>()
-            ),
-        ));
+            "{}.struct_size is {size} and fields beyond the {} bytes that this library knows are set; \
+             use a library as new as the header, or leave them zero",
+            T::NAME,
+            size_of::<T>()
+        );
     }
     Ok(value)
 }
@@ -194,16 +195,17 @@ fn check_array<T>(at: *const T, len: usize, what: &str) -> Result<(), Failure> {
         return Err(Failure::null(what));
     }
     if !at.is_aligned() {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            format!("{what} is not aligned to {} bytes; pass an aligned pointer", align_of::<T>()),
-        ));
+            "{what} is not aligned to {} bytes; pass an aligned pointer",
+            align_of::<T>()
+        );
     }
     if len.checked_mul(size_of::<T>()).is_none_or(|bytes| bytes > isize::MAX as usize) {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_SIZE_MISMATCH,
-            format!("{what} is said to have {len} elements, more than memory can hold; check the count"),
-        ));
+            "{what} is said to have {len} elements, more than memory can hold; check the count"
+        );
     }
     Ok(())
 }

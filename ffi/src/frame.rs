@@ -1,13 +1,12 @@
 //! `entire_frame`: the next frame to draw, and the settings that a caller can choose from.
 
-use crate::abi::{ByValue, init_struct, no_padding};
+use crate::abi::{by_value, init_struct};
 use crate::guard::guard;
-use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::result::{Failure, refuse};
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping};
 use entire_steer::features::Setting;
 use glam::{Mat4, Vec3};
-use std::mem::size_of;
 
 /// Kind of a frame's camera: one of the two `ENTIRE_CAMERA_*` numbers.
 pub type entire_camera = u32;
@@ -91,31 +90,23 @@ pub struct entire_frame {
     pub parallel_scale: f32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
-// and floats).
-unsafe impl ByValue for entire_frame {
-    const NAME: &'static str = "entire_frame";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            width: 0,
-            height: 0,
-            camera: ENTIRE_CAMERA_ARCBALL,
-            fov_y: DEFAULT_FOV_Y_DEGREES,
-            arcball: [0.0, 0.0, 3.0],
-            view: Mat4::IDENTITY.to_cols_array(),
-            volume_center: [0.0; 3],
-            volume_radius: f32::NAN,
-            step: 1.0,
-            termination: 0.99,
-            shading: ENTIRE_SHADING_NONE,
-            skipping: ENTIRE_SKIPPING_BLOCKS,
-            jitter: 0,
-            projection: ENTIRE_PROJECTION_PERSPECTIVE,
-            parallel_scale: f32::NAN,
-        }
-    }
-}
+by_value!(entire_frame {
+    width: 0,
+    height: 0,
+    camera: ENTIRE_CAMERA_ARCBALL,
+    fov_y: DEFAULT_FOV_Y_DEGREES,
+    arcball: [0.0, 0.0, 3.0],
+    view: Mat4::IDENTITY.to_cols_array(),
+    volume_center: [0.0; 3],
+    volume_radius: f32::NAN,
+    step: 1.0,
+    termination: 0.99,
+    shading: ENTIRE_SHADING_NONE,
+    skipping: ENTIRE_SKIPPING_BLOCKS,
+    jitter: 0,
+    projection: ENTIRE_PROJECTION_PERSPECTIVE,
+    parallel_scale: f32::NAN,
+});
 
 /// One of the settings that entire_session_choose may pick.
 #[repr(C)]
@@ -133,24 +124,6 @@ pub struct entire_setting {
     pub skipping: entire_skipping,
 }
 
-no_padding!(entire_frame {
-    struct_size,
-    width,
-    height,
-    camera,
-    fov_y,
-    arcball,
-    view,
-    volume_center,
-    volume_radius,
-    step,
-    termination,
-    shading,
-    skipping,
-    jitter,
-    projection,
-    parallel_scale
-});
 // Callers pass arrays of entire_setting, so its size never changes.
 const _: () = assert!(size_of::<entire_setting>() == 20);
 
@@ -167,12 +140,10 @@ pub(crate) fn shading(number: u32) -> Result<Shading, Failure> {
         ENTIRE_SHADING_LOCAL => Ok(Shading::Local),
         ENTIRE_SHADING_SCATTER => Ok(Shading::Scatter),
         ENTIRE_SHADING_LOCAL_SCATTER => Ok(Shading::LocalScatter),
-        other => Err(Failure::new(
+        other => refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            format!(
-                "shading is {other}; it must be one of ENTIRE_SHADING_NONE (1) to ENTIRE_SHADING_LOCAL_SCATTER (4)"
-            ),
-        )),
+            "shading is {other}; it must be one of ENTIRE_SHADING_NONE (1) to ENTIRE_SHADING_LOCAL_SCATTER (4)"
+        ),
     }
 }
 
@@ -181,13 +152,11 @@ fn skipping(number: u32) -> Result<Skipping, Failure> {
         ENTIRE_SKIPPING_NONE => Ok(Skipping::None),
         ENTIRE_SKIPPING_BLOCKS => Ok(Skipping::Blocks),
         ENTIRE_SKIPPING_DISTANCE => Ok(Skipping::Distance),
-        other => Err(Failure::new(
+        other => refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            format!(
-                "skipping is {other}; it must be one of ENTIRE_SKIPPING_NONE (1) \
-                 to ENTIRE_SKIPPING_DISTANCE (3)"
-            ),
-        )),
+            "skipping is {other}; it must be one of ENTIRE_SKIPPING_NONE (1) \
+             to ENTIRE_SKIPPING_DISTANCE (3)"
+        ),
     }
 }
 
@@ -210,27 +179,19 @@ impl entire_frame {
                 let view = Mat4::from_cols_array(&self.view);
                 (Camera::from_world_view(view, Vec3::from_array(self.volume_center), radius)?, radius)
             }
-            other => {
-                return Err(Failure::new(
-                    ENTIRE_INVALID_ARGUMENT,
-                    format!(
-                        "camera is {other}; it must be ENTIRE_CAMERA_ARCBALL (1) or ENTIRE_CAMERA_VIEW (2)"
-                    ),
-                ));
-            }
+            other => refuse!(
+                ENTIRE_INVALID_ARGUMENT,
+                "camera is {other}; it must be ENTIRE_CAMERA_ARCBALL (1) or ENTIRE_CAMERA_VIEW (2)"
+            ),
         };
         let camera = match self.projection {
             ENTIRE_PROJECTION_PERSPECTIVE => camera.with_fov_y_degrees(self.fov_y)?,
             ENTIRE_PROJECTION_PARALLEL => camera.with_parallel_scale(self.parallel_scale / unit)?,
-            other => {
-                return Err(Failure::new(
-                    ENTIRE_INVALID_ARGUMENT,
-                    format!(
-                        "projection is {other}; it must be ENTIRE_PROJECTION_PERSPECTIVE (1) or \
-                         ENTIRE_PROJECTION_PARALLEL (2)"
-                    ),
-                ));
-            }
+            other => refuse!(
+                ENTIRE_INVALID_ARGUMENT,
+                "projection is {other}; it must be ENTIRE_PROJECTION_PERSPECTIVE (1) or \
+                 ENTIRE_PROJECTION_PARALLEL (2)"
+            ),
         };
         Ok(Frame {
             step: self.step,

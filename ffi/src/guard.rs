@@ -2,7 +2,7 @@
 //! mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
 
 use crate::abi::write_text;
-use crate::handle::{Handle, Owner};
+use crate::handle::{Handle, Owner, Status};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use crate::sink;
@@ -45,10 +45,7 @@ pub extern "C" fn entire_last_error() -> *const c_char {
 
 /// Runs a body that works on no handle.
 pub(crate) fn guard(body: impl FnOnce() -> Outcome) -> entire_result {
-    match contained(body) {
-        Ok(()) => succeeded(),
-        Err(failure) => failed(failure),
-    }
+    ended(contained(body), None)
 }
 
 /// Runs a body that reads a handle. Several threads may do so with the same handle.
@@ -69,18 +66,7 @@ pub(crate) unsafe fn reading<H: Handle>(
         }
         body(handle.value())
     });
-    match result {
-        Ok(()) => succeeded(),
-        Err(failure) => {
-            if let Some(status) = status {
-                if failure.code == ENTIRE_PANIC {
-                    status.mark_unusable();
-                }
-                status.record(&failure);
-            }
-            failed(failure)
-        }
-    }
+    ended(result, status)
 }
 
 /// Runs a body that changes a handle; success clears the handle's last error.
@@ -102,20 +88,8 @@ pub(crate) unsafe fn changing<H: Handle>(
         status.clear();
         Ok(())
     });
-    match result {
-        Ok(()) => succeeded(),
-        Err(failure) => {
-            // SAFETY: the caller guarantees that `handle` is NULL or live; the exclusive borrow of the body
-            // has ended.
-            if let Some(handle) = unsafe { handle.as_ref() } {
-                if failure.code == ENTIRE_PANIC {
-                    handle.status().mark_unusable();
-                }
-                handle.status().record(&failure);
-            }
-            failed(failure)
-        }
-    }
+    // SAFETY: the caller guarantees that `handle` is NULL or live; the body's exclusive borrow has ended.
+    ended(result, unsafe { handle.as_ref() }.map(H::status))
 }
 
 /// Frees a handle; NULL does nothing.
@@ -142,16 +116,12 @@ pub(crate) unsafe fn last_error_of<H: Handle>(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    let result = contained(|| {
+    guard(|| {
         // SAFETY: the caller guarantees that `handle` is NULL or live.
         let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
         // SAFETY: the caller guarantees that `buffer` and `length` are NULL or valid for writing.
         unsafe { write_text(&handle.status().text(), buffer, capacity, length) }
-    });
-    match result {
-        Ok(()) => succeeded(),
-        Err(failure) => failed(failure),
-    }
+    })
 }
 
 fn contained(body: impl FnOnce() -> Outcome) -> Outcome {
@@ -162,15 +132,27 @@ fn contained(body: impl FnOnce() -> Outcome) -> Outcome {
     result.unwrap_or_else(|payload| Err(panicked(payload)))
 }
 
+/// Result code of a call. A failure is stored for the handle of the call and for this thread.
 #[inline]
-fn succeeded() -> entire_result {
-    let _ = FAILED.try_with(|failed| failed.set(false));
-    ENTIRE_OK
+fn ended(result: Outcome, status: Option<&Status>) -> entire_result {
+    match result {
+        Ok(()) => {
+            let _ = FAILED.try_with(|failed| failed.set(false));
+            ENTIRE_OK
+        }
+        Err(failure) => failed(failure, status),
+    }
 }
 
 #[cold]
-fn failed(failure: Failure) -> entire_result {
+fn failed(failure: Failure, status: Option<&Status>) -> entire_result {
     let code = failure.code;
+    if let Some(status) = status {
+        if code == ENTIRE_PANIC {
+            status.mark_unusable();
+        }
+        status.record(&failure);
+    }
     // A second catch: a log callback or an allocation that unwinds here must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
         sink::emit(sink::ENTIRE_LOG_ERROR, &failure.message);
@@ -232,7 +214,7 @@ fn keep_panics_quiet() {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::handle::{Status, give, handle};
+    use crate::handle::{give, handle};
     use std::ffi::CStr;
 
     struct entire_probe {

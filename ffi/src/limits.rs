@@ -1,8 +1,8 @@
 //! The largest sizes that a caller may declare. A declared count is checked against these before anything is
 //! allocated or read, so that a wrong one is refused at once.
 
-use crate::result::Failure;
 use crate::result::entire_result::*;
+use crate::result::{Failure, refuse};
 
 /// Maximum number of voxels along one axis of a volume.
 pub const ENTIRE_MAX_SIDE: usize = 1_048_576;
@@ -50,13 +50,11 @@ pub(crate) fn at_most(what: &str, found: usize, limit: usize, name: &str) -> Res
 pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result<(), Failure> {
     for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
         if n > ENTIRE_MAX_SIDE {
-            return Err(Failure::new(
+            refuse!(
                 ENTIRE_SIZE_MISMATCH,
-                format!(
-                    "the volume has {n} voxels along {axis}, too large: at most {ENTIRE_MAX_SIDE} \
-                     (ENTIRE_MAX_SIDE) are accepted; check its sizes"
-                ),
-            ));
+                "the volume has {n} voxels along {axis}, too large: at most {ENTIRE_MAX_SIDE} \
+                 (ENTIRE_MAX_SIDE) are accepted; check its sizes"
+            );
         }
     }
     let Some(there) = voxel_count else { return Ok(()) };
@@ -64,14 +62,12 @@ pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result
     let voxels = dims.iter().map(|&n| n as u128).product::<u128>();
     if voxels > (there as u128).max(ENTIRE_MAX_REPEATED_VOXELS as u128) {
         let [x, y, z] = dims;
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_SIZE_MISMATCH,
-            format!(
-                "a volume of {x} x {y} x {z} voxels needs {voxels} elements, voxel_count is {there}; strides \
-                 that repeat voxels are accepted up to {ENTIRE_MAX_REPEATED_VOXELS} voxels \
-                 (ENTIRE_MAX_REPEATED_VOXELS), check sizes, strides and voxel_count"
-            ),
-        ));
+            "a volume of {x} x {y} x {z} voxels needs {voxels} elements, voxel_count is {there}; strides \
+             that repeat voxels are accepted up to {ENTIRE_MAX_REPEATED_VOXELS} voxels \
+             (ENTIRE_MAX_REPEATED_VOXELS), check sizes, strides and voxel_count"
+        );
     }
     Ok(())
 }

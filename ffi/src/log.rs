@@ -1,8 +1,8 @@
 //! `entire_set_log`: the receiver of log messages.
 
 use crate::guard::guard;
-use crate::result::Failure;
 use crate::result::entire_result::{self, ENTIRE_INVALID_ARGUMENT};
+use crate::result::refuse;
 use crate::sink::{self, ENTIRE_LOG_INFO, ENTIRE_LOG_OFF, Sink, entire_log_callback, entire_log_level};
 use std::ffi::c_void;
 
@@ -17,16 +17,16 @@ pub unsafe extern "C" fn entire_set_log(
 ) -> entire_result {
     guard(|| {
         if sink::in_callback() {
-            return Err(Failure::new(
+            refuse!(
                 ENTIRE_INVALID_ARGUMENT,
-                "entire_set_log was called from within a log callback; call it from outside",
-            ));
+                "entire_set_log was called from within a log callback; call it from outside"
+            );
         }
         if level > ENTIRE_LOG_INFO {
-            return Err(Failure::new(
+            refuse!(
                 ENTIRE_INVALID_ARGUMENT,
-                format!("log level is {level}; it must be one of ENTIRE_LOG_OFF (0) to ENTIRE_LOG_INFO (3)"),
-            ));
+                "log level is {level}; it must be one of ENTIRE_LOG_OFF (0) to ENTIRE_LOG_INFO (3)"
+            );
         }
         let sink = match callback {
             Some(callback) if level != ENTIRE_LOG_OFF => Some(Sink { callback, user_data }),

@@ -1,7 +1,7 @@
 //! `entire_model`: a model file, read once and shared by all its users.
 
 use crate::abi::{
-    ByValue, check_output, check_pointer, no_padding, slice, slice_mut, text, write, write_struct,
+    ByValue, by_value, check_output, check_pointer, slice, slice_mut, text, write, write_struct,
 };
 use crate::frame::entire_shading;
 use crate::guard::{Outcome, freeing, guard, last_error_of, reading};
@@ -10,18 +10,17 @@ use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, copied, frame_time};
+use crate::result::{Failure, copied, frame_time, refuse};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
-use entire_core::kernels::{Executor, Level, Storage};
+use entire_core::kernels::{Executor, Level};
 use entire_core::model::{GroupKind, Model, ModelFile};
-use entire_core::nn::{EncodeScratch, PredNet, PredNetParts, PredScratch, Target, VolumeNet};
+use entire_core::nn::{EncodeScratch, PredNet, PredScratch, Target, VolumeNet};
 use entire_steer::predict::{Predictor, load_with};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
 use std::fs::File;
 use std::io::{ErrorKind, Write};
-use std::mem::size_of;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
@@ -57,22 +56,15 @@ pub struct entire_model_info {
     pub reserved: u32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers).
-unsafe impl ByValue for entire_model_info {
-    const NAME: &'static str = "entire_model_info";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            input_count: 0,
-            group_count: 0,
-            scene_feature_count: 0,
-            feature_count: 0,
-            encoder_edge: 0,
-            target: ENTIRE_TARGET_NONE,
-            reserved: 0,
-        }
-    }
-}
+by_value!(entire_model_info {
+    input_count: 0,
+    group_count: 0,
+    scene_feature_count: 0,
+    feature_count: 0,
+    encoder_edge: 0,
+    target: ENTIRE_TARGET_NONE,
+    reserved: 0,
+});
 
 /// A named group of consecutive inputs of a model. Set struct_size before the call.
 #[repr(C)]
@@ -88,26 +80,7 @@ pub struct entire_input_group {
     pub size: usize,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
-// and a raw pointer).
-unsafe impl ByValue for entire_input_group {
-    const NAME: &'static str = "entire_input_group";
-    fn defaults() -> Self {
-        Self { struct_size: size_of::<Self>(), name: std::ptr::null(), offset: 0, size: 0 }
-    }
-}
-
-no_padding!(entire_model_info {
-    struct_size,
-    input_count,
-    group_count,
-    scene_feature_count,
-    feature_count,
-    encoder_edge,
-    target,
-    reserved
-});
-no_padding!(entire_input_group { struct_size, name, offset, size });
+by_value!(entire_input_group { name: std::ptr::null(), offset: 0, size: 0 });
 
 /// Rows of a batch that are computed at once.
 const ROWS_AT_ONCE: usize = 192;
@@ -135,28 +108,23 @@ handle!(entire_model, Loaded, Counted);
 
 impl Loaded {
     fn new(model: Model, bytes: &[u8]) -> Result<Self, Failure> {
-        let (level, _) = level();
-        let stored = |parts: &PredNetParts| parts.layers.first().map_or(Storage::F32, |l| l.dtype.into());
-        let prednet = match model.prednet() {
+        let prednet = match &model.prednet {
             Some(parts) => {
-                let net = PredNet::with(parts, *level, stored(parts))?;
+                let net = PredNet::new(parts)?;
                 let scratch = Pool::filled(|| net.scratch(1))?;
                 Some((Arc::new(net), scratch))
             }
             None => None,
         };
-        let volumenet = model
-            .volumenet()
-            .map(|parts| VolumeNet::with(parts, *level))
-            .transpose()?
-            .map(|net| (net, Pool::lazy()));
+        let volumenet =
+            model.volumenet.as_ref().map(VolumeNet::new).transpose()?.map(|net| (net, Pool::lazy()));
         Ok(Self {
             rows: Pool::lazy(),
             volumenet,
-            groups: model.inputs().iter().map(|g| kept_text(&g.name)).collect::<Result<_, _>>()?,
-            scene_features: model.scene_features().iter().map(|t| kept_text(t)).collect::<Result<_, _>>()?,
+            groups: model.inputs.iter().map(|g| kept_text(&g.name)).collect::<Result<_, _>>()?,
+            scene_features: model.scene_features.iter().map(|t| kept_text(t)).collect::<Result<_, _>>()?,
             metadata: model
-                .metadata()
+                .metadata
                 .iter()
                 .map(|(key, value)| Ok((key.clone(), kept_text(value)?)))
                 .collect::<Result<_, Failure>>()?,
@@ -183,14 +151,12 @@ impl Loaded {
         let Some(size) = self.model.input_size(GroupKind::VolumeFeatures) else { return Ok(None) };
         if let Some(ready) = &volume.features {
             if ready.len() != size {
-                return Err(Failure::new(
+                refuse!(
                     ENTIRE_SIZE_MISMATCH,
-                    format!(
-                        "the volume has {} precomputed features, the model takes {size}; \
-                         encode it with this model",
-                        ready.len()
-                    ),
-                ));
+                    "the volume has {} precomputed features, the model takes {size}; \
+                     encode it with this model",
+                    ready.len()
+                );
             }
             return Ok(Some(copied(ready)?));
         }
@@ -335,7 +301,7 @@ fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
     }
     let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
     at_most("the model file's size in bytes", length, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")
-        .map_err(|e| Failure::new(e.code, format!("{shown}: {}", e.message)))?;
+        .map_err(|e| e.within(&shown))?;
     std::fs::read(path).map_err(|e| match e.kind() {
         ErrorKind::OutOfMemory => Failure::new(
             ENTIRE_OUT_OF_MEMORY,
@@ -369,11 +335,8 @@ pub unsafe extern "C" fn entire_model_from_bytes(
 /// # Safety
 /// `out` is NULL or valid for one write.
 pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome {
-    let named = |e: entire_core::Error| {
-        let failure = Failure::from(e);
-        Failure::new(failure.code, format!("{name}: {}", failure.message))
-    };
-    let loaded = Loaded::new(Model::from_bytes(bytes).map_err(named)?, bytes)?;
+    let model = Model::from_bytes(bytes).map_err(|e| Failure::from(e).within(name))?;
+    let loaded = Loaded::new(model, bytes)?;
     if sink::enabled(sink::ENTIRE_LOG_INFO) {
         let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
         sink::emit(sink::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
@@ -427,11 +390,11 @@ pub unsafe extern "C" fn entire_model_describe(
             let model = &loaded.model;
             let out = entire_model_info {
                 input_count: loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs()),
-                group_count: model.inputs().len(),
+                group_count: model.inputs.len(),
                 feature_count: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.feature_len()),
-                encoder_edge: model.volumenet().map_or(0, |parts| parts.input),
-                scene_feature_count: model.scene_features().len(),
-                target: match model.prednet().map(|net| net.target) {
+                encoder_edge: model.volumenet.as_ref().map_or(0, |parts| parts.input),
+                scene_feature_count: model.scene_features.len(),
+                target: match model.prednet.as_ref().map(|net| net.target) {
                     None => ENTIRE_TARGET_NONE,
                     Some(Target::Seconds) => ENTIRE_TARGET_SECONDS,
                     Some(Target::LogSeconds) => ENTIRE_TARGET_LOG_SECONDS,
@@ -457,15 +420,13 @@ pub unsafe extern "C" fn entire_model_input_group(
     unsafe {
         reading(model, |loaded| {
             check_output(group)?;
-            let groups = loaded.model.inputs();
+            let groups = &loaded.model.inputs;
             let (Some(found), Some(name)) = (groups.get(index), loaded.groups.get(index)) else {
-                return Err(Failure::new(
+                refuse!(
                     ENTIRE_INVALID_ARGUMENT,
-                    format!(
-                        "input group {index} does not exist; the model has {} (numbered from 0)",
-                        groups.len()
-                    ),
-                ));
+                    "input group {index} does not exist; the model has {} (numbered from 0)",
+                    groups.len()
+                );
             };
             let out = entire_input_group {
                 name: name.as_ptr(),
@@ -539,10 +500,7 @@ pub unsafe extern "C" fn entire_model_encode(
             let volume = borrow(volume)?;
             let count = loaded.volumenet()?.0.feature_len();
             if capacity < count {
-                return Err(Failure::new(
-                    ENTIRE_SIZE_MISMATCH,
-                    format!("features holds {capacity} floats; the model writes {count}"),
-                ));
+                refuse!(ENTIRE_SIZE_MISMATCH, "features holds {capacity} floats; the model writes {count}");
             }
             loaded.encode(volume, slice_mut(features, count, "features")?)?;
             write(feature_count, count, "feature_count (output)")
@@ -598,12 +556,10 @@ pub unsafe extern "C" fn entire_model_predict_batch(
         reading(model, |loaded| {
             let (net, _) = loaded.prednet()?;
             let Some(count) = rows.checked_mul(input_count) else {
-                return Err(Failure::new(
+                refuse!(
                     ENTIRE_SIZE_MISMATCH,
-                    format!(
-                        "{rows} rows of {input_count} inputs are more than memory can hold; check the counts"
-                    ),
-                ));
+                    "{rows} rows of {input_count} inputs are more than memory can hold; check the counts"
+                );
             };
             let inputs = slice(inputs, count, "inputs")?;
             let seconds = slice_mut(seconds, rows, "seconds (output)")?;
@@ -621,8 +577,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
                 net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))
             })??;
             for (row, answer) in predicted.iter_mut().enumerate() {
-                *answer = frame_time(*answer)
-                    .map_err(|why| Failure::new(why.code, format!("row {row}: {}", why.message)))?;
+                *answer = frame_time(*answer).map_err(|e| e.within(format_args!("row {row}")))?;
             }
             seconds.copy_from_slice(&predicted);
             Ok(())
@@ -632,19 +587,20 @@ pub unsafe extern "C" fn entire_model_predict_batch(
 
 fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
     if inputs.len() != expected.saturating_mul(rows) {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_SIZE_MISMATCH,
-            format!(
-                "{} inputs in {rows} row(s); the model takes {expected} in each (entire_model_describe)",
-                inputs.len()
-            ),
-        ));
+            "{} inputs in {rows} row(s); the model takes {expected} in each (entire_model_describe)",
+            inputs.len()
+        );
     }
     if let Some(i) = inputs.iter().position(|v| !v.is_finite()) {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            format!("input {} of row {} is {}; inputs must be finite", i % expected, i / expected, inputs[i]),
-        ));
+            "input {} of row {} is {}; inputs must be finite",
+            i % expected,
+            i / expected,
+            inputs[i]
+        );
     }
     Ok(())
 }

@@ -4,6 +4,7 @@ use entire_core::{Error, ErrorKind};
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
+use std::fmt::Display;
 
 /// Result of a call. The numbers never change; the number of a removed code stays reserved.
 #[repr(u32)]
@@ -42,50 +43,29 @@ pub enum entire_result {
 
 use entire_result::*;
 
-impl entire_result {
-    const ALL: [Self; 14] = [
-        ENTIRE_OK,
-        ENTIRE_INVALID_ARGUMENT,
-        ENTIRE_SIZE_MISMATCH,
-        ENTIRE_INVALID_MODEL,
-        ENTIRE_INVALID_TENSOR,
-        ENTIRE_MISSING_INPUT,
-        ENTIRE_NOT_READY,
-        ENTIRE_REJECTED_OBSERVATION,
-        ENTIRE_UNSUPPORTED,
-        ENTIRE_NULL_ARGUMENT,
-        ENTIRE_STRUCT_SIZE,
-        ENTIRE_IO,
-        ENTIRE_PANIC,
-        ENTIRE_OUT_OF_MEMORY,
-    ];
-
-    fn name(self) -> &'static CStr {
-        match self {
-            ENTIRE_OK => c"ENTIRE_OK",
-            ENTIRE_INVALID_ARGUMENT => c"ENTIRE_INVALID_ARGUMENT",
-            ENTIRE_SIZE_MISMATCH => c"ENTIRE_SIZE_MISMATCH",
-            ENTIRE_INVALID_MODEL => c"ENTIRE_INVALID_MODEL",
-            ENTIRE_INVALID_TENSOR => c"ENTIRE_INVALID_TENSOR",
-            ENTIRE_MISSING_INPUT => c"ENTIRE_MISSING_INPUT",
-            ENTIRE_NOT_READY => c"ENTIRE_NOT_READY",
-            ENTIRE_REJECTED_OBSERVATION => c"ENTIRE_REJECTED_OBSERVATION",
-            ENTIRE_UNSUPPORTED => c"ENTIRE_UNSUPPORTED",
-            ENTIRE_NULL_ARGUMENT => c"ENTIRE_NULL_ARGUMENT",
-            ENTIRE_STRUCT_SIZE => c"ENTIRE_STRUCT_SIZE",
-            ENTIRE_IO => c"ENTIRE_IO",
-            ENTIRE_PANIC => c"ENTIRE_PANIC",
-            ENTIRE_OUT_OF_MEMORY => c"ENTIRE_OUT_OF_MEMORY",
-        }
-    }
-}
+const NAMES: [(entire_result, &CStr); 14] = [
+    (ENTIRE_OK, c"ENTIRE_OK"),
+    (ENTIRE_INVALID_ARGUMENT, c"ENTIRE_INVALID_ARGUMENT"),
+    (ENTIRE_SIZE_MISMATCH, c"ENTIRE_SIZE_MISMATCH"),
+    (ENTIRE_INVALID_MODEL, c"ENTIRE_INVALID_MODEL"),
+    (ENTIRE_INVALID_TENSOR, c"ENTIRE_INVALID_TENSOR"),
+    (ENTIRE_MISSING_INPUT, c"ENTIRE_MISSING_INPUT"),
+    (ENTIRE_NOT_READY, c"ENTIRE_NOT_READY"),
+    (ENTIRE_REJECTED_OBSERVATION, c"ENTIRE_REJECTED_OBSERVATION"),
+    (ENTIRE_UNSUPPORTED, c"ENTIRE_UNSUPPORTED"),
+    (ENTIRE_NULL_ARGUMENT, c"ENTIRE_NULL_ARGUMENT"),
+    (ENTIRE_STRUCT_SIZE, c"ENTIRE_STRUCT_SIZE"),
+    (ENTIRE_IO, c"ENTIRE_IO"),
+    (ENTIRE_PANIC, c"ENTIRE_PANIC"),
+    (ENTIRE_OUT_OF_MEMORY, c"ENTIRE_OUT_OF_MEMORY"),
+];
 
 /// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. Static,
 /// never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_result_name(result: u32) -> *const c_char {
-    let known = entire_result::ALL.into_iter().find(|known| *known as u32 == result);
-    known.map_or(c"unknown result", entire_result::name).as_ptr()
+    let known = NAMES.into_iter().find(|(code, _)| *code as u32 == result);
+    known.map_or(c"unknown result", |(_, name)| name).as_ptr()
 }
 
 /// Cause of a failure: its code and its text.
@@ -100,6 +80,11 @@ impl Failure {
         Self { code, message: message.into() }
     }
 
+    /// The failure with the name of its place before its text.
+    pub(crate) fn within(self, place: impl Display) -> Self {
+        Self::new(self.code, format!("{place}: {}", self.message))
+    }
+
     pub(crate) fn null(what: &str) -> Self {
         Self::new(ENTIRE_NULL_ARGUMENT, format!("{what} is NULL; pass a valid pointer"))
     }
@@ -112,6 +97,14 @@ impl Failure {
         )
     }
 }
+
+/// Returns a [`Failure`] with a formatted text.
+macro_rules! refuse {
+    ($code:expr, $($text:tt)*) => {
+        return Err(crate::result::Failure::new($code, format!($($text)*)))
+    };
+}
+pub(crate) use refuse;
 
 /// True if a number can be the seconds of a frame.
 #[inline]
@@ -207,7 +200,7 @@ mod tests {
     #[test]
     fn every_code_has_its_own_name() {
         let mut names = std::collections::BTreeSet::new();
-        for code in entire_result::ALL {
+        for (code, _) in NAMES {
             // SAFETY: entire_result_name returns a static C string.
             let name = unsafe { CStr::from_ptr(entire_result_name(code as u32)) };
             assert_eq!(name.to_str().unwrap(), format!("{code:?}"));

@@ -4,8 +4,8 @@ use crate::abi::{check_pointer, slice, slice_mut, write};
 use crate::guard::guard;
 use crate::limits::{ENTIRE_MAX_NODES, ENTIRE_MAX_TASKS, ENTIRE_MAX_TASKS_TIMES_NODES, at_most};
 use crate::reserve;
-use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::result::{Failure, refuse};
 use entire_steer::schedule::assign_longest_first;
 
 /// Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
@@ -57,14 +57,12 @@ fn check_counts(tasks: usize, nodes: usize) -> Result<(), Failure> {
     at_most("node_count", nodes, ENTIRE_MAX_NODES, "ENTIRE_MAX_NODES")?;
     // Both are below their limits here, so the product does not overflow.
     if tasks as u64 * nodes as u64 > ENTIRE_MAX_TASKS_TIMES_NODES {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_SIZE_MISMATCH,
-            format!(
-                "{tasks} tasks on {nodes} nodes are too many together: tasks times nodes is at most \
-                 {ENTIRE_MAX_TASKS_TIMES_NODES} (ENTIRE_MAX_TASKS_TIMES_NODES); \
-                 schedule groups of tasks or of nodes"
-            ),
-        ));
+            "{tasks} tasks on {nodes} nodes are too many together: tasks times nodes is at most \
+             {ENTIRE_MAX_TASKS_TIMES_NODES} (ENTIRE_MAX_TASKS_TIMES_NODES); \
+             schedule groups of tasks or of nodes"
+        );
     }
     Ok(())
 }

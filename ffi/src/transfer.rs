@@ -6,10 +6,8 @@ use crate::handle::{Status, give, handle};
 use crate::limits::{ENTIRE_MAX_TRANSFER_POINTS, at_most};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, collected};
-use entire_core::scene::{
-    ColorNode, GaussianLobe, Nodes, OpacityNode, TABLE_LEN, TransferFunction, TransferTable,
-};
+use crate::result::{Failure, collected, refuse};
+use entire_core::scene::{GaussianLobe, Node, Nodes, TABLE_LEN, TransferFunction, TransferTable};
 use std::ffi::c_char;
 
 /// A Gaussian lobe of the opacity function O(s) = sum of height * exp(-(s - center)^2 / width).
@@ -156,15 +154,15 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
         create(transfer_function, || {
             at_most_points("opacity_count", opacity_count)?;
             at_most_points("color_count", color_count)?;
-            let opacity = slice(opacity, opacity_count, "opacity")?.iter().map(|n| OpacityNode {
+            let opacity = slice(opacity, opacity_count, "opacity")?.iter().map(|n| Node {
                 position: n.position,
-                opacity: n.opacity,
+                value: n.opacity,
                 midpoint: n.midpoint,
                 sharpness: n.sharpness,
             });
-            let color = slice(color, color_count, "color")?.iter().map(|n| ColorNode {
+            let color = slice(color, color_count, "color")?.iter().map(|n| Node {
                 position: n.position,
-                color: n.color,
+                value: n.color,
                 midpoint: n.midpoint,
                 sharpness: n.sharpness,
             });
@@ -216,15 +214,11 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
             transfer.unit = match unit {
                 ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),
                 ENTIRE_UNIT_WORLD => UnitDistance::World(distance),
-                other => {
-                    return Err(Failure::new(
-                        ENTIRE_INVALID_ARGUMENT,
-                        format!(
-                            "unit is {other}; it must be ENTIRE_UNIT_REFERENCE_STEP (1) \
-                             or ENTIRE_UNIT_WORLD (2)"
-                        ),
-                    ));
-                }
+                other => refuse!(
+                    ENTIRE_INVALID_ARGUMENT,
+                    "unit is {other}; it must be ENTIRE_UNIT_REFERENCE_STEP (1) \
+                     or ENTIRE_UNIT_WORLD (2)"
+                ),
             };
             Ok(())
         })
@@ -247,10 +241,7 @@ pub unsafe extern "C" fn entire_transfer_function_table(
         reading(transfer_function, |transfer| {
             let table = transfer.table.rgba().as_flattened();
             if capacity < table.len() {
-                return Err(Failure::new(
-                    ENTIRE_SIZE_MISMATCH,
-                    format!("rgba holds {capacity} floats; the table has {}", table.len()),
-                ));
+                refuse!(ENTIRE_SIZE_MISMATCH, "rgba holds {capacity} floats; the table has {}", table.len());
             }
             slice_mut(rgba, table.len(), "rgba")?.copy_from_slice(table);
             Ok(())

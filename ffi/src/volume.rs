@@ -6,19 +6,20 @@ mod update;
 pub(crate) use update::*;
 
 use crate::abi::{
-    ByValue, check_output, check_pointer, init_struct, no_padding, read_struct, slice, write, write_struct,
+    ByValue, by_value, check_output, check_pointer, init_struct, read_struct, slice, write, write_struct,
 };
 use crate::guard::{Outcome, changing, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, give, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, copied};
+use crate::result::{Failure, copied, refuse};
 use crate::sink;
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
 use entire_steer::features::{SummarySeries, VolumeSummary};
+use std::any::Any;
 use std::ffi::{c_char, c_void};
-use std::mem::{MaybeUninit, size_of};
+use std::mem::MaybeUninit;
 use std::sync::OnceLock;
 
 /// Type of a voxel: one of the `ENTIRE_SCALAR_*` numbers.
@@ -87,25 +88,17 @@ pub struct entire_volume_desc {
     pub reserved: u32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers,
-// floats and a raw pointer).
-unsafe impl ByValue for entire_volume_desc {
-    const NAME: &'static str = "entire_volume_desc";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            voxels: std::ptr::null(),
-            voxel_count: 0,
-            scalar_type: 0,
-            ownership: ENTIRE_VOXELS_COPY,
-            dims: [0; 3],
-            strides: [ENTIRE_STRIDE_CONTIGUOUS; 3],
-            spacing: [1.0; 3],
-            range: [f32::NAN; 2],
-            reserved: 0,
-        }
-    }
-}
+by_value!(entire_volume_desc {
+    voxels: std::ptr::null(),
+    voxel_count: 0,
+    scalar_type: 0,
+    ownership: ENTIRE_VOXELS_COPY,
+    dims: [0; 3],
+    strides: [ENTIRE_STRIDE_CONTIGUOUS; 3],
+    spacing: [1.0; 3],
+    range: [f32::NAN; 2],
+    reserved: 0,
+});
 
 /// A volume that is described only by the value bounds of its bricks, which renderers keep for empty-space
 /// skipping. Fill with entire_brick_desc_init, then set what differs.
@@ -130,22 +123,14 @@ pub struct entire_brick_desc {
     pub brick_count: usize,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers,
-// floats and a raw pointer).
-unsafe impl ByValue for entire_brick_desc {
-    const NAME: &'static str = "entire_brick_desc";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            dims: [0; 3],
-            spacing: [1.0; 3],
-            scalar_type: 0,
-            brick_edge: [0; 3],
-            bounds: std::ptr::null(),
-            brick_count: 0,
-        }
-    }
-}
+by_value!(entire_brick_desc {
+    dims: [0; 3],
+    spacing: [1.0; 3],
+    scalar_type: 0,
+    brick_edge: [0; 3],
+    bounds: std::ptr::null(),
+    brick_count: 0,
+});
 
 /// The library's description of a volume. Set struct_size before the call.
 #[repr(C)]
@@ -171,48 +156,15 @@ pub struct entire_volume_info {
     pub feature_count: u32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
-// and floats).
-unsafe impl ByValue for entire_volume_info {
-    const NAME: &'static str = "entire_volume_info";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            dims: [0; 3],
-            spacing: [f32::NAN; 3],
-            bounding_radius: f32::NAN,
-            reference_step: f32::NAN,
-            range: [f32::NAN; 2],
-            scalar_type: 0,
-            has_voxels: 0,
-            feature_count: 0,
-        }
-    }
-}
-
-no_padding!(entire_volume_desc {
-    struct_size,
-    voxels,
-    voxel_count,
-    scalar_type,
-    ownership,
-    dims,
-    strides,
-    spacing,
-    range,
-    reserved
-});
-no_padding!(entire_brick_desc { struct_size, dims, spacing, scalar_type, brick_edge, bounds, brick_count });
-no_padding!(entire_volume_info {
-    struct_size,
-    dims,
-    spacing,
-    bounding_radius,
-    reference_step,
-    range,
-    scalar_type,
-    has_voxels,
-    feature_count
+by_value!(entire_volume_info {
+    dims: [0; 3],
+    spacing: [f32::NAN; 3],
+    bounding_radius: f32::NAN,
+    reference_step: f32::NAN,
+    range: [f32::NAN; 2],
+    scalar_type: 0,
+    has_voxels: 0,
+    feature_count: 0,
 });
 
 /// Voxels, or bounds of bricks. Immutable except for its precomputed features and its time steps; may be used
@@ -222,6 +174,7 @@ pub struct entire_volume {
     value: Volume,
 }
 
+#[derive(Default)]
 pub(crate) struct Volume {
     voxels: Option<Voxels>,
     summary: OnceLock<VolumeSummary>,
@@ -230,6 +183,9 @@ pub(crate) struct Volume {
     scalar_type: entire_scalar_type,
     pub(crate) features: Option<Vec<f32>>,
 }
+
+/// Memory of voxels that the library copied: a vector.
+type Copied = Box<dyn Any + Send + Sync>;
 
 /// A view of the voxels and, if the library copied them, their memory.
 struct Voxels {
@@ -253,33 +209,22 @@ impl Voxels {
     }
 }
 
-#[allow(dead_code, reason = "holds the memory that the view beside it looks at")]
-enum Copied {
-    U8(Vec<u8>),
-    U16(Vec<u16>),
-    I16(Vec<i16>),
-    F32(Vec<f32>),
-}
-
 handle!(entire_volume, Volume, Boxed);
 
 impl Volume {
+    fn voxels(&self) -> Result<&Voxels, Failure> {
+        self.voxels.as_ref().ok_or_else(|| {
+            Failure::new(
+                ENTIRE_NOT_READY,
+                "the volume was made from bricks and has no voxels; make it with entire_volume_new, \
+                 or pass precomputed features to entire_volume_set_features",
+            )
+        })
+    }
+
     /// The voxels.
     pub(crate) fn view(&self) -> Result<&VolumeView<'static>, Failure> {
-        self.voxels.as_ref().map(Voxels::view).ok_or_else(Volume::no_voxels)
-    }
-
-    fn no_voxels() -> Failure {
-        Failure::new(
-            ENTIRE_NOT_READY,
-            "the volume was made from bricks and has no voxels; make it with entire_volume_new, \
-                 or pass precomputed features to entire_volume_set_features",
-        )
-    }
-
-    /// Shape and range of the voxels, without reading them.
-    fn layout(&self) -> Result<(Shape, (f32, f32)), Failure> {
-        self.voxels.as_ref().map(|v| (v.shape, v.range)).ok_or_else(Volume::no_voxels)
+        self.voxels().map(Voxels::view)
     }
 
     /// The summary, made at the first call.
@@ -347,13 +292,7 @@ pub unsafe extern "C" fn entire_volume_new(
         let desc = read_struct(desc)?;
         let voxels = take_voxels(&desc)?;
         log_volume(voxels.view());
-        let made = Volume {
-            voxels: Some(voxels),
-            summary: OnceLock::new(),
-            series: None,
-            scalar_type: desc.scalar_type,
-            features: None,
-        };
+        let made = Volume { voxels: Some(voxels), scalar_type: desc.scalar_type, ..Volume::default() };
         write(volume, give(made), "volume (output)")
     })
 }
@@ -379,24 +318,20 @@ unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
         return Err(Failure::null("entire_volume_desc.voxels"));
     }
     if desc.reserved != 0 {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            "entire_volume_desc.reserved must be 0; call entire_volume_desc_init",
-        ));
+            "entire_volume_desc.reserved must be 0; call entire_volume_desc_init"
+        );
     }
     check_dims(desc.dims, Some(desc.voxel_count))?;
     let (at, count) = (desc.voxels, desc.voxel_count);
     let borrow = match desc.ownership {
         ENTIRE_VOXELS_COPY => false,
         ENTIRE_VOXELS_BORROW => true,
-        other => {
-            return Err(Failure::new(
-                ENTIRE_INVALID_ARGUMENT,
-                format!(
-                    "ownership is {other}; it must be ENTIRE_VOXELS_COPY (1) or ENTIRE_VOXELS_BORROW (2)"
-                ),
-            ));
-        }
+        other => refuse!(
+            ENTIRE_INVALID_ARGUMENT,
+            "ownership is {other}; it must be ENTIRE_VOXELS_COPY (1) or ENTIRE_VOXELS_BORROW (2)"
+        ),
     };
     // SAFETY: the caller guarantees that `at` is NULL or valid for `count` elements. Each copy lives as long
     // as the view of its detached elements.
@@ -406,52 +341,30 @@ unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
             (ENTIRE_SCALAR_U16, true) => (Scalars::U16(slice(at.cast(), count, "voxels")?), None),
             (ENTIRE_SCALAR_I16, true) => (Scalars::I16(slice(at.cast(), count, "voxels")?), None),
             (ENTIRE_SCALAR_F32, true) => (Scalars::F32(slice(at.cast(), count, "voxels")?), None),
-            (ENTIRE_SCALAR_U8, false) => {
-                let copy = convert::<u8, u8>(at, count, |v| v)?;
-                (Scalars::U8(detached(&copy)), Some(Copied::U8(copy)))
-            }
-            (ENTIRE_SCALAR_U16, false) => {
-                let copy = convert::<u16, u16>(at, count, |v| v)?;
-                (Scalars::U16(detached(&copy)), Some(Copied::U16(copy)))
-            }
-            (ENTIRE_SCALAR_I16, false) => {
-                let copy = convert::<i16, i16>(at, count, |v| v)?;
-                (Scalars::I16(detached(&copy)), Some(Copied::I16(copy)))
-            }
-            (ENTIRE_SCALAR_I8, false) => {
-                let copy = convert(at, count, |v: i8| i16::from(v))?;
-                (Scalars::I16(detached(&copy)), Some(Copied::I16(copy)))
-            }
-            (kind, false) => {
-                let copy = match kind {
-                    ENTIRE_SCALAR_F32 => convert(at, count, |v: f32| v)?,
-                    ENTIRE_SCALAR_F64 => convert(at, count, |v: f64| v as f32)?,
-                    ENTIRE_SCALAR_U32 => convert(at, count, |v: u32| v as f32)?,
-                    ENTIRE_SCALAR_I32 => convert(at, count, |v: i32| v as f32)?,
-                    ENTIRE_SCALAR_U64 => convert(at, count, |v: u64| v as f32)?,
-                    ENTIRE_SCALAR_I64 => convert(at, count, |v: i64| v as f32)?,
-                    other => return Err(unknown_scalar(other)),
-                };
-                (Scalars::F32(detached(&copy)), Some(Copied::F32(copy)))
-            }
-            (kind @ ENTIRE_SCALAR_I8..=ENTIRE_SCALAR_I64, true) => {
-                return Err(Failure::new(
-                    ENTIRE_UNSUPPORTED,
-                    format!(
-                        "voxels of scalar type {kind} cannot be borrowed, only U8, U16, I16 and F32 can; \
-                         use ENTIRE_VOXELS_COPY"
-                    ),
-                ));
-            }
-            (other, true) => return Err(unknown_scalar(other)),
+            (ENTIRE_SCALAR_U8, false) => owned(convert(at, count, |v: u8| v)?, Scalars::U8),
+            (ENTIRE_SCALAR_I8, false) => owned(convert(at, count, |v: i8| i16::from(v))?, Scalars::I16),
+            (ENTIRE_SCALAR_U16, false) => owned(convert(at, count, |v: u16| v)?, Scalars::U16),
+            (ENTIRE_SCALAR_I16, false) => owned(convert(at, count, |v: i16| v)?, Scalars::I16),
+            (ENTIRE_SCALAR_U32, false) => owned(convert(at, count, |v: u32| v as f32)?, Scalars::F32),
+            (ENTIRE_SCALAR_I32, false) => owned(convert(at, count, |v: i32| v as f32)?, Scalars::F32),
+            (ENTIRE_SCALAR_F32, false) => owned(convert(at, count, |v: f32| v)?, Scalars::F32),
+            (ENTIRE_SCALAR_F64, false) => owned(convert(at, count, |v: f64| v as f32)?, Scalars::F32),
+            (ENTIRE_SCALAR_U64, false) => owned(convert(at, count, |v: u64| v as f32)?, Scalars::F32),
+            (ENTIRE_SCALAR_I64, false) => owned(convert(at, count, |v: i64| v as f32)?, Scalars::F32),
+            (kind @ ENTIRE_SCALAR_I8..=ENTIRE_SCALAR_I64, true) => refuse!(
+                ENTIRE_UNSUPPORTED,
+                "voxels of scalar type {kind} cannot be borrowed, only U8, U16, I16 and F32 can; \
+                 use ENTIRE_VOXELS_COPY"
+            ),
+            (other, _) => return Err(unknown_scalar(other)),
         }
     };
     let contiguous = desc.strides == [ENTIRE_STRIDE_CONTIGUOUS; 3];
     if !contiguous && desc.strides.contains(&ENTIRE_STRIDE_CONTIGUOUS) {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            "some strides are ENTIRE_STRIDE_CONTIGUOUS and some are not; set all three or none",
-        ));
+            "some strides are ENTIRE_STRIDE_CONTIGUOUS and some are not; set all three or none"
+        );
     }
     let [low, high] = desc.range;
     let options = VolumeOptions {
@@ -475,20 +388,15 @@ unsafe fn convert<T: Copy, U>(
     let fits =
         count.checked_mul(size_of::<T>().max(size_of::<U>())).is_some_and(|b| b <= isize::MAX as usize);
     if !fits {
-        return Err(Failure::new(
-            ENTIRE_SIZE_MISMATCH,
-            format!("voxel_count is {count}, more than memory can hold; check the count"),
-        ));
+        refuse!(ENTIRE_SIZE_MISMATCH, "voxel_count is {count}, more than memory can hold; check the count");
     }
     let mut copy = Vec::new();
     if copy.try_reserve_exact(count).is_err() {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_OUT_OF_MEMORY,
-            format!(
-                "there is no memory for a copy of {count} voxels; check voxel_count, \
-                 or use ENTIRE_VOXELS_BORROW"
-            ),
-        ));
+            "there is no memory for a copy of {count} voxels; check voxel_count, \
+             or use ENTIRE_VOXELS_BORROW"
+        );
     }
     let at = at.cast::<T>();
     // SAFETY: the caller guarantees that `count` elements are readable at `at`. The read assumes no
@@ -497,13 +405,17 @@ unsafe fn convert<T: Copy, U>(
     Ok(copy)
 }
 
-/// A vector's elements, without the lifetime of the borrow.
+/// A vector's elements, without the lifetime of the borrow, and the vector.
 ///
 /// # Safety
-/// The vector lives and is neither grown nor changed for as long as the result is used.
-unsafe fn detached<T>(copy: &[T]) -> &'static [T] {
+/// The vector lives and is neither grown nor changed for as long as its elements are used.
+unsafe fn owned<T: Send + Sync + 'static>(
+    copy: Vec<T>,
+    wrap: fn(&'static [T]) -> Scalars<'static>,
+) -> (Scalars<'static>, Option<Copied>) {
     // SAFETY: the caller keeps the vector unchanged, and its elements stay in place when the vector is moved.
-    unsafe { std::slice::from_raw_parts(copy.as_ptr(), copy.len()) }
+    let elements = unsafe { std::slice::from_raw_parts(copy.as_ptr(), copy.len()) };
+    (wrap(elements), Some(Box::new(copy)))
 }
 
 fn unknown_scalar(found: u32) -> Failure {
@@ -541,13 +453,7 @@ pub unsafe extern "C" fn entire_volume_from_bricks(
         };
         let bounds = slice(desc.bounds.cast::<[f32; 2]>(), desc.brick_count, "entire_brick_desc.bounds")?;
         let summary = VolumeSummary::from_bricks(desc.dims, desc.spacing, kept_as, desc.brick_edge, bounds)?;
-        let made = Volume {
-            voxels: None,
-            summary: OnceLock::from(summary),
-            series: None,
-            scalar_type: desc.scalar_type,
-            features: None,
-        };
+        let made = Volume { summary: summary.into(), scalar_type: desc.scalar_type, ..Volume::default() };
         write(volume, give(made), "volume (output)")
     })
 }
@@ -570,10 +476,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
             at_most("feature_count", feature_count, ENTIRE_MAX_FEATURES, "ENTIRE_MAX_FEATURES")?;
             let features = slice(features, feature_count, "features")?;
             if let Some(i) = features.iter().position(|f| !f.is_finite()) {
-                return Err(Failure::new(
-                    ENTIRE_INVALID_ARGUMENT,
-                    format!("feature {i} is {}; all must be finite", features[i]),
-                ));
+                refuse!(ENTIRE_INVALID_ARGUMENT, "feature {i} is {}; all must be finite", features[i]);
             }
             let kept = copied(features)?;
             volume.features = (!kept.is_empty()).then_some(kept);
@@ -603,18 +506,17 @@ unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
     let feature_count = volume.features.as_ref().map_or(0, |f| f.len() as u32);
     let mut out =
         entire_volume_info { scalar_type: volume.scalar_type, feature_count, ..ByValue::defaults() };
-    if let Some(Voxels { shape, range, .. }) = &volume.voxels {
+    let mut shape = volume.summary.get().map(VolumeSummary::shape);
+    if let Some(voxels) = &volume.voxels {
+        shape = Some(voxels.shape);
+        out.range = voxels.range.into();
+        out.has_voxels = 1;
+    }
+    if let Some(shape) = shape {
         out.dims = shape.dims;
         out.spacing = shape.spacing.to_array();
-        out.range = (*range).into();
         out.bounding_radius = shape.bounding_radius;
         out.reference_step = shape.spacing.min_element();
-        out.has_voxels = 1;
-    } else if let Some(summary) = volume.summary.get() {
-        out.dims = summary.shape().dims;
-        out.spacing = summary.shape().spacing.to_array();
-        out.bounding_radius = summary.shape().bounding_radius;
-        out.reference_step = summary.shape().spacing.min_element();
     }
     // SAFETY: the caller guarantees that `info` is NULL or valid for the bytes that its `struct_size` states.
     unsafe { write_struct(info, &out) }

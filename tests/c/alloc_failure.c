@@ -89,14 +89,20 @@ static entire_result model_from_bytes(void) {
     return result;
 }
 
-static entire_result new_volume(void) {
+static entire_volume_desc large_volume(entire_voxels_ownership ownership) {
     entire_volume_desc desc;
-    entire_volume *made = NULL;
     entire_volume_desc_init(&desc, sizeof desc);
     desc.scalar_type = ENTIRE_SCALAR_U8;
+    desc.ownership = ownership;
     desc.voxels = large;
     desc.voxel_count = LARGE;
     desc.dims[0] = desc.dims[1] = desc.dims[2] = SIDE;
+    return desc;
+}
+
+static entire_result new_volume(void) {
+    const entire_volume_desc desc = large_volume(ENTIRE_VOXELS_COPY);
+    entire_volume *made = NULL;
     entire_result result = entire_volume_new(&desc, &made);
     entire_volume_free(made);
     return result;
@@ -127,14 +133,8 @@ static entire_result set_volume(void) {
 
 /* Makes a volume, updates it twice, and sets the volume and its time step in a session. */
 static entire_result update_volume(void) {
-    entire_volume_desc desc;
+    const entire_volume_desc desc = large_volume(ENTIRE_VOXELS_BORROW);
     entire_volume *made = NULL;
-    entire_volume_desc_init(&desc, sizeof desc);
-    desc.scalar_type = ENTIRE_SCALAR_U8;
-    desc.ownership = ENTIRE_VOXELS_BORROW;
-    desc.voxels = large;
-    desc.voxel_count = LARGE;
-    desc.dims[0] = desc.dims[1] = desc.dims[2] = SIDE;
     entire_result result = entire_volume_new(&desc, &made);
     if (result == ENTIRE_OK) result = entire_volume_update(made, &desc);
     if (result == ENTIRE_OK) result = entire_volume_update(made, &desc);

@@ -87,15 +87,21 @@ static inline entire_frame toy_frame(void) {
     return frame;
 }
 
-/* A session with volume and transfer function set; `model` may be NULL. */
-static inline entire_session *toy_session_with(const entire_model *model, const entire_session_options *options) {
-    entire_volume *volume = toy_volume();
+/* A session with a volume and the toy transfer function; `model` and `options` may be NULL. */
+static inline entire_session *session_of(const entire_model *model, const entire_session_options *options,
+                                         const entire_volume *volume) {
     entire_transfer_function *tf = toy_transfer_function();
     entire_session *session = NULL;
     OK(entire_session_new(model, options, &session));
     OK(entire_session_set_volume(session, volume));
     OK(entire_session_set_transfer_function(session, tf));
     entire_transfer_function_free(tf);
+    return session;
+}
+
+static inline entire_session *toy_session_with(const entire_model *model, const entire_session_options *options) {
+    entire_volume *volume = toy_volume();
+    entire_session *session = session_of(model, options, volume);
     entire_volume_free(volume);
     return session;
 }

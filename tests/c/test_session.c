@@ -299,17 +299,12 @@ static void probe_sides(void) {
     entire_session_options options;
     OK(entire_session_options_init(&options, sizeof options));
     CHECK(options.probe_side == 0 && options.probe_tolerance == 0);
-    entire_volume *volume = toy_volume();
-    entire_transfer_function *tf = toy_transfer_function();
     entire_frame frame = toy_frame();
     float seconds[4];
     for (int i = 0; i < 4; ++i) {
         const uint32_t sides[] = {0, 11, 7, 4};
         options.probe_side = sides[i];
-        entire_session *session = NULL;
-        OK(entire_session_new(NULL, &options, &session));
-        OK(entire_session_set_volume(session, volume));
-        OK(entire_session_set_transfer_function(session, tf));
+        entire_session *session = toy_session_with(NULL, &options);
         entire_prediction prediction = {.struct_size = sizeof prediction};
         OK(entire_session_predict(session, &frame, &prediction));
         seconds[i] = prediction.seconds;
@@ -322,16 +317,10 @@ static void probe_sides(void) {
      * the finest probe. */
     options.probe_side = 0;
     options.probe_tolerance = 0.05f;
-    entire_session *climbs = NULL;
-    OK(entire_session_new(NULL, &options, &climbs));
-    OK(entire_session_set_volume(climbs, volume));
-    OK(entire_session_set_transfer_function(climbs, tf));
+    entire_session *climbs = toy_session_with(NULL, &options);
     options.probe_side = 4;
     options.probe_tolerance = 0;
-    entire_session *coarse = NULL;
-    OK(entire_session_new(NULL, &options, &coarse));
-    OK(entire_session_set_volume(coarse, volume));
-    OK(entire_session_set_transfer_function(coarse, tf));
+    entire_session *coarse = toy_session_with(NULL, &options);
     CHECK(plan_of(climbs, &frame, 1e4f).seconds == plan_of(coarse, &frame, 1e4f).seconds);
     entire_prediction finest = {.struct_size = sizeof finest};
     OK(entire_session_reset(climbs));
@@ -339,8 +328,6 @@ static void probe_sides(void) {
     CHECK(finest.seconds == seconds[0]);
     entire_session_free(coarse);
     entire_session_free(climbs);
-    entire_transfer_function_free(tf);
-    entire_volume_free(volume);
 }
 
 static void choices(void) {

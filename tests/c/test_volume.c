@@ -200,11 +200,7 @@ static void bricks(void) {
     CHECK(info.dims[1] == 9 && !info.has_voxels && isnan(info.range[0]) && info.scalar_type == ENTIRE_SCALAR_F64);
     CHECK(info.reference_step == 1 && fabsf(info.bounding_radius - 0.5f * sqrtf(256 + 81 + 72 * 72)) < 1e-4f);
 
-    entire_session *session = NULL;
-    entire_transfer_function *tf = toy_transfer_function();
-    OK(entire_session_new(NULL, NULL, &session));
-    OK(entire_session_set_volume(session, volume));
-    OK(entire_session_set_transfer_function(session, tf));
+    entire_session *session = session_of(NULL, NULL, volume);
     entire_frame frame = toy_frame();
     entire_plan plan = {.struct_size = sizeof plan};
     OK(entire_session_plan(session, &frame, 0.01f, &plan));
@@ -214,7 +210,6 @@ static void bricks(void) {
     none.voxels = bounds;
     EXPECT(ENTIRE_NOT_READY, entire_volume_update(volume, &none));
     entire_session_free(session);
-    entire_transfer_function_free(tf);
     entire_volume_free(volume);
     volume = NULL;
 
@@ -273,9 +268,7 @@ static void time_steps(entire_voxels_ownership ownership) {
 
         desc.range[0] = 0, desc.range[1] = 100;
         OK(entire_volume_new(&desc, &alone));
-        OK(entire_session_new(NULL, NULL, &given));
-        OK(entire_session_set_volume(given, alone));
-        OK(entire_session_set_transfer_function(given, tf));
+        given = session_of(NULL, NULL, alone);
         entire_prediction found = {.struct_size = sizeof found}, wanted = {.struct_size = sizeof wanted};
         OK(entire_session_predict(follows, &frame, &found));
         OK(entire_session_predict(given, &frame, &wanted));

@@ -394,7 +394,7 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
     };
     out.opened = true;
     let usable = |seconds: f32| assert!(seconds.is_finite() && seconds > 0.0, "{seconds} seconds");
-    if let Some(parts) = model.prednet() {
+    if let Some(parts) = model.prednet.as_ref() {
         let net = PredNet::new(parts).expect("a checked network can be built");
         let row = vec![100.0; net.inputs()];
         let mut scratch = net.scratch(1).expect("memory for one row");
@@ -413,7 +413,7 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
         }
         predict_one(&model, usable);
     }
-    if let Some(parts) = model.volumenet() {
+    if let Some(parts) = model.volumenet.as_ref() {
         let net = VolumeNet::new(parts).expect("a checked encoder can be built");
         out.built = true;
         if work(parts) <= MOST_WORK {

@@ -1,10 +1,10 @@
 //! Compares PredNet with float64 evaluations by PyTorch (`tests/golden/make_golden.py`), with one test for
 //! every level. A level that this CPU lacks is reported as ignored.
 
-use entire_core::kernels::{Executor, Isa, Level, Storage};
+use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::model::Model;
 use entire_core::nn::{Dtype, PredNet};
-use entire_tests::levels::on_every_level;
+use entire_tests::levels::{INSTRUCTION_SETS, on_every_level};
 use libtest_mimic::{Arguments, Trial};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -36,7 +36,7 @@ fn rows(case: &Value) -> (Vec<Vec<f32>>, Vec<f64>) {
 
 /// Storage format of a file's weights.
 fn stored(model: &Model) -> Dtype {
-    model.prednet().expect("a PredNet").layers[0].dtype
+    model.prednet.as_ref().expect("a PredNet").layers[0].dtype
 }
 
 /// Checks the error of predictions, single and in batches. If a format stores the weights exactly, the error
@@ -48,7 +48,8 @@ fn prednets_agree(level: Level) {
         let name = case["model"].as_str().expect("a name");
         let scale = expected.iter().fold(0.0f64, |m, y| m.max(y.abs()));
         for storage in Storage::ALL {
-            let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
+            let net =
+                PredNet::with(model.prednet.as_ref().expect("a PredNet"), level, storage).expect("a network");
             let tolerance = PredNet::tolerance(storage, stored(&model));
             let exact = tolerance == PredNet::tolerance(Storage::F32, stored(&model));
             let allowed = |y: f64| tolerance * if exact { y.abs() } else { scale };
@@ -84,7 +85,7 @@ fn prednets_agree(level: Level) {
 fn storage_follows_the_file() {
     for case in cases("prednets") {
         let model = model(&case);
-        let parts = model.prednet().expect("a PredNet");
+        let parts = model.prednet.as_ref().expect("a PredNet");
         let expected = match case["dtype"].as_str().expect("a dtype") {
             "F16" => Storage::F16,
             "BF16" => Storage::Bf16,
@@ -101,7 +102,8 @@ fn batches_do_not_depend_on_their_cut(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));
         for storage in Storage::ALL {
-            let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
+            let net =
+                PredNet::with(model.prednet.as_ref().expect("a PredNet"), level, storage).expect("a network");
             let many: Vec<f32> = inputs.iter().cycle().take(401).flatten().copied().collect();
             let mut expected = vec![0.0; 401];
             net.predict_batch(
@@ -133,7 +135,8 @@ fn bad_inputs_have_an_answer(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));
         for storage in Storage::ALL {
-            let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
+            let net =
+                PredNet::with(model.prednet.as_ref().expect("a PredNet"), level, storage).expect("a network");
             let mut scratch = net.scratch(1).expect("memory");
             let row = &inputs[0];
             let good = net.predict(row, &mut scratch);
@@ -189,6 +192,6 @@ fn main() {
         storage_follows_the_file();
         Ok(())
     }));
-    assert!(trials.len() >= Isa::ALL.len());
+    assert!(trials.len() >= INSTRUCTION_SETS.len());
     libtest_mimic::run(&arguments, trials).exit();
 }

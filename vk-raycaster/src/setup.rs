@@ -118,45 +118,21 @@ impl FrameSetup {
             dims: dims.map(|n| n as f32),
             bias: volume.bias,
             gradient_scale: volume.relative_spacing.map(|s| (1.0 / s) as f32),
-            tile_y: 0,
             light: light.map(|l| l as f32),
-            tile_x: 0,
             light_inverse: light.map(|l| 1.0 / (l as f32)),
             tile_width: frame.width,
             tile_height: frame.height,
-            resume: 0,
             window_end: FAR,
             block_edge: block_edge as f32,
             blocks: blocks.map(|n| n as u32),
             block_shift: block_edge.trailing_zeros(),
-            brick_low: [0.0; 3],
             parts: 1,
             brick_high: dims.map(|n| n as f32 - 1.0),
-            pad_high: 0.0,
-            brick_origin: [0.0; 3],
-            pad_origin: 0.0,
             brick_dims: dims.map(|n| n as f32),
-            pad_dims: 0.0,
             origin_right: [0, 1, 2].map(|a| (origin_right[a] * density[a]) as f32),
-            pad_right: 0.0,
             origin_up: [0, 1, 2].map(|a| (origin_up[a] * density[a]) as f32),
-            pad_up: 0.0,
+            ..bytemuck::Zeroable::zeroed()
         }
-    }
-
-    /// Restricts the dispatch to a brick: its first and last cell, the first voxel of its texture and the
-    /// texture's size.
-    pub(crate) fn set_brick(
-        &mut self,
-        low: [usize; 3],
-        high: [usize; 3],
-        origin: [usize; 3],
-        dims: [usize; 3],
-    ) {
-        self.brick_low = low.map(|v| v as f32);
-        self.brick_high = high.map(|v| v as f32);
-        self.brick_origin = origin.map(|v| v as f32);
-        self.brick_dims = dims.map(|v| v as f32);
     }
 }
 

@@ -1,7 +1,7 @@
 //! A volume's voxels in the form that both renderers use: contiguous, clamped to the range, of one of three
 //! types.
 
-use entire_core::scene::{Scalars, VolumeView};
+use entire_core::scene::{Scalars, VolumeView, normalize};
 use rayon::prelude::*;
 
 /// Contiguous voxels, x fastest.
@@ -38,7 +38,7 @@ impl PreparedVolume {
             Scalars::U8(s) => integers(view, s, |v, _| (Voxels::U8(v), 0)),
             Scalars::U16(s) => integers(view, s, less_minimum),
             Scalars::I16(s) => integers(view, s, less_minimum),
-            Scalars::F32(s) => (Voxels::F32(gather(view, s, |v| view.normalize(v))), 255.0, 0.0),
+            Scalars::F32(s) => (Voxels::F32(gather(view, s, |v| normalize(view.range(), v))), 255.0, 0.0),
         };
         let spacing = view.shape().spacing.to_array().map(f64::from);
         let smallest = spacing.iter().copied().fold(f64::INFINITY, f64::min);
@@ -83,8 +83,10 @@ fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
         let (voxels, offset) = keep(voxels, min.into());
         (voxels, scale as f32, ((f64::from(offset) - f64::from(low)) * scale) as f32)
     } else {
-        let quantized =
-            voxels.into_par_iter().map(|v| (view.normalize(v.into()) * 65535.0 + 0.5) as u16).collect();
+        let quantized = voxels
+            .into_par_iter()
+            .map(|v| (normalize(view.range(), v.into()) * 65535.0 + 0.5) as u16)
+            .collect();
         (Voxels::U16(quantized), 255.0 / 65535.0, 0.0)
     }
 }
@@ -116,27 +118,15 @@ fn gather<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
 }
 
 /// An element type of [`Voxels`].
-pub(crate) trait Voxel: Copy + Send + Sync + PartialOrd {
-    fn to_f32(self) -> f32;
-}
-impl Voxel for u8 {
+pub(crate) trait Voxel: Copy + Send + Sync + PartialOrd + Into<f32> {
     #[inline(always)]
     fn to_f32(self) -> f32 {
-        f32::from(self)
+        self.into()
     }
 }
-impl Voxel for u16 {
-    #[inline(always)]
-    fn to_f32(self) -> f32 {
-        f32::from(self)
-    }
-}
-impl Voxel for f32 {
-    #[inline(always)]
-    fn to_f32(self) -> f32 {
-        self
-    }
-}
+impl Voxel for u8 {}
+impl Voxel for u16 {}
+impl Voxel for f32 {}
 
 /// Runs a generic expression with the voxel slice of any type.
 macro_rules! with_voxels {

@@ -19,6 +19,12 @@ fn bytes(data: &[u8], dims: [usize; 3]) -> VolumeView<'_> {
     VolumeView::new(Scalars::U8(data), dims).unwrap()
 }
 
+/// A volume whose scalars `low` to `high` map to [0, 1].
+fn ranged(scalars: Scalars<'_>, dims: [usize; 3], low: f32, high: f32) -> VolumeView<'_> {
+    VolumeView::with(scalars, dims, VolumeOptions { range: Some((low, high)), ..VolumeOptions::default() })
+        .unwrap()
+}
+
 fn largest_difference(a: &[[f32; 4]], b: &[[f32; 4]]) -> f32 {
     a.iter().flatten().zip(b.iter().flatten()).fold(0.0, |m, (a, b)| m.max((a - b).abs()))
 }
@@ -192,13 +198,7 @@ fn shells_composite_front_to_back() {
 fn halving_the_step_converges() {
     let dims = [40, 32, 36];
     let data = field_voxels(dims);
-    let view = VolumeView::with(
-        Scalars::F32(&data),
-        dims,
-        VolumeOptions { range: Some((0.0, 1.0)), ..VolumeOptions::default() },
-    )
-    .unwrap();
-    let r = twin(&view, &medium());
+    let r = twin(&ranged(Scalars::F32(&data), dims, 0.0, 1.0), &medium());
     let image = |step: f32| {
         let f = Frame { step, termination: 1.0, ..frame(25.0, 40.0, 3.0, 40, 30) };
         r.render_linear(&f).unwrap().0
@@ -359,24 +359,9 @@ fn scalar_types_agree() {
         |view: VolumeView<'_>| twin(&view, &medium()).render_linear(&frame(15.0, 70.0, 2.5, 48, 36)).unwrap();
     let a = render(bytes(&bytes8, dims));
     for view in [
-        VolumeView::with(
-            Scalars::F32(&exact),
-            dims,
-            VolumeOptions { range: Some((0.0, 255.0)), ..VolumeOptions::default() },
-        )
-        .unwrap(),
-        VolumeView::with(
-            Scalars::U16(&words),
-            dims,
-            VolumeOptions { range: Some((7.0, 25507.0)), ..VolumeOptions::default() },
-        )
-        .unwrap(),
-        VolumeView::with(
-            Scalars::I16(&signed),
-            dims,
-            VolumeOptions { range: Some((-9000.0, 7320.0)), ..VolumeOptions::default() },
-        )
-        .unwrap(),
+        ranged(Scalars::F32(&exact), dims, 0.0, 255.0),
+        ranged(Scalars::U16(&words), dims, 7.0, 25507.0),
+        ranged(Scalars::I16(&signed), dims, -9000.0, 7320.0),
     ] {
         let b = render(view);
         assert!(largest_difference(&a.0, &b.0) < 1e-3);

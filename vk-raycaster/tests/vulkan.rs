@@ -8,8 +8,8 @@ use entire_core::scene::{
     Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeOptions, VolumeView,
 };
 use entire_vk_raycaster::{
-    BLOCK_EDGES, CpuRaycaster, Picture, Region, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster,
-    WorkCounts,
+    BLOCK_EDGES, CpuRaycaster, Picture, Region, Rendered, Renderer, VoxelFetch, VulkanOptions,
+    VulkanRaycaster, WorkCounts,
 };
 use libtest_mimic::{Arguments, Failed, Trial};
 
@@ -128,30 +128,56 @@ fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
     (largest, sum as f64 / a.len() as f64)
 }
 
+/// The device and the CPU version.
+struct Both {
+    gpu: VulkanRaycaster,
+    twin: CpuRaycaster,
+}
+
+impl Both {
+    fn new(gpu: VulkanRaycaster) -> Self {
+        Self { gpu, twin: CpuRaycaster::new() }
+    }
+
+    fn set_volume(&mut self, view: &VolumeView<'_>) -> Outcome {
+        self.gpu.set_volume(view)?;
+        self.twin.set_volume(view)?;
+        Ok(())
+    }
+
+    fn set_transfer(&mut self, table: &TransferTable) -> Outcome {
+        self.gpu.set_transfer(table)?;
+        self.twin.set_transfer(table)?;
+        Ok(())
+    }
+
+    /// Draws a frame with both. Refuses pictures that differ by more than [`LARGEST`] in a channel, or by
+    /// more than `mean` over all channels.
+    fn draw(&mut self, name: &str, frame: &Frame, mean: f64) -> Result<(Rendered, Rendered), Failed> {
+        let (a, b) = (self.gpu.render(frame)?, self.twin.render(frame)?);
+        let (largest, off) = difference(&a.image.rgba, &b.image.rgba);
+        if largest > LARGEST || off > mean {
+            return Err(format!("{name}: differs by up to {largest}/255, mean {off:.3}/255").into());
+        }
+        Ok((a, b))
+    }
+}
+
 /// Compares device and CPU version in all scenes and modes, with one source of voxels in the shader.
 fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
-    let mut gpu = open_validated(Some(fetch))?;
-    let mut twin = CpuRaycaster::new();
-    let exact = fetch != VoxelFetch::Sampler && gpu.is_software();
+    let mut both = Both::new(open_validated(Some(fetch))?);
+    let exact = fetch != VoxelFetch::Sampler && both.gpu.is_software();
     let data = Data::new([37, 53, 29]);
     for (kind, view) in data.views().into_iter().take(if bytes_only { 1 } else { 4 }) {
-        gpu.set_volume(&view)?;
-        twin.set_volume(&view)?;
+        both.set_volume(&view)?;
         // Bytes are tested with all scenes, the other types with the first three.
         for scene in scenes().into_iter().take(if kind == "u8" { usize::MAX } else { 3 }) {
-            gpu.set_transfer(&scene.table)?;
-            twin.set_transfer(&scene.table)?;
+            both.set_transfer(&scene.table)?;
             for shading in Shading::ALL {
                 for skipping in Skipping::ALL {
                     let frame = Frame { shading, skipping, ..scene.frame };
                     let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
-                    let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
-                    let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
-                    if largest > LARGEST || mean > MEAN {
-                        return Err(
-                            format!("{name}: differs by up to {largest}/255, mean {mean:.3}/255").into()
-                        );
-                    }
+                    let (a, b) = both.draw(&name, &frame, MEAN)?;
                     let counts = (a.counts.ok_or("no counts")?, b.counts.ok_or("no counts")?);
                     if exact && counts.0 != counts.1 {
                         return Err(format!("{name}: device {:?}, twin {:?}", counts.0, counts.1).into());
@@ -161,7 +187,7 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
             }
         }
     }
-    expect_silence(&gpu)
+    expect_silence(&both.gpu)
 }
 
 /// Checks that the counts of device and CPU version are close. They may differ in a few samples: those at the
@@ -178,49 +204,39 @@ fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome
 }
 
 fn odd_volumes() -> Outcome {
-    let mut gpu = open_validated(None)?;
-    let mut twin = CpuRaycaster::new();
+    let mut both = Both::new(open_validated(None)?);
     for dims in [[1, 1, 1], [16, 9, 1], [1, 17, 3], [2, 2, 2], [8, 8, 8], [65, 3, 2]] {
         let data = Data::new(dims);
         for (kind, view) in data.views() {
-            gpu.set_volume(&view)?;
-            twin.set_volume(&view)?;
+            both.set_volume(&view)?;
             for table in [medium(), constant(0.3)] {
-                gpu.set_transfer(&table)?;
-                twin.set_transfer(&table)?;
+                both.set_transfer(&table)?;
                 for shading in Shading::ALL {
                     let f = Frame { shading, step: 0.3, ..frame(33.0, 20.0, 2.0, 31, 17) };
-                    let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
-                    let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
-                    if largest > LARGEST || mean > MEAN {
-                        return Err(format!("{kind} {dims:?} {}: {largest} {mean}", shading).into());
-                    }
+                    both.draw(&format!("{kind} {dims:?} {shading}"), &f, MEAN)?;
                 }
             }
         }
     }
-    expect_silence(&gpu)
+    expect_silence(&both.gpu)
 }
 
 fn blocks_of_every_edge_match_the_twin() -> Outcome {
-    let mut gpu = open_validated(None)?;
-    let mut twin = CpuRaycaster::new();
+    let mut both = Both::new(open_validated(None)?);
     let data = Data::new([37, 53, 29]);
     let mut pictures = vec![];
     for edge in BLOCK_EDGES {
-        gpu.set_block_edge(edge)?;
-        twin.set_block_edge(edge)?;
+        both.gpu.set_block_edge(edge)?;
+        both.twin.set_block_edge(edge)?;
         for (kind, view) in data.views().into_iter().take(2) {
-            gpu.set_volume(&view)?;
-            twin.set_volume(&view)?;
-            gpu.set_transfer(&opaque())?;
-            twin.set_transfer(&opaque())?;
+            both.set_volume(&view)?;
+            both.set_transfer(&opaque())?;
             for skipping in Skipping::ALL {
                 let f = Frame { skipping, shading: Shading::Local, ..frame(20.0, 35.0, 2.5, 61, 47) };
-                let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
-                let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
-                if largest > LARGEST || gpu.is_software() && a.counts != b.counts {
-                    return Err(format!("{edge}, {kind}, {}: {:?} {:?}", skipping, a.counts, b.counts).into());
+                let name = format!("{edge}, {kind}, {skipping}");
+                let (a, b) = both.draw(&name, &f, f64::INFINITY)?;
+                if both.gpu.is_software() && a.counts != b.counts {
+                    return Err(format!("{name}: {:?} {:?}", a.counts, b.counts).into());
                 }
                 if kind == "u8" {
                     pictures.push(a.image);
@@ -231,12 +247,12 @@ fn blocks_of_every_edge_match_the_twin() -> Outcome {
     if pictures.windows(2).any(|w| w[0] != w[1]) {
         return Err("the picture depends on the edge of the blocks".into());
     }
-    for renderer in [&mut gpu as &mut dyn Renderer, &mut twin] {
+    for renderer in [&mut both.gpu as &mut dyn Renderer, &mut both.twin] {
         if !renderer.set_block_edge(5).is_err_and(|e| e.to_string().contains("4, 8 or 16")) {
             return Err("blocks of five cells were accepted".into());
         }
     }
-    expect_silence(&gpu)
+    expect_silence(&both.gpu)
 }
 
 fn homogeneous_slab() -> Outcome {
@@ -291,25 +307,18 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
             ..Default::default()
         })
     };
-    let mut gpu = validated(true).or_else(|_| validated(false))?;
-    let mut twin = CpuRaycaster::new();
-    let exact = fetch != VoxelFetch::Sampler && gpu.is_software();
+    let mut both = Both::new(validated(true).or_else(|_| validated(false))?);
+    let exact = fetch != VoxelFetch::Sampler && both.gpu.is_software();
     let data = Data::new([37, 53, 29]);
     for (kind, view) in data.views().into_iter().take(2) {
-        gpu.set_volume(&view)?;
-        twin.set_volume(&view)?;
+        both.set_volume(&view)?;
         for scene in scenes() {
-            gpu.set_transfer(&scene.table)?;
-            twin.set_transfer(&scene.table)?;
+            both.set_transfer(&scene.table)?;
             for shading in [Shading::None, Shading::Local] {
                 for skipping in Skipping::ALL {
                     let frame = Frame { shading, skipping, ..scene.frame };
                     let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
-                    let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
-                    let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
-                    if largest > LARGEST || mean > MEAN {
-                        return Err(format!("{name}: up to {largest}/255, mean {mean:.3}/255").into());
-                    }
+                    let (a, b) = both.draw(&name, &frame, MEAN)?;
                     if exact && a.counts != b.counts {
                         return Err(format!("{name}: device {:?}, twin {:?}", a.counts, b.counts).into());
                     }
@@ -318,7 +327,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
         }
     }
     for shading in [Shading::Scatter, Shading::LocalScatter] {
-        let scatter = gpu.render(&Frame { shading, ..frame(0.0, 0.0, 3.0, 8, 8) });
+        let scatter = both.gpu.render(&Frame { shading, ..frame(0.0, 0.0, 3.0, 8, 8) });
         if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
             return Err(format!("shading {shading} in bricks was accepted").into());
         }
@@ -326,16 +335,11 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     // A smaller volume takes one texture again, and supports scattering.
     let small = Data::new([20, 21, 8]);
     let (_, view) = small.views()[0];
-    gpu.set_volume(&view)?;
-    twin.set_volume(&view)?;
-    gpu.set_transfer(&medium())?;
-    twin.set_transfer(&medium())?;
+    both.set_volume(&view)?;
+    both.set_transfer(&medium())?;
     let f = Frame { shading: Shading::Scatter, ..frame(10.0, 30.0, 2.5, 30, 20) };
-    let (largest, _) = difference(&gpu.render(&f)?.image.rgba, &twin.render(&f)?.image.rgba);
-    if largest > LARGEST {
-        return Err(format!("after bricks: {largest}").into());
-    }
-    expect_silence(&gpu)
+    both.draw("after bricks", &f, f64::INFINITY)?;
+    expect_silence(&both.gpu)
 }
 
 /// Checks that regions have the pixels of the whole frame, and that drawing into a picture on the device
@@ -436,7 +440,7 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
         .collect();
     let mut wanted = std::collections::VecDeque::new();
     let check = |gpu: &mut VulkanRaycaster, wanted: &mut std::collections::VecDeque<_>| -> Outcome {
-        let (found, want): (_, entire_vk_raycaster::Rendered) =
+        let (found, want): (_, Rendered) =
             (gpu.collect()?.ok_or("no frame")?, wanted.pop_front().ok_or("more frames than enqueued")?);
         let timed = found.time.device.is_some() == gpu.has_timestamps() && found.time.wall > 0.0;
         if found.image != want.image || found.counts != want.counts || !timed {
@@ -531,25 +535,18 @@ fn counting_changes_no_picture() -> Outcome {
 
 /// Compares rays that need more loop iterations than a software device allows in one dispatch.
 fn long_rays_are_cast_in_windows() -> Outcome {
-    let mut gpu = open_validated(None)?;
-    let mut twin = CpuRaycaster::new();
+    let mut both = Both::new(open_validated(None)?);
     let data = field_bytes([64; 3]);
-    let view = VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap();
-    gpu.set_volume(&view)?;
-    twin.set_volume(&view)?;
-    let thin = transparent().with_unit_distance(4.0).unwrap();
-    gpu.set_transfer(&thin)?;
-    twin.set_transfer(&thin)?;
+    both.set_volume(&VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap())?;
+    both.set_transfer(&transparent().with_unit_distance(4.0).unwrap())?;
     for skipping in Skipping::ALL {
         let f = Frame { step: 0.125, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 5, 4) };
-        let (a, b) = (gpu.render(&Frame { skipping, ..f })?, twin.render(&Frame { skipping, ..f })?);
-        let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
-        let exact = !gpu.is_software() || a.counts == b.counts;
-        if largest > LARGEST || !exact {
-            return Err(format!("{}: {largest}, {:?}, {:?}", skipping, a.counts, b.counts).into());
+        let (a, b) = both.draw(skipping.name(), &Frame { skipping, ..f }, f64::INFINITY)?;
+        if both.gpu.is_software() && a.counts != b.counts {
+            return Err(format!("{skipping}: {:?}, {:?}", a.counts, b.counts).into());
         }
     }
-    expect_silence(&gpu)
+    expect_silence(&both.gpu)
 }
 
 fn tiles_join_without_seams() -> Outcome {
@@ -590,28 +587,20 @@ fn times_are_plausible() -> Outcome {
 }
 
 fn volume_and_table_may_change_between_frames() -> Outcome {
-    let mut gpu = open_validated(None)?;
-    let mut twin = CpuRaycaster::new();
+    let mut both = Both::new(open_validated(None)?);
     let f = frame(20.0, 30.0, 2.5, 40, 40);
-    if !gpu.render(&f).is_err_and(|e| e.to_string().contains("no volume")) {
+    if !both.gpu.render(&f).is_err_and(|e| e.to_string().contains("no volume")) {
         return Err("rendered without a volume".into());
     }
     for (dims, table) in [([20; 3], medium()), ([20; 3], opaque()), ([31, 9, 14], transparent())] {
         let data = field_bytes(dims);
-        let view = VolumeView::new(Scalars::U8(&data), dims).unwrap();
-        gpu.set_volume(&view)?;
-        twin.set_volume(&view)?;
-        gpu.set_transfer(&table)?;
-        twin.set_transfer(&table)?;
+        both.set_volume(&VolumeView::new(Scalars::U8(&data), dims).unwrap())?;
+        both.set_transfer(&table)?;
         for step in [1.0, 2.0, 1.0] {
-            let f = Frame { step, ..f };
-            let (largest, _) = difference(&gpu.render(&f)?.image.rgba, &twin.render(&f)?.image.rgba);
-            if largest > LARGEST {
-                return Err(format!("{dims:?} step {step}: {largest}").into());
-            }
+            both.draw(&format!("{dims:?} step {step}"), &Frame { step, ..f }, f64::INFINITY)?;
         }
     }
-    expect_silence(&gpu)
+    expect_silence(&both.gpu)
 }
 
 fn oversized_volumes_are_refused_with_size_and_limit() -> Outcome {

@@ -2,7 +2,7 @@
 
 use super::entire_session;
 use super::options::hybrid_options;
-use crate::abi::{ByValue, check_output, check_pointer, no_padding, write_struct};
+use crate::abi::{ByValue, by_value, check_output, check_pointer, write_struct};
 use crate::guard::{changing, reading};
 use crate::handle::{borrow, share};
 use crate::model::{entire_model, give_model};
@@ -10,7 +10,6 @@ use crate::reserve;
 use crate::result::entire_result;
 use entire_core::kernels::Executor;
 use entire_steer::calibrate::{HeldOut, Picture};
-use std::mem::size_of;
 
 /// Unit by which a calibration held out frames to estimate its error (cross-validation): one of the
 /// `ENTIRE_HELD_OUT_*` numbers.
@@ -53,31 +52,13 @@ pub struct entire_calibration_report {
     pub scenes: u32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
-// and floats).
-unsafe impl ByValue for entire_calibration_report {
-    const NAME: &'static str = "entire_calibration_report";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            frames: 0,
-            median_error: 0.0,
-            rmse_over_sd: 0.0,
-            upper_factor: 1.0,
-            held_out: ENTIRE_HELD_OUT_NOTHING,
-            scenes: 0,
-        }
-    }
-}
-
-no_padding!(entire_calibration_report {
-    struct_size,
-    frames,
-    median_error,
-    rmse_over_sd,
-    upper_factor,
-    held_out,
-    scenes
+by_value!(entire_calibration_report {
+    frames: 0,
+    median_error: 0.0,
+    rmse_over_sd: 0.0,
+    upper_factor: 1.0,
+    held_out: ENTIRE_HELD_OUT_NOTHING,
+    scenes: 0,
 });
 
 /// Starts to record frames that are planned and observed, for entire_session_calibrate. The session keeps a

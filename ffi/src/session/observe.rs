@@ -53,10 +53,10 @@ pub unsafe extern "C" fn entire_session_observe(
                 unusual: flags & ENTIRE_OBSERVE_UNUSUAL != 0,
                 cancelled: flags & ENTIRE_OBSERVE_CANCELLED != 0,
             };
-            let found = state.session.observe(plan_id, seconds, noted).map_err(|e| {
-                let why = Failure::from(e);
-                Failure::new(why.code, format!("{seconds} s for plan {plan_id}: {}", why.message))
-            })?;
+            let found = state
+                .session
+                .observe(plan_id, seconds, noted)
+                .map_err(|e| Failure::from(e).within(format_args!("{seconds} s for plan {plan_id}")))?;
             if !verdict.is_null() {
                 write(verdict, found as u32, "verdict (output)")?;
             }

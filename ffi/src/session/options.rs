@@ -1,12 +1,11 @@
 //! Options of a session, and their checks.
 
-use crate::abi::{ByValue, init_struct, no_padding};
+use crate::abi::{by_value, init_struct};
 use crate::guard::guard;
 use crate::result::Failure;
 use crate::result::entire_result;
 use entire_steer::control::{HybridOptions, StepLimits};
 use entire_steer::features::PROBE_SIDE;
-use std::mem::size_of;
 
 /// Options of a session. Fill with entire_session_options_init, then set what differs.
 #[repr(C)]
@@ -50,40 +49,17 @@ pub struct entire_session_options {
     pub reserved: u32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
-// and floats).
-unsafe impl ByValue for entire_session_options {
-    const NAME: &'static str = "entire_session_options";
-    fn defaults() -> Self {
-        let (hybrid, limits) = (HybridOptions::default(), StepLimits::default());
-        Self {
-            struct_size: size_of::<Self>(),
-            finest_step: limits.finest,
-            coarsest_step: limits.coarsest,
-            miss_rate: hybrid.miss_rate,
-            tolerance: hybrid.tolerance,
-            trust_limit: hybrid.trust_limit,
-            damping: hybrid.damping.into(),
-            probe_side: 0,
-            probe_tolerance: 0.0,
-            ignore_load: hybrid.ignore_load.into(),
-            reserved: 0,
-        }
-    }
-}
-
-no_padding!(entire_session_options {
-    struct_size,
-    finest_step,
-    coarsest_step,
-    miss_rate,
-    tolerance,
-    trust_limit,
-    damping,
-    probe_side,
-    probe_tolerance,
-    ignore_load,
-    reserved
+by_value!(entire_session_options {
+    finest_step: StepLimits::default().finest,
+    coarsest_step: StepLimits::default().coarsest,
+    miss_rate: HybridOptions::default().miss_rate,
+    tolerance: HybridOptions::default().tolerance,
+    trust_limit: HybridOptions::default().trust_limit,
+    damping: HybridOptions::default().damping.into(),
+    probe_side: 0,
+    probe_tolerance: 0.0,
+    ignore_load: HybridOptions::default().ignore_load.into(),
+    reserved: 0,
 });
 
 /// The probe that the options request: number of rays along each side, and its accepted error. `None` keeps

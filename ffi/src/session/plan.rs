@@ -1,14 +1,13 @@
 //! Prediction of a frame, and choice of its settings.
 
 use super::entire_session;
-use crate::abi::{ByValue, check_output, check_pointer, no_padding, read_struct, slice, write, write_struct};
+use crate::abi::{ByValue, by_value, check_output, check_pointer, read_struct, slice, write, write_struct};
 use crate::frame::{entire_frame, entire_setting};
 use crate::guard::changing;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, is_frame_time, no_prediction};
+use crate::result::{Failure, is_frame_time, no_prediction, refuse};
 use entire_steer::control::{Plan, Reason, Session};
 use entire_steer::predict::Source;
-use std::mem::size_of;
 
 /// Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
 pub type entire_reason = u32;
@@ -89,37 +88,16 @@ pub struct entire_plan {
     pub reserved: u32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
-// and floats).
-unsafe impl ByValue for entire_plan {
-    const NAME: &'static str = "entire_plan";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            id: 0,
-            step: f32::NAN,
-            image_sample_distance: 1.0,
-            seconds: f32::NAN,
-            upper: f32::NAN,
-            out_of_range: f32::NAN,
-            absent: 0,
-            reason: 0,
-            reserved: 0,
-        }
-    }
-}
-
-no_padding!(entire_plan {
-    struct_size,
-    id,
-    step,
-    image_sample_distance,
-    seconds,
-    upper,
-    out_of_range,
-    absent,
-    reason,
-    reserved
+by_value!(entire_plan {
+    id: 0,
+    step: f32::NAN,
+    image_sample_distance: 1.0,
+    seconds: f32::NAN,
+    upper: f32::NAN,
+    out_of_range: f32::NAN,
+    absent: 0,
+    reason: 0,
+    reserved: 0,
 });
 
 /// A predicted frame time. Set struct_size before the call.
@@ -142,24 +120,14 @@ pub struct entire_prediction {
     pub reserved: u32,
 }
 
-// SAFETY: the type is `repr(C)` and begins with `struct_size`; any bits are values of its fields (integers
-// and floats).
-unsafe impl ByValue for entire_prediction {
-    const NAME: &'static str = "entire_prediction";
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>(),
-            seconds: f32::NAN,
-            upper: f32::NAN,
-            out_of_range: f32::NAN,
-            absent: 0,
-            source: 0,
-            reserved: 0,
-        }
-    }
-}
-
-no_padding!(entire_prediction { struct_size, seconds, upper, out_of_range, absent, source, reserved });
+by_value!(entire_prediction {
+    seconds: f32::NAN,
+    upper: f32::NAN,
+    out_of_range: f32::NAN,
+    absent: 0,
+    source: 0,
+    reserved: 0,
+});
 
 /// ENTIRE_ABSENT_* flags of the NaNs among three numbers.
 fn absent(seconds: f32, upper: f32, out_of_range: f32) -> u32 {
@@ -287,10 +255,10 @@ pub unsafe extern "C" fn entire_session_choose(
             check_pointer(index, "index (output)")?;
             let frame = read_struct(frame)?.checked(state.radius())?;
             if setting_count > ENTIRE_MAX_SETTINGS {
-                return Err(Failure::new(
+                refuse!(
                     ENTIRE_SIZE_MISMATCH,
-                    format!("{setting_count} settings; choose takes at most {ENTIRE_MAX_SETTINGS}"),
-                ));
+                    "{setting_count} settings; choose takes at most {ENTIRE_MAX_SETTINGS}"
+                );
             }
             let given = slice(settings, setting_count, "settings")?;
             let mut settings = [entire_steer::features::Setting::from(&frame); ENTIRE_MAX_SETTINGS];

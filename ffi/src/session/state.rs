@@ -4,8 +4,8 @@ use super::entire_session;
 use crate::abi::{check_pointer, slice, text, write};
 use crate::guard::{changing, reading};
 use crate::limits::{ENTIRE_MAX_STATE_BYTES, at_most};
-use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::result::refuse;
 use entire_steer::predict::Clock;
 use std::ffi::c_char;
 
@@ -73,8 +73,9 @@ pub unsafe extern "C" fn entire_session_clocks(
     unsafe {
         reading(session, |state| {
             check_pointer(own, "own (output)")?;
-            write(model, number_of(state.session.model_clock()), "model (output)")?;
-            write(own, number_of(state.session.clock()), "own (output)")
+            let [frames, predicted] = state.session.clocks();
+            write(model, number_of(predicted), "model (output)")?;
+            write(own, number_of(frames), "own (output)")
         })
     }
 }
@@ -101,10 +102,11 @@ pub unsafe extern "C" fn entire_session_save_state(
             if capacity > 0 {
                 check_pointer(buffer, "buffer")?;
                 if capacity < bytes.len() {
-                    return Err(Failure::new(
+                    refuse!(
                         ENTIRE_SIZE_MISMATCH,
-                        format!("buffer holds {capacity} bytes; the state has {}", bytes.len()),
-                    ));
+                        "buffer holds {capacity} bytes; the state has {}",
+                        bytes.len()
+                    );
                 }
                 std::ptr::copy_nonoverlapping(bytes.as_ptr(), buffer, bytes.len());
             }

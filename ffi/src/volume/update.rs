@@ -1,11 +1,11 @@
 //! The next time step of a volume.
 
-use super::{Volume, entire_volume, entire_volume_desc, log_volume, take_voxels, warn_of_non_finite};
+use super::{Volume, Voxels, entire_volume, entire_volume_desc, log_volume, take_voxels, warn_of_non_finite};
 use crate::abi::{read_struct, slice};
 use crate::guard::{Outcome, changing};
 use crate::reserve;
-use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::result::refuse;
 use entire_core::kernels::Executor;
 use entire_steer::features::SummarySeries;
 use std::ops::Range;
@@ -71,15 +71,14 @@ unsafe fn update(
     reserve::check()?;
     // SAFETY: the caller guarantees that `desc` is NULL or valid.
     let mut desc = unsafe { read_struct(desc)? };
-    let (shape, range) = volume.layout()?;
+    let &Voxels { shape, range, .. } = volume.voxels()?;
     if desc.scalar_type != volume.scalar_type {
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            format!(
-                "a time step has the scalar type {}, but its volume has {}; make a new volume for this time step",
-                desc.scalar_type, volume.scalar_type
-            ),
-        ));
+            "a time step has the scalar type {}, but its volume has {}; make a new volume for this time step",
+            desc.scalar_type,
+            volume.scalar_type
+        );
     }
     if desc.range.iter().all(|end| end.is_nan()) {
         desc.range = range.into();
@@ -89,30 +88,26 @@ unsafe fn update(
     let next = *voxels.view();
     if next.shape().spacing != shape.spacing {
         let [a, b] = [next.shape(), shape].map(|shape| shape.spacing.to_array());
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            format!("a time step has the spacing {a:?}, but its volume has {b:?}; set the volume's"),
-        ));
+            "a time step has the spacing {a:?}, but its volume has {b:?}; set the volume's"
+        );
     }
     if next.shape().dims != shape.dims {
         let ([x, y, z], [nx, ny, nz]) = (next.shape().dims, shape.dims);
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_SIZE_MISMATCH,
-            format!(
-                "a time step has {x} x {y} x {z} voxels, but its volume has {nx} x {ny} x {nz}; \
-                 make a new volume for this time step"
-            ),
-        ));
+            "a time step has {x} x {y} x {z} voxels, but its volume has {nx} x {ny} x {nz}; \
+             make a new volume for this time step"
+        );
     }
     if next.range() != range {
         let ((low, high), (was_low, was_high)) = (next.range(), range);
-        return Err(Failure::new(
+        refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            format!(
-                "a time step has the scalar range {low} to {high}, but its volume has {was_low} to {was_high}; \
-                 give every step the range of the whole series"
-            ),
-        ));
+            "a time step has the scalar range {low} to {high}, but its volume has {was_low} to {was_high}; \
+             give every step the range of the whole series"
+        );
     }
     let (mut series, first) = match volume.series.take() {
         Some(series) => (series, false),

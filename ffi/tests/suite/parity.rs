@@ -46,7 +46,7 @@ fn toy_volume() -> Vec<u8> {
 fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
     let program = std::env::var_os("ENTIRE_C_PARITY").expect("ENTIRE_C_PARITY names the parity program");
     let model = model();
-    let net = PredNet::new(model.prednet().unwrap()).unwrap();
+    let net = PredNet::new(model.prednet.as_ref().unwrap()).unwrap();
     let inputs = rows(net.inputs());
 
     let mut child = Command::new(&program)
@@ -79,7 +79,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
         VolumeOptions { spacing: [1.0, 2.0, 7.0], ..VolumeOptions::default() },
     )
     .unwrap();
-    let encoder = VolumeNet::new(model.volumenet().unwrap()).unwrap();
+    let encoder = VolumeNet::new(model.volumenet.as_ref().unwrap()).unwrap();
     let mut features = vec![0.0; encoder.feature_len()];
     encoder.encode(&view, &mut encoder.scratch(), Executor::Serial, &mut features).unwrap();
     wanted.extend_from_slice(&features);

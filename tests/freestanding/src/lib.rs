@@ -22,8 +22,8 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
     let text = |e: entire_core::Error| e.to_string();
     let failed = |_| String::from("cannot write");
     let model = Model::from_bytes(model).map_err(text)?;
-    let prednet = model.prednet().ok_or("the model has no PredNet")?;
-    let volumenet = model.volumenet().ok_or("the model has no VolumeNet")?;
+    let prednet = model.prednet.as_ref().ok_or("the model has no PredNet")?;
+    let volumenet = model.volumenet.as_ref().ok_or("the model has no VolumeNet")?;
     for level in Level::available() {
         for storage in [Storage::F32, Storage::F16, Storage::Bf16] {
             let net = PredNet::with(prednet, level, storage).map_err(text)?;

@@ -6,6 +6,7 @@ use quote::ToTokens;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use syn::parse::{ParseStream, Parser};
 use syn::visit_mut::{
     VisitMut, visit_file_mut, visit_item_impl_mut, visit_item_mod_mut, visit_item_trait_mut,
 };
@@ -43,38 +44,23 @@ struct WithoutTests {
     test_modules: BTreeSet<String>,
 }
 
-fn for_tests(attributes: &[syn::Attribute]) -> bool {
+/// True if an item has the attribute `#[cfg(test)]`.
+fn for_tests(item: &impl ToTokens) -> bool {
+    fn outer(input: ParseStream<'_>) -> syn::Result<Vec<syn::Attribute>> {
+        let attributes = input.call(syn::Attribute::parse_outer)?;
+        input.parse::<TokenStream>()?;
+        Ok(attributes)
+    }
+    let attributes = outer.parse2(item.to_token_stream()).expect("attributes before an item");
     attributes.iter().any(|a| {
         a.path().is_ident("cfg") && a.parse_args::<syn::Ident>().is_ok_and(|condition| condition == "test")
     })
 }
 
-fn attributes(item: &syn::Item) -> &[syn::Attribute] {
-    use syn::Item;
-    match item {
-        Item::Const(i) => &i.attrs,
-        Item::Enum(i) => &i.attrs,
-        Item::ExternCrate(i) => &i.attrs,
-        Item::Fn(i) => &i.attrs,
-        Item::ForeignMod(i) => &i.attrs,
-        Item::Impl(i) => &i.attrs,
-        Item::Macro(i) => &i.attrs,
-        Item::Mod(i) => &i.attrs,
-        Item::Static(i) => &i.attrs,
-        Item::Struct(i) => &i.attrs,
-        Item::Trait(i) => &i.attrs,
-        Item::TraitAlias(i) => &i.attrs,
-        Item::Type(i) => &i.attrs,
-        Item::Union(i) => &i.attrs,
-        Item::Use(i) => &i.attrs,
-        _ => &[],
-    }
-}
-
 impl WithoutTests {
     fn filter(&mut self, items: &mut Vec<syn::Item>) {
         items.retain(|item| {
-            let test = for_tests(attributes(item));
+            let test = for_tests(item);
             if let syn::Item::Mod(module) = item
                 && test
                 && module.content.is_none()
@@ -100,16 +86,12 @@ impl VisitMut for WithoutTests {
     }
 
     fn visit_item_impl_mut(&mut self, item: &mut syn::ItemImpl) {
-        item.items.retain(|i| match i {
-            syn::ImplItem::Fn(f) => !for_tests(&f.attrs),
-            syn::ImplItem::Const(c) => !for_tests(&c.attrs),
-            _ => true,
-        });
+        item.items.retain(|i| !for_tests(i));
         visit_item_impl_mut(self, item);
     }
 
     fn visit_item_trait_mut(&mut self, item: &mut syn::ItemTrait) {
-        item.items.retain(|i| !matches!(i, syn::TraitItem::Fn(f) if for_tests(&f.attrs)));
+        item.items.retain(|i| !for_tests(i));
         visit_item_trait_mut(self, item);
     }
 }

@@ -106,7 +106,7 @@ fn shipped_models_give_times_for_ten_thousand_random_inputs() {
             continue;
         }
         let model = Model::from_bytes(&std::fs::read(&path).expect("a file")).expect("a shipped model");
-        let Some(parts) = model.prednet() else { continue };
+        let Some(parts) = model.prednet.as_ref() else { continue };
         let net = PredNet::new(parts).expect("a network");
         let mut state = 88_172_645_463_325_252u64;
         let mut uniform = || {

@@ -2,7 +2,7 @@
 //! storage format. The global allocator counts its calls.
 
 use entire_core::kernels::Level;
-use entire_core::kernels::{Executor, Helper, Storage};
+use entire_core::kernels::{Executor, Storage};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use entire_steer::control::{ObserveFlags, Session};
@@ -99,7 +99,6 @@ fn an_encoder_that_never_runs_has_no_working_memory() {
 
 #[test]
 fn predictions_allocate_nothing() {
-    let helper = Helper::new();
     for level in Level::available() {
         for storage in Storage::ALL {
             let net = PredNet::with(&network(), level, storage).expect("a network");
@@ -111,7 +110,6 @@ fn predictions_allocate_nothing() {
                 let mut sum = 0.0;
                 for row in inputs.chunks_exact(16) {
                     sum += net.predict(row, &mut scratch);
-                    sum += net.predict_on(Executor::Helper(&helper), row, &mut scratch);
                 }
                 net.predict_batch(
                     Executor::Serial,
@@ -121,7 +119,7 @@ fn predictions_allocate_nothing() {
                 )
                 .expect("a batch");
                 sum += seconds[99];
-                net.predict_batch(Executor::Helper(&helper), &inputs, &mut seconds, &mut scratches)
+                net.predict_batch(Executor::Serial, &inputs, &mut seconds, &mut scratches)
                     .expect("a batch in two parts");
                 assert!((sum + seconds[0]).is_finite());
             });

@@ -2,7 +2,7 @@
 
 use super::picture::{Picture, Region};
 use super::recording::{IMAGE_BYTES, Output, Tile, record_tile, tiles};
-use super::{Cast, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_counts, brick_order};
+use super::{Brick, Cast, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_counts, brick_order};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
 use crate::renderer::{FrameTime, Image, Rendered, WorkCounts};
@@ -92,12 +92,9 @@ impl VulkanRaycaster {
                     let mut setup = plan.setup;
                     setup.resume = u32::from(begin > 0.0 || visit > 0);
                     setup.window_end = if last { FAR } else { begin + plan.window };
-                    setup.set_brick(
-                        bricks[brick].low,
-                        bricks[brick].high,
-                        bricks[brick].origin,
-                        bricks[brick].dims,
-                    );
+                    let Brick { low, high, origin, dims } = bricks[brick];
+                    [setup.brick_low, setup.brick_high, setup.brick_origin, setup.brick_dims] =
+                        [low, high, origin, dims].map(|corner| corner.map(|n| n as f32));
                     let done = last && visit + 1 == order.len();
                     let table = plan.table.take();
                     let counting = self.options.count_work;

@@ -69,6 +69,22 @@ pub(crate) struct CastTile<'a> {
     pub(crate) work: &'a [u8],
 }
 
+/// Makes a device object that is destroyed when its [`Owned`] drops.
+macro_rules! owned {
+    ($gpu:expr, $create:ident($info:expr), $destroy:ident, $call:literal) => {{
+        let gpu: &Arc<Gpu> = $gpu;
+        // SAFETY: the device is alive, pointers in the create info live until the call returns, and an
+        // `Owned` destroys the handle once.
+        let made = unsafe { gpu.device.$create($info, None) }.on(gpu, $call);
+        made.map(|handle| {
+            Owned::new(gpu, handle, |d, h| {
+                // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
+                unsafe { d.$destroy(h, None) }
+            })
+        })
+    }};
+}
+
 /// Resources of one submission. Each slot has its own, so that several submissions can run at the same time.
 struct Slot {
     descriptors: Owned<vk::DescriptorPool>,
@@ -144,47 +160,24 @@ impl Slot {
             size(vk::DescriptorType::STORAGE_IMAGE, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
-        // destroys the handle once.
-        let handle =
-            unsafe { gpu.device.create_descriptor_pool(&info, None) }.on(gpu, "vkCreateDescriptorPool")?;
-        let descriptors = Owned::new(gpu, handle, |d, h| {
-            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-            unsafe { d.destroy_descriptor_pool(h, None) }
-        });
+        let descriptors =
+            owned!(gpu, create_descriptor_pool(&info), destroy_descriptor_pool, "vkCreateDescriptorPool")?;
         let info = vk::CommandPoolCreateInfo::default()
             .queue_family_index(gpu.family)
             .flags(vk::CommandPoolCreateFlags::TRANSIENT);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
-        // destroys the handle once.
-        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.on(gpu, "vkCreateCommandPool")?;
-        let pool = Owned::new(gpu, handle, |d, h| {
-            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-            unsafe { d.destroy_command_pool(h, None) }
-        });
+        let pool = owned!(gpu, create_command_pool(&info), destroy_command_pool, "vkCreateCommandPool")?;
         let info = vk::CommandBufferAllocateInfo::default()
-            .command_pool(handle)
+            .command_pool(pool.get())
             .level(vk::CommandBufferLevel::PRIMARY)
             .command_buffer_count(1);
         // SAFETY: the command pool was made above and is alive.
         let commands =
             unsafe { gpu.device.allocate_command_buffers(&info) }.on(gpu, "vkAllocateCommandBuffers")?[0];
-        // SAFETY: the device is alive, and an `Owned` destroys the handle once.
-        let handle = unsafe { gpu.device.create_fence(&vk::FenceCreateInfo::default(), None) }
-            .on(gpu, "vkCreateFence")?;
-        let fence = Owned::new(gpu, handle, |d, h| {
-            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-            unsafe { d.destroy_fence(h, None) }
-        });
+        let info = vk::FenceCreateInfo::default();
+        let fence = owned!(gpu, create_fence(&info), destroy_fence, "vkCreateFence")?;
         let queries = if gpu.timestamps.is_some() {
             let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
-            // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
-            // destroys the handle once.
-            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.on(gpu, "vkCreateQueryPool")?;
-            Some(Owned::new(gpu, handle, |d, h| {
-                // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-                unsafe { d.destroy_query_pool(h, None) }
-            }))
+            Some(owned!(gpu, create_query_pool(&info), destroy_query_pool, "vkCreateQueryPool")?)
         } else {
             None
         };
@@ -243,37 +236,23 @@ impl Engine {
             binding(10, vk::DescriptorType::STORAGE_BUFFER),
         ];
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
-        // destroys the handle once.
-        let layout = unsafe { gpu.device.create_descriptor_set_layout(&info, None) }
-            .on(&gpu, "vkCreateDescriptorSetLayout")?;
-        let set_layout = Owned::new(&gpu, layout, |d, h| {
-            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-            unsafe { d.destroy_descriptor_set_layout(h, None) }
-        });
-        let layouts = [layout];
+        let set_layout = owned!(
+            &gpu,
+            create_descriptor_set_layout(&info),
+            destroy_descriptor_set_layout,
+            "vkCreateDescriptorSetLayout"
+        )?;
+        let layouts = [set_layout.get()];
         let info = vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
-        // destroys the handle once.
-        let handle =
-            unsafe { gpu.device.create_pipeline_layout(&info, None) }.on(&gpu, "vkCreatePipelineLayout")?;
-        let pipeline_layout = Owned::new(&gpu, handle, |d, h| {
-            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-            unsafe { d.destroy_pipeline_layout(h, None) }
-        });
+        let pipeline_layout =
+            owned!(&gpu, create_pipeline_layout(&info), destroy_pipeline_layout, "vkCreatePipelineLayout")?;
         let info = vk::SamplerCreateInfo::default()
             .mag_filter(vk::Filter::LINEAR)
             .min_filter(vk::Filter::LINEAR)
             .address_mode_u(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and an `Owned`
-        // destroys the handle once.
-        let handle = unsafe { gpu.device.create_sampler(&info, None) }.on(&gpu, "vkCreateSampler")?;
-        let sampler = Owned::new(&gpu, handle, |d, h| {
-            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-            unsafe { d.destroy_sampler(h, None) }
-        });
+        let sampler = owned!(&gpu, create_sampler(&info), destroy_sampler, "vkCreateSampler")?;
         let slots = (0..=COPIES).map(|_| Slot::new(&gpu)).collect::<Result<_>>()?;
         Ok(Self {
             pipelines: HashMap::new(),
@@ -292,11 +271,7 @@ impl Engine {
         })
     }
 
-    pub(crate) fn shared_gpu(&self) -> Arc<Gpu> {
-        Arc::clone(&self.gpu)
-    }
-
-    pub(crate) fn gpu(&self) -> &Gpu {
+    pub(crate) fn gpu(&self) -> &Arc<Gpu> {
         &self.gpu
     }
 
@@ -462,13 +437,9 @@ impl Engine {
         let words: Vec<u32> =
             bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         let info = vk::ShaderModuleCreateInfo::default().code(&words);
-        // SAFETY: `words` is a whole SPIR-V module, which the build script has compiled.
-        let handle = unsafe { self.gpu.device.create_shader_module(&info, None) }
-            .on(&self.gpu, "vkCreateShaderModule")?;
-        let module = Owned::new(&self.gpu, handle, |d, h| {
-            // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-            unsafe { d.destroy_shader_module(h, None) }
-        });
+        // `words` is a whole SPIR-V module, which the build script has compiled.
+        let module =
+            owned!(&self.gpu, create_shader_module(&info), destroy_shader_module, "vkCreateShaderModule")?;
         let stage = vk::PipelineShaderStageCreateInfo::default()
             .stage(vk::ShaderStageFlags::COMPUTE)
             .module(module.get())

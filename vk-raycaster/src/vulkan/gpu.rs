@@ -5,6 +5,7 @@ use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::mem::ManuallyDrop;
+use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -60,27 +61,14 @@ struct Messages(Mutex<Vec<String>>);
 /// An open device. Everything made from it holds an `Arc` of it, so it is freed last.
 pub(crate) struct Gpu {
     pub(crate) instance: ash::Instance,
-    pub(crate) physical: vk::PhysicalDevice,
     pub(crate) device: ash::Device,
+    properties: Properties,
     /// Locked while something is submitted to it or presented by it.
     queue: Mutex<vk::Queue>,
-    pub(crate) family: u32,
-    pub(crate) timestamps: Option<TimestampClock>,
-    pub(crate) limits: vk::PhysicalDeviceLimits,
-    /// Largest single allocation, bytes.
-    pub(crate) max_allocation: u64,
     pub(crate) is_cpu: bool,
     /// Number of threads among which the device splits a dispatch into runs of successive workgroups; 1 if it is no
     /// software device.
     pub(crate) threads: u32,
-    /// True if compute shaders may compute minima and maxima over a subgroup.
-    pub(crate) subgroup_arithmetic: bool,
-    pub(crate) subgroup_size: u32,
-    pub(crate) api_version: u32,
-    /// Bytes of the largest device-local heap.
-    pub(crate) memory: u64,
-    pub(crate) name: String,
-    pub(crate) driver: String,
     /// Time limit of a submission.
     pub(crate) longest_wait: Duration,
     /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device, and nothing can be
@@ -89,7 +77,7 @@ pub(crate) struct Gpu {
     /// True if a submission never ended: resources that the device may still use are never freed.
     abandoned: AtomicBool,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
-    debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    debug: Option<Messenger>,
     messages: Arc<Messages>,
     /// Keeps the loader's library open.
     entry: ManuallyDrop<ash::Entry>,
@@ -163,64 +151,44 @@ impl Gpu {
             ))
         })?;
         let messages = Arc::<Messages>::default();
-        let mut instance = InstanceGuard(Some(create_instance(&entry, options, &messages)?));
-        let raw = instance.get();
+        let mut unfinished =
+            Unfinished { instance: Some(create_instance(&entry, options, &messages)?), debug: None };
+        let instance = unfinished.instance.clone().expect("made above");
 
-        let debug = if options.validation {
-            let loader = ash::ext::debug_utils::Instance::new(&entry, raw);
+        if options.validation {
+            let loader = ash::ext::debug_utils::Instance::new(&entry, &instance);
             let info = messenger_info(&messages);
             // SAFETY: the instance was made with VK_EXT_debug_utils, and `messages`, to which `info` points,
             // outlives the messenger.
             let messenger = unsafe { loader.create_debug_utils_messenger(&info, None) }
                 .named("vkCreateDebugUtilsMessengerEXT")?;
-            Some((loader, messenger))
-        } else {
-            None
-        };
+            unfinished.debug = Some((loader, messenger));
+        }
 
-        let chosen = match choose_device(raw, options) {
-            Ok(chosen) => chosen,
-            Err(e) => {
-                destroy_messenger(debug.as_ref());
-                return Err(e);
-            }
-        };
-        let device = match create_device(raw, &chosen, !options.surface_extensions.is_empty()) {
-            Ok(device) => wrap(device),
-            Err(e) => {
-                destroy_messenger(debug.as_ref());
-                return Err(e);
-            }
-        };
+        let properties = choose_device(&instance, options)?;
+        let device = wrap(create_device(&instance, &properties, !options.surface_extensions.is_empty())?);
         let allocator = Allocator::new(&AllocatorCreateDesc {
-            instance: raw.clone(),
+            instance: instance.clone(),
             device: device.clone(),
-            physical_device: chosen.physical,
+            physical_device: properties.physical,
             debug_settings: Default::default(),
             buffer_device_address: false,
             allocation_sizes: Default::default(),
         });
-        let allocator = match allocator {
-            Ok(allocator) => allocator,
-            Err(e) => {
-                // SAFETY: the device was made above, nothing was made from it, and it is not used afterwards.
-                unsafe { device.destroy_device(None) };
-                destroy_messenger(debug.as_ref());
-                return Err(Error::new(format!("the device's memory allocator could not start: {e}")));
-            }
-        };
+        let allocator = allocator.map_err(|e| {
+            // SAFETY: the device was made above, nothing was made from it, and it is not used afterwards.
+            unsafe { device.destroy_device(None) };
+            Error::new(format!("the device's memory allocator could not start: {e}"))
+        })?;
         // SAFETY: the device was made with one queue of this family.
-        let queue = unsafe { device.get_device_queue(chosen.family, 0) };
-        let is_cpu = chosen.kind == vk::PhysicalDeviceType::CPU;
+        let queue = unsafe { device.get_device_queue(properties.family, 0) };
+        let is_cpu = properties.kind == vk::PhysicalDeviceType::CPU;
+        unfinished.instance = None;
         Ok(Self {
-            instance: instance.take(),
-            physical: chosen.physical,
+            instance,
             device,
+            properties,
             queue: Mutex::new(queue),
-            family: chosen.family,
-            timestamps: chosen.timestamps,
-            limits: chosen.limits,
-            max_allocation: chosen.max_allocation,
             is_cpu,
             threads: if is_cpu { software_threads() } else { 1 },
             longest_wait: options.longest_wait.unwrap_or(if is_cpu {
@@ -230,14 +198,8 @@ impl Gpu {
             }),
             lost: AtomicBool::new(false),
             abandoned: AtomicBool::new(false),
-            subgroup_arithmetic: chosen.subgroup_arithmetic,
-            subgroup_size: chosen.subgroup_size,
-            api_version: chosen.api_version,
-            memory: chosen.memory,
-            name: chosen.name,
-            driver: chosen.driver,
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
-            debug,
+            debug: unfinished.debug.take(),
             messages,
             entry: ManuallyDrop::new(entry),
         })
@@ -332,30 +294,27 @@ impl Drop for Gpu {
     }
 }
 
-/// Destroys the instance when opening fails half-way.
-struct InstanceGuard(Option<ash::Instance>);
+/// Loader and handle of the messenger of the validation layer.
+type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);
 
-impl InstanceGuard {
-    fn get(&self) -> &ash::Instance {
-        self.0.as_ref().expect("only `take` empties it")
-    }
-
-    fn take(&mut self) -> ash::Instance {
-        self.0.take().expect("taken once")
-    }
+/// Destroys messenger and instance when opening fails half-way.
+struct Unfinished {
+    /// `None` once the device is open.
+    instance: Option<ash::Instance>,
+    debug: Option<Messenger>,
 }
 
-impl Drop for InstanceGuard {
+impl Drop for Unfinished {
     fn drop(&mut self) {
-        if let Some(instance) = &self.0 {
-            // SAFETY: every function that returned early has destroyed the devices and messengers of this
-            // instance.
+        if let Some(instance) = &self.instance {
+            destroy_messenger(self.debug.as_ref());
+            // SAFETY: `Gpu::open` has destroyed the device of this instance, if it was made.
             unsafe { instance.destroy_instance(None) };
         }
     }
 }
 
-fn destroy_messenger(debug: Option<&(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>) {
+fn destroy_messenger(debug: Option<&Messenger>) {
     if let Some((loader, messenger)) = debug {
         // SAFETY: the messenger was made by this loader and is destroyed once, while its instance still
         // exists.
@@ -436,28 +395,40 @@ fn create_instance(
     unsafe { entry.create_instance(&info, None) }.named("vkCreateInstance")
 }
 
-struct ChosenDevice {
-    physical: vk::PhysicalDevice,
+/// Properties of a device.
+pub(crate) struct Properties {
+    pub(crate) physical: vk::PhysicalDevice,
     kind: vk::PhysicalDeviceType,
-    family: u32,
-    timestamps: Option<TimestampClock>,
-    limits: vk::PhysicalDeviceLimits,
-    max_allocation: u64,
-    subgroup_arithmetic: bool,
-    subgroup_size: u32,
-    api_version: u32,
-    memory: u64,
-    name: String,
-    driver: String,
+    pub(crate) family: u32,
+    pub(crate) timestamps: Option<TimestampClock>,
+    pub(crate) limits: vk::PhysicalDeviceLimits,
+    /// Largest single allocation, bytes.
+    pub(crate) max_allocation: u64,
+    /// True if compute shaders may compute minima and maxima over a subgroup.
+    pub(crate) subgroup_arithmetic: bool,
+    pub(crate) subgroup_size: u32,
+    pub(crate) api_version: u32,
+    /// Bytes of the largest device-local heap.
+    pub(crate) memory: u64,
+    pub(crate) name: String,
+    pub(crate) driver: String,
+}
+
+impl Deref for Gpu {
+    type Target = Properties;
+
+    fn deref(&self) -> &Properties {
+        &self.properties
+    }
 }
 
 /// Returns the device that the options name, otherwise the first device of the best kind.
-fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<ChosenDevice> {
+fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<Properties> {
     let wanted = options.device;
     let presents = !options.surface_extensions.is_empty();
     // SAFETY: the instance is alive.
     let all = unsafe { instance.enumerate_physical_devices() }.named("vkEnumeratePhysicalDevices")?;
-    let mut usable: Vec<(usize, ChosenDevice)> = all
+    let mut usable: Vec<(usize, Properties)> = all
         .iter()
         .enumerate()
         .filter_map(|(i, &physical)| Some((i, describe_device(instance, physical, presents)?)))
@@ -513,7 +484,7 @@ fn describe_device(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,
     presents: bool,
-) -> Option<ChosenDevice> {
+) -> Option<Properties> {
     // SAFETY: `physical` was enumerated from `instance`.
     let (core, families) = unsafe {
         (
@@ -556,7 +527,7 @@ fn describe_device(
     } else {
         format!("driver version {:#x}", core.driver_version)
     };
-    Some(ChosenDevice {
+    Some(Properties {
         physical,
         kind: core.device_type,
         family: u32::try_from(family).ok()?,
@@ -573,7 +544,7 @@ fn describe_device(
     })
 }
 
-fn create_device(instance: &ash::Instance, chosen: &ChosenDevice, presents: bool) -> Result<ash::Device> {
+fn create_device(instance: &ash::Instance, chosen: &Properties, presents: bool) -> Result<ash::Device> {
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default()
         .queue_family_index(chosen.family)

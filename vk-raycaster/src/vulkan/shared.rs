@@ -17,10 +17,6 @@ pub struct SharedDevice {
 }
 
 impl SharedDevice {
-    pub(crate) fn new(gpu: Arc<Gpu>) -> Self {
-        Self { gpu }
-    }
-
     pub(crate) fn gpu(&self) -> &Arc<Gpu> {
         &self.gpu
     }
@@ -105,6 +101,6 @@ impl VulkanRaycaster {
 
     /// The device, for code that shows pictures and for further raycasters.
     pub fn shared_device(&self) -> SharedDevice {
-        SharedDevice::new(self.engine.shared_gpu())
+        SharedDevice { gpu: Arc::clone(self.engine.gpu()) }
     }
 }

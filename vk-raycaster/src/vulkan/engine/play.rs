@@ -55,9 +55,9 @@ impl Engine {
                 Command::WriteTable(table) => {
                     device.cmd_update_buffer(commands, slot.table_staging.get(), 0, table);
                 }
-                Command::PrepareCopy { target, keep } => self.image_barrier(
+                Command::PrepareCopy { target, keep } => self.layout_barrier(
                     commands,
-                    self.image(*target)?,
+                    self.image(*target)?.get(),
                     if *keep { vk::ImageLayout::TRANSFER_DST_OPTIMAL } else { vk::ImageLayout::UNDEFINED },
                     vk::ImageLayout::TRANSFER_DST_OPTIMAL,
                     (
@@ -66,9 +66,9 @@ impl Engine {
                     ),
                     (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
                 ),
-                Command::FinishCopy { target } => self.image_barrier(
+                Command::FinishCopy { target } => self.layout_barrier(
                     commands,
-                    self.image(*target)?,
+                    self.image(*target)?.get(),
                     vk::ImageLayout::TRANSFER_DST_OPTIMAL,
                     self.image(*target)?.layout(),
                     (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
@@ -199,28 +199,10 @@ impl Engine {
         Ok(())
     }
 
-    /// Records a layout change of a whole image.
+    /// Records a layout change of an image of one level and layer.
     ///
     /// # Safety
     /// The command buffer is being recorded, and `old` is the image's layout at that point (or undefined).
-    unsafe fn image_barrier(
-        &self,
-        commands: vk::CommandBuffer,
-        image: &Image,
-        old: vk::ImageLayout,
-        new: vk::ImageLayout,
-        source: Access,
-        target: Access,
-    ) {
-        // SAFETY: the caller guarantees that the command buffer is being recorded, and that `old` is the
-        // image's layout or undefined.
-        unsafe { self.layout_barrier(commands, image.get(), old, new, source, target) };
-    }
-
-    /// As [`Engine::image_barrier`], for any image of one level and layer.
-    ///
-    /// # Safety
-    /// As [`Engine::image_barrier`].
     unsafe fn layout_barrier(
         &self,
         commands: vk::CommandBuffer,
