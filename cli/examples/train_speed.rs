@@ -19,9 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("FOLDER PRESET FRAMES BATCH EPOCHS THREADS are expected".into());
     };
     let frames: usize = frames.parse()?;
-    let mut settings = Settings::default();
-    settings.batch = batch.parse()?;
-    settings.epochs = epochs.parse()?;
+    let settings = Settings { batch: batch.parse()?, epochs: epochs.parse()?, ..Settings::default() };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.parse()?).build()?;
 
     let mut state = 1u64;

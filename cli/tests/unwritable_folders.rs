@@ -7,7 +7,7 @@ mod support;
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::path::Path;
 use std::process::{Command, Output};
-use support::{render, stderr};
+use support::{render, stderr, words};
 
 /// Shell command that mounts the folder `$1` read-only and runs the other arguments as a command. A read-only
 /// mount also restricts root; permissions do not.
@@ -53,52 +53,23 @@ fn how() -> Option<How> {
 fn workshop() -> tempfile::TempDir {
     let folder = support::workshop();
     let collect =
-        ["collect", "ball.nrrd", "--out", "t.csv", "--frames", "12", "--device", "cpu", "--repeats", "1"];
-    support::succeeds(folder.path(), &[&collect[..], &["--min-size", "16", "--max-size", "24"]].concat());
+        "collect ball.nrrd --out t.csv --frames 12 --device cpu --repeats 1 --min-size 16 --max-size 24";
+    support::succeeds(folder.path(), &words(collect));
     folder
 }
 
 /// Returns commands that write a file into the folder `into`, each with the path of that file.
 fn commands(into: &str) -> Vec<(String, Vec<String>)> {
-    let owned = |words: &[&str]| words.iter().map(|w| (*w).to_owned()).collect::<Vec<_>>();
+    let owned = |words: Vec<&str>| words.into_iter().map(str::to_owned).collect::<Vec<_>>();
     let out = |name: &str| format!("{into}/{name}");
     let (table, picture, model) = (out("u.csv"), out("o.png"), out("m.safetensors"));
     let drawn = render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8x8", &[]);
     let drawn: Vec<&str> =
         drawn.into_iter().map(|w| if w == "out.png" { picture.as_str() } else { w }).collect();
-    vec![
-        (
-            table.clone(),
-            owned(&[
-                "collect",
-                "ball.nrrd",
-                "--out",
-                &table,
-                "--frames",
-                "4",
-                "--device",
-                "cpu",
-                "--repeats",
-                "1",
-            ]),
-        ),
-        (picture.clone(), owned(&drawn)),
-        (
-            model.clone(),
-            owned(&[
-                "train",
-                "--quiet",
-                "--data",
-                "t.csv",
-                "--out",
-                &model,
-                "--inputs",
-                "camera,resolution",
-                "--clock",
-                "wall",
-            ]),
-        ),
-    ]
+    let collect = format!("collect ball.nrrd --out {table} --frames 4 --device cpu --repeats 1");
+    let train = format!("train --quiet --data t.csv --out {model} --inputs camera,resolution --clock wall");
+    let (collect, drawn, train) = (owned(words(&collect)), owned(drawn), owned(words(&train)));
+    vec![(table, collect), (picture, drawn), (model, train)]
 }
 
 /// Checks that the command ended with status 1 and one line that names the file.

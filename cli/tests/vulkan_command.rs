@@ -6,32 +6,16 @@ use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
 use support::*;
 
+const RENDER: &str = "render ball.nrrd --camera 20,35,2.5 --tf 0.3,0.02,0.4,0.9,0.01,0.8 --out out.png";
+
 /// Checks the same frame on Vulkan and on the CPU version: pictures and numbers of samples agree.
 fn agrees_with_the_twin() -> Result<(), Failed> {
     let folder = workshop();
     let at = folder.path();
     let mut seen = Vec::new();
     for device in ["vulkan", "cpu"] {
-        let arguments = [
-            "render",
-            "ball.nrrd",
-            "--camera",
-            "20,35,2.5",
-            "--tf",
-            "0.3,0.02,0.4,0.9,0.01,0.8",
-            "--size",
-            "40x30",
-            "--shade",
-            "local",
-            "--repeats",
-            "2",
-            "--json",
-            "--device",
-            device,
-            "--out",
-            "out.png",
-        ];
-        let json: serde_json::Value = serde_json::from_str(&succeeds(at, &arguments))?;
+        let line = format!("{RENDER} --size 40x30 --shade local --repeats 2 --json --device {device}");
+        let json: serde_json::Value = serde_json::from_str(&succeeds(at, &words(&line)))?;
         assert_eq!(json["backend"], device);
         assert_eq!(json["seconds"].as_array().map(Vec::len), Some(2));
         seen.push((json["samples"].as_u64().ok_or("samples are not counted")?, picture(&at.join("out.png"))));
@@ -73,28 +57,11 @@ fn probe_describes_the_device() -> Result<(), Failed> {
 /// works.
 fn a_hanging_device_ends_in_one_line() -> Result<(), Failed> {
     let folder = workshop();
-    let arguments = [
-        "render",
-        "ball.nrrd",
-        "--camera",
-        "20,35,2.5",
-        "--tf",
-        "0.3,0.02,0.4,0.9,0.01,0.8",
-        "--size",
-        "1024x1024",
-        "--shade",
-        "scatter",
-        "--step",
-        "0.05",
-        "--device",
-        "vulkan",
-        "--out",
-        "out.png",
-    ];
+    let line = format!("{RENDER} --size 1024x1024 --shade scatter --step 0.05 --device vulkan");
     let device = VulkanRaycaster::new(VulkanOptions::from_env()?)?;
     let name = device.limits().ok_or("a device has limits")?.name;
     let parts = ["counts as hanging", "ENTIRE_DEVICE_WAIT", "ENTIRE_TILE", &name];
-    refuses_in(folder.path(), &[("ENTIRE_DEVICE_WAIT", "0.001")], &arguments, &parts);
+    refuses_in(folder.path(), &[("ENTIRE_DEVICE_WAIT", "0.001")], &words(&line), &parts);
     assert!(!folder.path().join("out.png").exists());
     Ok(())
 }

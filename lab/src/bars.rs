@@ -1,7 +1,7 @@
 //! Bars: goals, each with a measured value and its limit, printed one to a line.
 
 use anyhow::{Result, ensure};
-use entire_report::{Column, Table};
+use entire_report::Table;
 
 /// A goal with its measured value.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,12 +51,7 @@ impl std::fmt::Display for Bar {
 
 /// Returns bars as a table, one row each.
 pub(crate) fn table(bars: &[Bar]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("bar"),
-        Column::number("value"),
-        Column::number("limit"),
-        Column::text("met"),
-    ]);
+    let mut table = Table::headed("bar | #value | #limit | met");
     for b in bars {
         table.row(vec![
             b.name.as_str().into(),

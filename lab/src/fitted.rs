@@ -9,7 +9,7 @@ use entire_core::scene::{Scalars, VolumeView};
 use entire_io::files::open_volume;
 use entire_io::options::thread_pool;
 use entire_io::volume::Reading;
-use entire_report::{Column, Table};
+use entire_report::Table;
 use entire_steer::control::Prior;
 use entire_steer::predict::{AnalyticModel, GroupKind, InputLayout, Measurement, UnitCosts};
 use entire_train::fit::standard_features;
@@ -65,10 +65,10 @@ pub fn fit_network(samples: &[Sample]) -> Result<ModelFile> {
         Ok((inputs, seconds))
     };
     let ((inputs, seconds), (judge_inputs, judge_seconds)) = (collect(false)?, collect(true)?);
-    let mut settings = Settings::default();
-    (settings.epochs, settings.batch, settings.patience) = (600, 32, 120);
-    (settings.learning_rate, settings.final_learning_rate) = (3e-3, 3e-5);
-    (settings.target, settings.seed) = (Target::LogSeconds, SEED);
+    let (target, seed) = (Target::LogSeconds, SEED);
+    let (learning_rate, final_learning_rate) = (3e-3, 3e-5);
+    let rest = Settings { learning_rate, final_learning_rate, target, seed, ..Settings::default() };
+    let settings = Settings { epochs: 600, batch: 32, patience: 120, ..rest };
     let pool = thread_pool(Some(1))?;
     let widths = [layout.width(), HIDDEN[0], HIDDEN[1], 1];
     let trained = train(
@@ -197,14 +197,9 @@ impl Calibrated {
 
 /// Returns a table of predictors and their errors on held-out frames.
 pub(crate) fn candidates_table(candidates: &[Candidate]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("predictor"),
-        Column::number("held-out frames"),
-        Column::number("median error / %"),
-        Column::number("p95 error / %"),
-        Column::number("scatter of ln t"),
-        Column::text("steers"),
-    ]);
+    let mut table = Table::headed(
+        "predictor | #held-out frames | #median error / % | #p95 error / % | #scatter of ln t | steers",
+    );
     for c in candidates {
         table.row(vec![
             c.title.clone().into(),

@@ -104,19 +104,11 @@ impl Bench {
     /// # Errors
     /// When the model cannot be loaded or lacks an input.
     pub(crate) fn latency(&mut self, model: &Model) -> Result<Latency> {
-        let mut best = self.round(model)?;
-        for _ in 1..ROUNDS {
-            best = best.min(self.round(model)?);
-        }
-        Ok(best)
-    }
-
-    fn round(&mut self, model: &Model) -> Result<Latency> {
         let mut predictor = load(model)?;
         let looks = model.input_size(GroupKind::SceneFeatures).is_some();
-        let codes = model.volumenet().map_or(0, |v| v.fc.outputs);
+        let codes = model.volumenet.as_ref().map_or(0, |v| v.fc.outputs);
         let side = predictor.probe_side();
-        self.round_of(looks.then_some(side), codes, |inputs| {
+        self.latency_of(looks.then_some(side), codes, |inputs| {
             Ok(f64::from(predictor.predict(inputs)?.seconds))
         })
     }
@@ -132,14 +124,14 @@ impl Bench {
         codes: usize,
         mut predict: impl FnMut(&Inputs<'_>) -> Result<f64>,
     ) -> Result<Latency> {
-        let mut best = self.round_of(probe_side, codes, &mut predict)?;
+        let mut best = self.round(probe_side, codes, &mut predict)?;
         for _ in 1..ROUNDS {
-            best = best.min(self.round_of(probe_side, codes, &mut predict)?);
+            best = best.min(self.round(probe_side, codes, &mut predict)?);
         }
         Ok(best)
     }
 
-    fn round_of(
+    fn round(
         &mut self,
         probe_side: Option<usize>,
         codes: usize,

@@ -54,7 +54,8 @@ pub(crate) fn ship(
                 continue;
             };
             let (mut file, model) = read_model_file(&made.2)?;
-            let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
+            let judged_as =
+                model.prednet.as_ref().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;
             let paths: Vec<PathBuf> =
                 set.training.iter().chain(set.splits.iter().flat_map(|s| &s.tables)).cloned().collect();
@@ -92,11 +93,11 @@ pub(crate) fn ship(
 /// Changes the storage format of the network's weights.
 fn store_as(file: &mut ModelFile, dtype: DtypeChoice) -> Result<()> {
     let model = file.to_model()?;
-    let mut parts = model.prednet().context("the model file holds no PredNet")?.clone();
+    let mut parts = model.prednet.as_ref().context("the model file holds no PredNet")?.clone();
     for layer in &mut parts.layers {
         layer.dtype = dtype.storage();
     }
-    let inputs = model.inputs().to_vec();
+    let inputs = model.inputs.to_vec();
     file.set_prednet(&parts, &inputs)?;
     Ok(())
 }
@@ -200,7 +201,7 @@ fn card(
 ) -> Result<String> {
     let model = file.to_model()?;
     let stored: serde_json::Value =
-        serde_json::from_str(model.metadata().get(Key::Provenance.name()).map_or("{}", String::as_str))
+        serde_json::from_str(model.metadata.get(Key::Provenance.name()).map_or("{}", String::as_str))
             .unwrap_or_default();
     let text = |key: &str| stored.get(key).and_then(|v| v.as_str()).unwrap_or("not known").to_owned();
     let shading = text("shading");
@@ -231,14 +232,14 @@ fn card(
         }
     );
     let _ = writeln!(md, "## Inputs\n");
-    for group in model.inputs() {
+    for group in &model.inputs {
         let _ = writeln!(md, "- `{}`, {}", group.name, group.size);
     }
-    if !model.scene_features().is_empty() {
+    if !model.scene_features.is_empty() {
         let _ = writeln!(
             md,
             "\nScene features, in order: {}. Rays along each side of the probe: {}.",
-            model.scene_features().join(", "),
+            model.scene_features.join(", "),
             entire_steer::predict::InputLayout::of_model(&model)?.probe_side
         );
     }
@@ -405,7 +406,7 @@ fn card(
         md,
         "\n## Limits\n\nThe times are those of one renderer on one machine with a software Vulkan driver; on \
          another machine, calibrate first. {}",
-        if model.scene_features().is_empty() {
+        if model.scene_features.is_empty() {
             "The network describes a volume by the two features of its VolumeNet. Predictions for volumes unlike \
              the training volumes may have large errors."
         } else {

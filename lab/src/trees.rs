@@ -28,15 +28,6 @@ pub(crate) struct Trees {
     booster: GradientBooster,
 }
 
-impl std::fmt::Debug for Trees {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Trees")
-            .field("layout", &self.layout)
-            .field("count", &self.count())
-            .finish_non_exhaustive()
-    }
-}
-
 impl Trees {
     /// Grows trees on a recipe's inputs; validation frames, if there are any, determine the number of trees.
     ///
@@ -122,11 +113,6 @@ impl Trees {
     /// Number of rays along each side of the probe.
     pub(crate) fn probe_side(&self) -> usize {
         self.layout.probe_side()
-    }
-
-    /// Number of trees.
-    pub(crate) fn count(&self) -> usize {
-        self.booster.prediction_iteration.unwrap_or(self.booster.trees.len())
     }
 }
 

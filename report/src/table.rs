@@ -4,35 +4,22 @@ use askama::Template;
 use entire_io::metrics::Metrics;
 use std::fmt::Write as _;
 
-/// Alignment of a column's texts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Align {
-    /// Aligned at the left: texts.
-    Left,
-    /// Aligned at the right: numbers.
-    Right,
-}
-
-/// A column: its heading, with unit, and alignment.
+/// A column: its heading, with unit, and true if it holds numbers, which are aligned at the right.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
     name: String,
-    align: Align,
+    number: bool,
 }
 
 impl Column {
     /// A column of texts.
     pub fn text(name: impl Into<String>) -> Self {
-        Self { name: name.into(), align: Align::Left }
+        Self { name: name.into(), number: false }
     }
 
     /// A column of numbers.
     pub fn number(name: impl Into<String>) -> Self {
-        Self { name: name.into(), align: Align::Right }
-    }
-
-    fn is_number(&self) -> bool {
-        self.align == Align::Right
+        Self { name: name.into(), number: true }
     }
 }
 
@@ -86,6 +73,13 @@ impl Table {
         Self { columns, rows: Vec::new() }
     }
 
+    /// An empty table. `headings` has the headings of the columns, separated by ` | `; a `#` before a heading marks a
+    /// column of numbers.
+    pub fn headed(headings: &str) -> Self {
+        let column = |h: &str| h.strip_prefix('#').map_or_else(|| Column::text(h), Column::number);
+        Self::new(headings.split(" | ").map(column).collect())
+    }
+
     /// Adds a row.
     pub fn row(&mut self, cells: Vec<Cell>) {
         self.rows.push(cells);
@@ -129,10 +123,8 @@ impl Table {
             let mut out = String::new();
             for (c, text) in texts.iter().enumerate() {
                 let pad = " ".repeat(widths[c].saturating_sub(text.chars().count()));
-                let _ = match self.columns[c].align {
-                    Align::Left => write!(out, "{text}{pad}  "),
-                    Align::Right => write!(out, "{pad}{text}  "),
-                };
+                out +=
+                    &if self.columns[c].number { format!("{pad}{text}  ") } else { format!("{text}{pad}  ") };
             }
             out.trim_end().to_owned() + "\n"
         };
@@ -164,7 +156,7 @@ impl Table {
         }
         out += "|\n";
         for column in &self.columns {
-            out += if column.align == Align::Right { "|---:" } else { "|---" };
+            out += if column.number { "|---:" } else { "|---" };
         }
         out += "|\n";
         for row in &self.rows {

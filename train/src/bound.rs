@@ -22,18 +22,14 @@ pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Up
 
 /// Coverage and quantile loss of an upper bound; `None` without frames.
 pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
-    BoundMetrics::new(&of_predictions(upper, predicted), measured, UPPER_LEVEL)
-}
-
-/// Returns the upper bound of each prediction, seconds.
-fn of_predictions(upper: &UpperBound, predicted: &[f64]) -> Vec<f64> {
-    predicted.iter().map(|p| f64::from(upper.upper(usable(*p) as f32))).collect()
+    let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(upper.upper(usable(*p) as f32))).collect();
+    BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
 }
 
 /// The upper bound that a model file contains; `None` if it contains none.
 pub fn of(model: &Model) -> Option<UpperBound> {
     let stored: serde_json::Value =
-        serde_json::from_str(model.metadata().get(Key::Calibration.name())?).ok()?;
+        serde_json::from_str(model.metadata.get(Key::Calibration.name())?).ok()?;
     Some(UpperBound { log_factor: stored.get("log_factor")?.as_f64()? as f32 })
 }
 

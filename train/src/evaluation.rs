@@ -11,7 +11,7 @@ use entire_io::options::thread_pool;
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::{HybridOptions, Session};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_steer::predict::{GroupKind, InputRange, Inputs, check_predictions, load};
+use entire_steer::predict::{InputRange, Inputs, check_predictions, load};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -117,7 +117,7 @@ pub fn warm_latency(
         .take(FRAMES)
         .copied()
         .collect();
-    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
     let net = PredNet::new(parts)?;
     let mut scratch = net.scratch(1)?;
     let middle = |mut times: Vec<f64>| median(&mut times).unwrap_or(f64::NAN);
@@ -139,12 +139,11 @@ pub fn warm_latency(
         }
     }
     let network_seconds = middle(times);
-    let code = vec![0.0; model.volumenet().map_or(0, |v| v.fc.outputs)];
-    let looks = layout.groups().any(|g| g == GroupKind::SceneFeatures);
+    let code = vec![0.0; model.volumenet.as_ref().map_or(0, |v| v.fc.outputs)];
     let serial = thread_pool(Some(1))?;
     let hidden = indicatif::ProgressBar::hidden();
     let mut row = vec![0.0f32; width];
-    if !looks {
+    if !layout.needs_summary() {
         let times = measure(tables, &of_volume, None, None, &serial, &hidden, |_, inputs| {
             let mut row = vec![0.0f32; width];
             let inputs = Inputs { volume_features: Some(&code), ..*inputs };
@@ -216,7 +215,7 @@ pub fn in_session(
         let key = (f.table, f.scene.volume.as_str(), f.scene.dims);
         if shown != Some(key) {
             let volume = open_volume(&tables[f.table], key.1, key.2)?;
-            if let Some(parts) = model.volumenet() {
+            if let Some(parts) = model.volumenet.as_ref() {
                 let net = VolumeNet::new(parts)?;
                 let mut code = vec![0.0; net.feature_len()];
                 net.encode(&volume.view(), &mut net.scratch(), Executor::Serial, &mut code)?;

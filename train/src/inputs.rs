@@ -65,9 +65,9 @@ impl Layout {
     /// When the file contains no PredNet, an input group is unknown, or volume features are needed and the
     /// file has no VolumeNet.
     pub fn of_model(model: &Model) -> Result<Self> {
-        ensure!(model.prednet().is_some(), "the model file holds no PredNet");
+        ensure!(model.prednet.is_some(), "the model file holds no PredNet");
         let layout = InputLayout::of_model(model)?;
-        let encoder = model.volumenet().map(Encoder::new).transpose()?;
+        let encoder = model.volumenet.as_ref().map(Encoder::new).transpose()?;
         ensure!(
             encoder.is_some() || layout.groups.iter().all(|g| g.0 != GroupKind::VolumeFeatures),
             "the model takes volume_features and its file holds no VolumeNet; put both into one file"
@@ -85,11 +85,6 @@ impl Layout {
     /// Returns the layout with Gaussian lobes sorted by center, or in their given order.
     pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
         Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
-    }
-
-    /// True if Gaussian lobes are inputs in ascending order of their centers.
-    pub fn sorted_lobes(&self) -> bool {
-        self.layout.sorted_lobes
     }
 
     /// Number of rays along each side of the probe; 0 if no input needs a probe.
@@ -141,7 +136,8 @@ impl Layout {
         self.encoder.as_ref().filter(|_| self.groups().any(|g| g == GroupKind::VolumeFeatures))
     }
 
-    fn needs_summary(&self) -> bool {
+    /// True if the model takes scene features.
+    pub(crate) fn needs_summary(&self) -> bool {
         self.groups().any(|g| g == GroupKind::SceneFeatures)
     }
 
@@ -183,9 +179,7 @@ impl Layout {
         )?;
         Ok(rows.concat())
     }
-}
 
-impl Layout {
     /// Returns rows from the feature tables; `None` if any value is missing.
     pub fn rows_beside(&self, tables: &[Table], frames: &[&TimedFrame]) -> Option<Vec<f32>> {
         let mut out = vec![0.0; frames.len() * self.width()];

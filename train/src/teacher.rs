@@ -23,7 +23,7 @@ impl Teacher {
     /// Gaussian lobes).
     pub fn new(name: &str, model: &Model) -> anyhow::Result<Self> {
         let predictor = load(model)?;
-        if let Some(group) = model.inputs().iter().find(|g| g.name != "scene_features") {
+        if let Some(group) = model.inputs.iter().find(|g| g.name != "scene_features") {
             anyhow::bail!(
                 "the model takes {}; a teacher must be a model on scene_features alone, such as \
                  models/unshaded-selected.safetensors",

@@ -24,13 +24,13 @@ use entire_io::volume::Reading;
 use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
 use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::UnitCosts;
-use entire_train::fit::FitContext;
-use entire_train::fit::{counts, expected_costs, typical_costs};
+use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
 use entire_train::inputs::{Layout, work_of};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use measuring::{Measured, Measuring, PictureError};
 use pool::Pool;
+use report::Pictures;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -187,19 +187,15 @@ pub(crate) fn calibrate(
     let judged = |i: usize| !enough || random[i];
     let chosen = pool.prior.choose(&observed, &[typical], Executor::Rayon(threads))?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
-    let report = Report::new(
-        (settings.shading, settings.clock),
-        names,
-        &observed,
-        &chosen,
-        judged,
-        noise,
+    let (kind, seconds) = ((settings.shading, settings.clock), start.elapsed().as_secs_f64());
+    let report = Report {
+        rounds,
+        warm_ups,
         others,
-        (rounds, warm_ups),
-        start.elapsed().as_secs_f64(),
-    )?
-    .with_pictures(settings.picture_error, quality)
-    .with_files(pool.named_files());
+        pictures: quality.map(|fitted| Pictures { error: settings.picture_error, fitted }),
+        files: pool.named_files(),
+        ..Report::new(kind, names, &observed, &chosen, judged, noise, seconds)?
+    };
     let mut file = chosen.file;
     report.write_into(&mut file, (renderer.backend(), &renderer.device()), &observed, &chosen.crossed)?;
     bar.finish_and_clear();
@@ -250,25 +246,13 @@ fn fit_to_frames(
 /// Fits a model to any number of timed frames and returns its file, without provenance.
 ///
 /// # Errors
-/// When there are no frames, inputs cannot be computed, or the model cannot be a prior.
+/// When there are no frames, inputs cannot be computed, or the models cannot be priors.
 pub fn calibrate_to_frames(
-    prior: &ModelFile,
+    priors: &[ModelFile],
     context: &FitContext<'_>,
     frames: Timed<'_>,
 ) -> Result<ModelFile> {
-    Ok(fit_to_frames(context, frames, std::slice::from_ref(prior))?.0.file)
-}
-
-/// Fits a model as [`calibrate_to_frames`] does, with several models as prior.
-///
-/// # Errors
-/// Those of [`calibrate_to_frames`].
-pub fn calibrate_from(
-    priors: &[NamedPrior],
-    context: &FitContext<'_>,
-    frames: Timed<'_>,
-) -> Result<ModelFile> {
-    Ok(fit_to_frames(context, frames, &named(priors).0)?.0.file)
+    Ok(fit_to_frames(context, frames, priors)?.0.file)
 }
 
 /// Fits a model to frames that a renderer logged; nothing is drawn. If a table has no stored scene features,
@@ -301,18 +285,11 @@ pub fn calibrate_to_tables(
     let context = FitContext { tables, pool: threads, bar: &hidden, stop: &|| false };
     let (chosen, observed) = fit_to_frames(&context, Timed { frames: &frames, seconds: &seconds }, &files)?;
     let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
-    let report = Report::new(
-        (shading, clock),
-        names,
-        &observed,
-        &chosen,
-        |_| true,
-        noise,
-        others::BackgroundLoad::default(),
-        (0, 0),
-        start.elapsed().as_secs_f64(),
-    )?
-    .with_files(tables.iter().filter_map(|t| t.manifest.as_ref()).flat_map(|m| m.files.clone()).collect());
+    let seconds = start.elapsed().as_secs_f64();
+    let report = Report {
+        files: tables.iter().filter_map(|t| t.manifest.as_ref()).flat_map(|m| m.files.clone()).collect(),
+        ..Report::new((shading, clock), names, &observed, &chosen, |_| true, noise, seconds)?
+    };
     let manifest = tables.iter().find_map(|t| t.manifest.as_ref());
     let device = manifest.map_or(("not stated", "not stated"), |m| (m.renderer.as_str(), m.device.as_str()));
     let mut file = chosen.file;

@@ -161,14 +161,7 @@ impl Pool {
         };
         let layout = factor.as_ref().map(Layout::of_model).transpose()?;
         let probe_side = layout.as_ref().map_or(PROBE_SIDE, Layout::probe_side);
-        let tables = [Table {
-            path: PathBuf::new(),
-            manifest: None,
-            frames: Vec::new(),
-            hash: 0,
-            features: None,
-            root: None,
-        }];
+        let tables = [Table::default()];
         let refs: Vec<&TimedFrame> = frames.iter().collect();
         let bar = ProgressBar::hidden();
         let known = measure(&tables, &refs, Some(probe_side), None, threads, &bar, |_, inputs| {

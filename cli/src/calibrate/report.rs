@@ -73,25 +73,11 @@ pub struct Pictures {
 }
 
 impl Report {
-    /// Adds the quality law that was fitted to compared pictures.
-    #[must_use]
-    pub(crate) fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
-        let pictures = fitted.map(|fitted| Pictures { error, fitted });
-        Self { pictures, ..self }
-    }
-
-    /// Adds the identities of the volumes' files, by the volumes' names.
-    #[must_use]
-    pub(crate) fn with_files(self, files: BTreeMap<String, Vec<Identity>>) -> Self {
-        Self { files, ..self }
-    }
-
-    /// Returns the report of a calibration. The error is measured on the frames for whose index `judged`
-    /// returns true.
+    /// Returns the report of a calibration in which nothing was rendered. The error is measured on the frames
+    /// for whose index `judged` returns true.
     ///
     /// # Errors
     /// When there are no such frames.
-    #[expect(clippy::too_many_arguments, reason = "each parameter is one part of the report")]
     pub(crate) fn new(
         (shading, clock): (Shading, Clock),
         prior: Option<String>,
@@ -99,8 +85,6 @@ impl Report {
         chosen: &Chosen,
         judged: impl Fn(usize) -> bool,
         noise: Option<NoiseFloor>,
-        others: BackgroundLoad,
-        (rounds, warm_ups): (usize, usize),
         seconds: f64,
     ) -> Result<Self> {
         let (mut predicted, mut measured, mut groups) = (Vec::new(), Vec::new(), Vec::new());
@@ -116,8 +100,8 @@ impl Report {
             clock: clock.name(),
             frames: observed.len(),
             volumes: volumes.len(),
-            rounds,
-            warm_ups,
+            rounds: 0,
+            warm_ups: 0,
             seconds,
             prior,
             folds: chosen.folds,
@@ -126,7 +110,7 @@ impl Report {
             median_error_interval: bootstrap_by_group(&predicted, &measured, &groups, 400, |m| m.mdape),
             rmse_over_sd: metrics.rmse_over_sd,
             noise,
-            others,
+            others: BackgroundLoad::default(),
             pictures: None,
             files: BTreeMap::new(),
         })

@@ -9,7 +9,6 @@ use entire_io::scenes::SceneDistribution;
 use entire_io::volume::{Reading, VolumeData};
 use serde_json::json;
 use std::cell::Cell;
-use std::collections::BTreeMap;
 
 fn protocol() -> Protocol {
     Protocol {
@@ -53,16 +52,20 @@ fn without_times(path: &Path) -> Vec<String> {
         .collect()
 }
 
+/// Returns a function that returns true from the call after `calls` calls on; never for `None`.
+fn stop_after(calls: Option<u32>) -> impl Fn() -> bool {
+    let asked = Cell::new(0);
+    move || {
+        asked.set(asked.get() + 1);
+        calls.is_some_and(|n| asked.get() > n)
+    }
+}
+
 fn run_until(path: &Path, renders: Option<u32>, jobs: &[Job]) -> Outcome {
     let mut table = Writer::resume(path, 3).unwrap();
     let mut renderer = ScriptedRenderer::default();
-    let asked = Cell::new(0);
-    let stop = || {
-        asked.set(asked.get() + 1);
-        renders.is_some_and(|n| asked.get() > n)
-    };
-    let bar = ProgressBar::hidden();
-    collect(jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &bar).unwrap()
+    let stop = stop_after(renders);
+    collect(jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &ProgressBar::hidden()).unwrap()
 }
 
 #[test]
@@ -97,11 +100,7 @@ fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere
     };
     let run = |out: &Path, renders: u32| {
         let mut table = Writer::resume(out, 4).unwrap();
-        let asked = Cell::new(0);
-        let stop = || {
-            asked.set(asked.get() + 1);
-            asked.get() > renders
-        };
+        let stop = stop_after(Some(renders));
         let bar = ProgressBar::hidden();
         let (jobs, mut renderer) = (some_jobs(), noisy());
         collect_passes(&jobs, &protocol, &mut renderer, &mut tiny, &mut table, out, &stop, &bar).unwrap()
@@ -186,18 +185,11 @@ fn members_and_time_steps_come_from_the_path_and_seeds_do_not_depend_on_the_fold
 fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     let manifest = |p: &Protocol, jobs: &[Job], device: &str| Manifest {
         format: MANIFEST_FORMAT.into(),
-        created: "then".into(),
-        machine: "m".into(),
-        renderer: "cpu".into(),
         device: device.into(),
-        driver: String::new(),
-        commit: "1".into(),
         seed: p.seed,
         repeats: p.repeats,
-        step_reference: String::new(),
         settings: p.settings(jobs),
-        files: BTreeMap::new(),
-        other: BTreeMap::new(),
+        ..Manifest::default()
     };
     let base = manifest(&protocol(), &some_jobs(), "d");
     // A manifest that was written to text and read again has equal numbers.

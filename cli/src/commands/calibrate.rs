@@ -233,11 +233,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         if let Some(path) = &options.table {
             manifest_of_table(options, &report, renderer.as_ref()).write(path)?;
         }
-        print!("{}", report.text());
-        for warning in report.warnings() {
-            println!("{:<11}{warning}", "note");
-        }
-        println!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds);
+        say(&report, out);
         if stopped() {
             note("interrupted; the model was fitted to the frames measured until then");
             break;
@@ -300,11 +296,16 @@ fn from_tables(options: &Options) -> Result<()> {
         let priors = priors_of(options, shading, &typical_costs_of(&tables))?;
         let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, &threads)?;
         write_whole(&out, &file.to_bytes()?)?;
-        print!("{}", report.text());
-        for warning in report.warnings() {
-            println!("{:<11}{warning}", "note");
-        }
-        println!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds);
+        say(&report, &out);
     }
     Ok(())
+}
+
+/// Prints the report of a calibration whose model was written to `out`.
+fn say(report: &Report, out: &Path) {
+    print!("{}", report.text());
+    for warning in report.warnings() {
+        println!("{:<11}{warning}", "note");
+    }
+    println!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds);
 }

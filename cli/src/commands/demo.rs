@@ -10,7 +10,7 @@ use crate::shipped::shipped_priors;
 use crate::steering::calibrate::CALIBRATION_STEPS;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
-use crate::steering::play::DrawSettings;
+use crate::steering::play::{Course, DrawSettings};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
 use crate::steering::report::{Story, table, write};
 use anyhow::{Context, Result, ensure};
@@ -26,7 +26,6 @@ use entire_io::options::{RenderArgs, VolumeArgs, parse_distance, parse_size, thr
 use entire_io::path::Generated;
 use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
-use entire_steer::control::StepLimits;
 use entire_train::fit::typical_costs;
 use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
@@ -258,15 +257,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let race = Race {
         volume: &view,
         series: &[],
-        hold: 0,
-        retargets: &[],
-        scales: &[],
-        max_image_sample_distance: options.max_image_sample_distance,
+        course: Course::steady(options.max_image_sample_distance),
         seed_name: &seed_name,
         seed: options.seed,
         draw,
         scenes: (options.scenes, 1),
-        limits: StepLimits::default(),
         controllers: &CONTROLLERS,
         target: None,
         model: &steers,
@@ -357,7 +352,7 @@ mod tests {
             recovery_frames: vec![],
             p95_seconds: 1.0,
             worst_seconds: 1.0,
-            mean_psnr: None,
+            mean_psnr: 0.0,
             mean_step: 1.0,
             step_jumps_in_calm: 0.0,
         }

@@ -2,7 +2,6 @@
 
 use crate::calibrate::place::{DATA_FOLDER, file_of, machine_model, volumes_in};
 use crate::shipped::shipped_models;
-use anyhow::Result;
 use entire_core::kernels::Level;
 use entire_core::scene::Shading;
 use entire_io::child::wait_at_most;
@@ -44,19 +43,15 @@ const PACKAGES: [(&str, &str); 5] = [
     ("entire", "this project's Python package"),
 ];
 
-/// A line of the report.
-enum Finding {
-    /// The part was found: its version or location.
-    There(String),
-    /// The part is missing: its use, and the command that installs it.
-    Missing(&'static str, &'static str),
-}
+/// A line of the report: the version or location of a part, or the use of a missing part and the command that installs
+/// it.
+type Finding = Result<String, (&'static str, &'static str)>;
 
 /// Runs the command.
 ///
 /// # Errors
 /// When a model of this machine cannot be read.
-pub(crate) fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     println!("entire {}", machine::version());
     heading("Machine");
     found("processor", &machine::machine());
@@ -88,25 +83,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for (package, used_for) in PACKAGES {
         print(&format!("{package} (Python)"), &python_package(package, used_for, &asked, &system));
     }
-    print(
-        "ParaView",
-        &version_of(
-            "pvbatch",
-            &["--version"],
-            "the plugin of entire (`make test-paraview`)",
-            "apt-get install paraview",
-        ),
-    );
+    let plugin = "the plugin of entire (`make test-paraview`)";
+    print("ParaView", &version_of("pvbatch", &["--version"], plugin, "apt-get install paraview"));
     print("VTK for C++", &vtk_for_cxx());
-    print(
-        "libentire",
-        &version_of(
-            "pkg-config",
-            &["--modversion", "entire"],
-            "C and C++ renderers",
-            "make install PREFIX=…",
-        ),
-    );
+    let library = ["--modversion", "entire"];
+    print("libentire", &version_of("pkg-config", &library, "C and C++ renderers", "make install PREFIX=…"));
 
     heading("Render farms");
     let engines = "running `entire farm` on several machines";
@@ -128,8 +109,8 @@ fn found(name: &str, text: &str) {
 
 fn print(name: &str, finding: &Finding) {
     match finding {
-        Finding::There(text) => found(name, text),
-        Finding::Missing(used_for, remedy) => {
+        Ok(text) => found(name, text),
+        Err((used_for, remedy)) => {
             found(name, &format!("not found; needed for {used_for}; to install it: {remedy}"));
         }
     }
@@ -170,10 +151,7 @@ fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
 }
 
 fn version_of(program: &str, arguments: &[&str], used_for: &'static str, remedy: &'static str) -> Finding {
-    match first_line(program, arguments) {
-        Some(line) => Finding::There(line),
-        None => Finding::Missing(used_for, remedy),
-    }
+    first_line(program, arguments).ok_or((used_for, remedy))
 }
 
 /// Returns the version of the newest CMake package of VTK in folders that CMake searches by default.
@@ -193,10 +171,8 @@ fn vtk_for_cxx() -> Finding {
         })
         .collect();
     versions.sort();
-    match versions.pop() {
-        Some((_, version)) => Finding::There(version),
-        None => Finding::Missing("the class vtkEntireSteering", "apt-get install libvtk9-dev"),
-    }
+    let newest = versions.pop().map(|(_, version)| version);
+    newest.ok_or(("the class vtkEntireSteering", "apt-get install libvtk9-dev"))
 }
 
 /// Python code that prints the name and the version of each installed package among its arguments. It reads
@@ -229,12 +205,12 @@ fn python_package(
     system: &BTreeMap<String, String>,
 ) -> Finding {
     match (asked.get(package), system.get(package)) {
-        (Some(version), _) => Finding::There(version.clone()),
-        (None, Some(version)) => Finding::There(format!("{version}, only in {SYSTEM_PYTHON}")),
+        (Some(version), _) => Ok(version.clone()),
+        (None, Some(version)) => Ok(format!("{version}, only in {SYSTEM_PYTHON}")),
         (None, None) if package == "entire" => {
-            Finding::Missing(used_for, "make wheel, then pip install out/wheels/entire-*.whl")
+            Err((used_for, "make wheel, then pip install out/wheels/entire-*.whl"))
         }
-        (None, None) => Finding::Missing(used_for, "pip install the package into the Python of --python"),
+        (None, None) => Err((used_for, "pip install the package into the Python of --python")),
     }
 }
 
@@ -254,6 +230,6 @@ mod tests {
     fn a_missing_package_has_a_remedy() {
         let none = packages_of("entire-no-such-python");
         let finding = python_package("entire_no_such_package", "a test", &none, &none);
-        assert!(matches!(finding, Finding::Missing("a test", remedy) if remedy.contains("pip install")));
+        assert!(matches!(finding, Err(("a test", remedy)) if remedy.contains("pip install")));
     }
 }

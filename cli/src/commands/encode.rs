@@ -37,7 +37,7 @@ pub(crate) struct Options {
 /// When the model or the volume cannot be read, the model has no VolumeNet, or a feature is not finite.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let model = open_model(&options.model)?;
-    let Some(parts) = model.volumenet() else {
+    let Some(parts) = model.volumenet.as_ref() else {
         bail!(
             "{}: has no VolumeNet (volumenet.encoder.0.conv.weight); give a model that encodes volumes",
             options.model.display()

@@ -58,7 +58,8 @@ pub fn run(options: &Options) -> Result<()> {
     let mut encoders = Vec::new();
     for path in &options.volumenet {
         let model = open_model(path)?;
-        let parts = model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+        let parts =
+            model.volumenet.as_ref().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
         encoders.push((encoder_id(parts), VolumeNet::new(parts)?));
     }
     for path in &options.data {

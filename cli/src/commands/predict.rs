@@ -48,7 +48,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         None => machine_file(options.shade.into())?,
     };
     let model = open_model(&path)?;
-    let Some(parts) = model.prednet() else {
+    let Some(parts) = model.prednet.as_ref() else {
         bail!("{}: has no PredNet (prednet.0.weight); give a model that predicts", path.display());
     };
     let net = PredNet::new(parts).with_context(|| format!("{}", path.display()))?;
@@ -87,7 +87,7 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
                 record.len(),
                 if record.len() == 1 { "" } else { "s" },
                 net.inputs(),
-                groups(model.inputs())
+                groups(&model.inputs)
             );
         }
         inputs.clear();

@@ -2,7 +2,7 @@
 
 use crate::collection::{Job, manifest_of};
 use crate::steering::contenders::ControllerKind;
-use crate::steering::play::{DrawSettings, Playback};
+use crate::steering::play::{Course, DrawSettings, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
 use crate::steering::report::{Story, table, write};
 use anyhow::{Context, Result, bail, ensure};
@@ -218,37 +218,27 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let race = Race {
         volume: &view,
         series: &series,
-        hold,
-        retargets: &retargets,
-        scales: &options.scales,
-        max_image_sample_distance: options.max_image_sample_distance,
+        course: Course {
+            hold,
+            retargets: &retargets,
+            scales: &options.scales,
+            max_image_sample_distance: options.max_image_sample_distance,
+            limits,
+        },
         seed_name: &seed_name,
         seed: options.seed,
         draw,
         scenes: (options.scenes, options.repeats),
-        limits,
         controllers: &options.controllers,
         target: Some(target),
         model: &steers,
         prior,
     };
     let frames = path.frames.len();
-    for &(frame, _) in &retargets {
-        ensure!(
-            (frame as usize) < frames,
-            "--retarget names frame {frame}; the path has frames 0 to {}",
-            frames - 1
-        );
-    }
-    for &(frame, _) in &options.scales {
-        ensure!(
-            (frame as usize) < frames,
-            "--scales names frame {frame}; the path has frames 0 to {}",
-            frames - 1
-        );
-    }
-    for &frame in &options.pictures {
-        ensure!(frame < frames, "--pictures names frame {frame}; the path has frames 0 to {}", frames - 1);
+    let named = retargets.iter().map(|r| ("--retarget", r.0 as usize));
+    let named = named.chain(options.scales.iter().map(|s| ("--scales", s.0 as usize)));
+    for (option, frame) in named.chain(options.pictures.iter().map(|&frame| ("--pictures", frame))) {
+        ensure!(frame < frames, "{option} names frame {frame}; the path has frames 0 to {}", frames - 1);
     }
     let mut timings = options.table.as_ref().map(|file| begin_table(file, &path)).transpose()?;
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;

@@ -2,22 +2,21 @@
 
 use crate::calibrate::report::law_text;
 use anyhow::{Context, Result, ensure};
-use entire_core::model::Key;
+use entire_core::model::{Key, Model};
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
-use entire_io::device::names_software;
-use entire_io::files::{check_model_out, note, open_model, read_model_file, write_whole};
+use entire_io::files::{check_model_out, note, open_model, write_whole};
 use entire_io::interrupt;
 use entire_io::machine;
 use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::calibrate::{FittedQuality, fit_quality};
-use entire_steer::predict::{UPPER_LEVEL, UpperBound};
+use entire_steer::predict::{UPPER_LEVEL, UnitCosts, UpperBound};
 use entire_train::bound;
 use entire_train::fit::{
-    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows,
+    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows, typical_costs,
 };
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Part, Split};
@@ -27,7 +26,7 @@ use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::{Display, Path, PathBuf};
 use std::time::Instant;
 
 /// Train or fine-tune a predictor on collected frames.
@@ -191,7 +190,9 @@ pub fn run(options: &Options) -> Result<()> {
     let mut tables = read_tables(&options.data)?;
     tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
     let pictures = options.pictures.as_deref().map(fitted_pictures).transpose()?;
-    let clock = learned_clock(options, &tables)?;
+    let base = options.fine_tune.as_deref().map(|path| anyhow::Ok((path.display(), open_model(path)?)));
+    let base = base.transpose()?;
+    let clock = learned_clock(options, &tables, base.as_ref())?;
     let frames = timed(&tables, clock, options.shade)?;
     if let Some(text) = left_out(&tables, clock, options.shade) {
         note(&text);
@@ -237,20 +238,12 @@ pub fn run(options: &Options) -> Result<()> {
             }
         });
     }
-    let earlier = match &options.fine_tune {
-        Some(path) => {
-            let base = open_model(path)?;
-            let splits = Split::all_of(&base);
-            if splits.is_empty() {
-                note(&format!(
-                    "{} does not state its training data, so it may have been trained on the test frames",
-                    path.display()
-                ));
-            }
-            splits
-        }
-        None => Vec::new(),
-    };
+    let earlier = base.as_ref().map_or(Vec::new(), |(_, model)| Split::all_of(model));
+    if let (Some((name, _)), true) = (&base, earlier.is_empty()) {
+        note(&format!(
+            "{name} does not state its training data, so it may have been trained on the test frames"
+        ));
+    }
     let tested = refs.iter().filter(|f| split.part(&f.scene) == Part::Test);
     let seen: BTreeSet<String> = tested
         .filter(|f| earlier.iter().any(|split| split.has_seen(&f.scene)))
@@ -414,14 +407,8 @@ struct Trained {
 
 /// Returns the requested clock, else the clock of the model that training starts from, else [`Clock::Auto`] for frames
 /// of a GPU and processor time for others, as [`entire_io::clock::for_training`] chooses.
-fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
-    let base = match &options.fine_tune {
-        Some(path) => {
-            let (_, model) = read_model_file(path)?;
-            entire_io::clock::of(&model).map(|clock| (path.display().to_string(), clock))
-        }
-        None => None,
-    };
+fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>, Model)>) -> Result<Clock> {
+    let base = base.and_then(|(name, model)| Some((name.to_string(), entire_io::clock::of(model)?)));
     let frames: Vec<&TimedFrame> = tables
         .iter()
         .flat_map(|t| &t.frames)
@@ -432,7 +419,7 @@ fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
     let on_gpu = tables
         .iter()
         .filter_map(|t| t.manifest.as_ref())
-        .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
+        .any(|m| typical_costs(&m.renderer, &m.device) == UnitCosts::GPU);
     let asked = options.clock.or((base.is_none() && on_gpu).then_some(Clock::Auto));
     entire_io::clock::for_training(asked, base, frames.iter().copied())
 }

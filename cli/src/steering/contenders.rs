@@ -81,14 +81,7 @@ impl ControllerKind {
             Self::VtkFixedPoint => ActsOn::ImageResolution { coarsest: 100.0 },
             Self::VtkJs => ActsOn::ImageResolution { coarsest: 400.0 },
             Self::Unreal | Self::Filament => ActsOn::ImageResolution { coarsest: 4.0 },
-            Self::Fixed
-            | Self::Olp
-            | Self::Last
-            | Self::LargerOfTwo
-            | Self::Pid
-            | Self::Algorithm1
-            | Self::Hybrid
-            | Self::VtkGpu => ActsOn::RayStep,
+            _ => ActsOn::RayStep,
         }
     }
 

@@ -21,8 +21,8 @@ pub(crate) struct Played {
     pub(crate) finest: f64,
     /// Coarsest allowed value of `step`.
     pub(crate) coarsest: f64,
-    /// PSNR against the picture at the reference step, decibels; `None` where no reference was drawn.
-    pub(crate) psnr: Option<f64>,
+    /// PSNR against the picture at the reference step, decibels.
+    pub(crate) psnr: f64,
     /// True if the path switches abruptly at this frame, or the volume or the image size changes.
     pub(crate) switched: bool,
 }
@@ -66,7 +66,7 @@ pub(crate) struct Metrics {
     /// Longest frame time, in seconds.
     pub(crate) worst_seconds: f64,
     /// Mean PSNR against the reference step's pictures, decibels, each at most [`BEST_PSNR`].
-    pub(crate) mean_psnr: Option<f64>,
+    pub(crate) mean_psnr: f64,
     /// Mean of [`Played::step`].
     pub(crate) mean_step: f64,
     /// Share of calm frames whose step differs by over 20 % from the step of the frame before.
@@ -91,7 +91,6 @@ impl Metrics {
         let mut sorted: Vec<f64> = frames.iter().map(|f| f.seconds).collect();
         sorted.sort_by(f64::total_cmp);
         let rank = ((0.95 * n).ceil() as usize).clamp(1, sorted.len());
-        let likeness: Vec<f64> = frames.iter().filter_map(|f| f.psnr).map(|p| p.min(BEST_PSNR)).collect();
         let calm: Vec<usize> = (1..frames.len()).filter(|i| *i >= SWITCH_FRAMES && !near(*i)).collect();
         let jumps = calm
             .iter()
@@ -117,7 +116,7 @@ impl Metrics {
                 .collect(),
             p95_seconds: sorted[rank - 1],
             worst_seconds: sorted[sorted.len() - 1],
-            mean_psnr: (!likeness.is_empty()).then(|| likeness.iter().sum::<f64>() / likeness.len() as f64),
+            mean_psnr: frames.iter().map(|f| f.psnr.min(BEST_PSNR)).sum::<f64>() / n,
             mean_step: frames.iter().map(|f| f.step).sum::<f64>() / n,
             step_jumps_in_calm: if calm.is_empty() { 0.0 } else { jumps as f64 / calm.len() as f64 },
         })
@@ -129,15 +128,7 @@ mod tests {
     use super::*;
 
     fn frame(seconds: f64) -> Played {
-        Played {
-            seconds,
-            target: 0.1,
-            step: 2.0,
-            finest: 1.0,
-            coarsest: 16.0,
-            psnr: Some(40.0),
-            switched: false,
-        }
+        Played { seconds, target: 0.1, step: 2.0, finest: 1.0, coarsest: 16.0, psnr: 40.0, switched: false }
     }
 
     #[test]
@@ -146,13 +137,13 @@ mod tests {
         let mut frames = vec![frame(0.1); 10];
         frames[2].seconds = 0.112;
         frames[7].seconds = 0.13;
-        frames[7].psnr = Some(f64::INFINITY);
+        frames[7].psnr = f64::INFINITY;
         frames[9].step = 4.0;
         let m = Metrics::of(&frames).unwrap();
         assert_eq!((m.missed_by_10_percent, m.missed_by_25_percent), (0.2, 0.1));
         assert!((m.mean_error - 0.042).abs() < 1e-12);
         assert_eq!((m.p95_seconds, m.worst_seconds), (0.13, 0.13));
-        assert!((m.mean_psnr.unwrap() - 46.0).abs() < 1e-9 && (m.mean_step - 2.2).abs() < 1e-12);
+        assert!((m.mean_psnr - 46.0).abs() < 1e-9 && (m.mean_step - 2.2).abs() < 1e-12);
         assert_eq!(m.mean_error_at_switches, None);
         assert!(m.recovery_frames.is_empty());
         // Calm frames are 3…9; the step of one of them jumps.

@@ -36,7 +36,7 @@ impl SteeringModel {
     /// # Errors
     /// When the volume cannot be encoded.
     pub fn encode(&self, volume: &VolumeView<'_>) -> Result<Option<Vec<f32>>> {
-        let parts = self.model.input_size(GroupKind::VolumeFeatures).and(self.model.volumenet());
+        let parts = self.model.input_size(GroupKind::VolumeFeatures).and(self.model.volumenet.as_ref());
         let Some(parts) = parts else { return Ok(None) };
         let net = VolumeNet::new(parts)?;
         let mut out = vec![0.0; net.feature_len()];

@@ -202,7 +202,7 @@ impl Playback {
                 // A frame with fewer pixels is not of the finest quality, whatever its step.
                 finest: if enlarged(r) { 0.0 } else { f64::from(limits.finest) },
                 coarsest: f64::from(limits.coarsest),
-                psnr: Some(r.psnr),
+                psnr: r.psnr,
                 switched: self.switches.contains(&i),
             })
             .collect()
@@ -225,17 +225,11 @@ pub(crate) struct Shown<'a> {
     pub(crate) volume_features: Option<&'a [f32]>,
 }
 
-/// A path to play, with its volumes, targets and limits.
+/// Changes along a path besides those of the path itself, and the limits of the controllers.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Task<'a> {
-    /// The volume, or the volumes of a series in order.
-    pub(crate) volumes: &'a [Shown<'a>],
+pub(crate) struct Course<'a> {
     /// Frames per volume of a series; 0 for a single volume.
     pub(crate) hold: u32,
-    /// The path.
-    pub(crate) path: &'a FlightPath,
-    /// Target, seconds.
-    pub(crate) target: f64,
     /// Changes of the target: first frame and seconds, in ascending order of the frames.
     pub(crate) retargets: &'a [(u32, f64)],
     /// Changes of the image size: first frame and share of the full side, in ascending order of the frames.
@@ -245,14 +239,40 @@ pub(crate) struct Task<'a> {
     pub(crate) max_image_sample_distance: f32,
     /// Allowed steps.
     pub(crate) limits: StepLimits,
+}
+
+/// A path to play, with its volumes and target.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Task<'a> {
+    /// The volume, or the volumes of a series in order.
+    pub(crate) volumes: &'a [Shown<'a>],
+    /// The path.
+    pub(crate) path: &'a FlightPath,
+    /// Target at the first frame, seconds.
+    pub(crate) target: f64,
+    /// Changes and limits.
+    pub(crate) course: Course<'a>,
     /// Frames whose pictures are kept.
     pub(crate) keep: &'a [usize],
+}
+
+impl Course<'_> {
+    /// A course without changes, with the default limits.
+    pub(crate) fn steady(max_image_sample_distance: f32) -> Self {
+        let limits = StepLimits::default();
+        Self { hold: 0, retargets: &[], scales: &[], max_image_sample_distance, limits }
+    }
 }
 
 impl Task<'_> {
     /// The target of a frame.
     fn target_at(&self, frame: usize) -> f64 {
-        self.retargets.iter().rev().find(|(from, _)| *from as usize <= frame).map_or(self.target, |(_, t)| *t)
+        self.course
+            .retargets
+            .iter()
+            .rev()
+            .find(|(from, _)| *from as usize <= frame)
+            .map_or(self.target, |(_, t)| *t)
     }
 }
 
@@ -280,16 +300,16 @@ pub(crate) fn play(
     ensure!(!contenders.is_empty(), "there is no controller to play");
     ensure!(!task.volumes.is_empty(), "there is no volume to show");
     for contender in contenders.iter_mut() {
-        contender.session.set_limits(contender.acts_on.limits(task.limits))?;
+        contender.session.set_limits(contender.acts_on.limits(task.course.limits))?;
         if contender.chooses_image_sample_distance {
             let known = contender.session.quality().unwrap_or(RAYCASTER);
             contender.session.set_quality(Some(known))?;
-            contender.session.set_max_image_sample_distance(task.max_image_sample_distance, 1.0)?;
+            contender.session.set_max_image_sample_distance(task.course.max_image_sample_distance, 1.0)?;
         }
     }
     let frames = task.path.frames.len();
-    let volume_of = |i: usize| volume_at(task.hold, task.volumes.len(), i);
-    let scale_of = |i: usize| scale_at(task.scales, i);
+    let volume_of = |i: usize| volume_at(task.course.hold, task.volumes.len(), i);
+    let scale_of = |i: usize| scale_at(task.course.scales, i);
     let mut shown = usize::MAX;
     let mut playback = Playback {
         names: contenders.iter().map(|c| c.name.clone()).collect(),
@@ -305,7 +325,7 @@ pub(crate) fn play(
         targets: (0..frames).map(|i| task.target_at(i)).collect(),
         sizes: (0..frames).map(|i| scaled_size((draw.width, draw.height), scale_of(i))).collect(),
         volumes: (0..frames).map(volume_of).collect(),
-        limits: task.limits,
+        limits: task.course.limits,
     };
     progress.set_length(task.path.frames.len() as u64);
     progress.reset_eta();
@@ -482,13 +502,9 @@ mod tests {
         let shown = [Shown { view: &view, summary: &summary, volume_features: None }];
         let task = Task {
             volumes: &shown,
-            hold: 0,
             path: &path,
             target: 1.4e-3,
-            retargets: &[],
-            scales: &[],
-            max_image_sample_distance: distance,
-            limits: StepLimits::default(),
+            course: Course::steady(distance),
             keep: &[20],
         };
         let asked = std::cell::Cell::new(0u64);

@@ -3,7 +3,7 @@
 use super::calibrate::{Sample, measure, response};
 use super::contenders::{ControllerKind, contender};
 use super::model::{SteeringModel, Steers};
-use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
+use super::play::{Contender, Course, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
 use crate::calibrate::place::machine_model;
@@ -18,7 +18,6 @@ use entire_io::path::FlightPath;
 use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
 use entire_steer::control::Prior;
-use entire_steer::control::StepLimits;
 use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::Renderer;
 
@@ -29,15 +28,8 @@ pub(crate) struct Race<'a> {
     pub(crate) volume: &'a VolumeView<'a>,
     /// The further volumes of a series; random scenes are of the first volume only.
     pub(crate) series: &'a [VolumeView<'a>],
-    /// Frames per volume of a series; 0 for a single volume.
-    pub(crate) hold: u32,
-    /// Changes of the target: first frame and seconds, in ascending order of the frames.
-    pub(crate) retargets: &'a [(u32, f64)],
-    /// Changes of the image size: first frame and share of the full side, in ascending order of the frames.
-    pub(crate) scales: &'a [(u32, f32)],
-    /// Largest image sample distance (pixels between rays along each side) of the hybrid; 1 keeps the full
-    /// image.
-    pub(crate) max_image_sample_distance: f32,
+    /// Changes and limits.
+    pub(crate) course: Course<'a>,
     /// The name that seeds random scenes.
     pub(crate) seed_name: &'a str,
     /// Seed of the random scenes.
@@ -46,8 +38,6 @@ pub(crate) struct Race<'a> {
     pub(crate) draw: DrawSettings,
     /// Number of random scenes, and of their renderings at each step.
     pub(crate) scenes: (usize, usize),
-    /// Allowed steps.
-    pub(crate) limits: StepLimits,
     /// The controllers to compare.
     pub(crate) controllers: &'a [ControllerKind],
     /// Target, seconds; `None` to choose it by [`sane_target`].
@@ -237,7 +227,7 @@ pub(crate) fn prepare(
         ),
     };
     let typical = median(&mut times_at(&samples, 1.0)).unwrap_or(target);
-    let fixed_step = race.limits.clamp(response.step_ratio((target / typical) as f32));
+    let fixed_step = race.course.limits.clamp(response.step_ratio((target / typical) as f32));
     Ok(Some(Prepared {
         summary,
         samples,
@@ -285,17 +275,7 @@ pub(crate) fn run(
             volume_features: features.as_deref(),
         }),
     );
-    let task = Task {
-        volumes: &shown,
-        hold: race.hold,
-        path,
-        target: prepared.target,
-        retargets: race.retargets,
-        scales: race.scales,
-        max_image_sample_distance: race.max_image_sample_distance,
-        limits: race.limits,
-        keep,
-    };
+    let task = Task { volumes: &shown, path, target: prepared.target, course: race.course, keep };
     let bar = progress_bar("play");
     let playback = play(&task, &race.draw, renderer, &mut contenders, stop, &bar);
     bar.finish_and_clear();

@@ -10,7 +10,7 @@ use crate::pictures::BEST_PSNR;
 use anyhow::Result;
 use entire_io::files::{make_folder, write_json, write_whole};
 use entire_io::machine::Provenance;
-use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
+use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table, encode_png};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -103,20 +103,10 @@ fn percent(v: f64) -> String {
 
 /// Returns the table of the controllers' metrics, with the best value of each column marked.
 pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("controller"),
-        Column::text("acts on"),
-        Column::number("> 1.1 T / %"),
-        Column::number("> 1.25 T / %"),
-        Column::number("|t-T|/T / %"),
-        Column::number("at switches / %"),
-        Column::number("calm / %"),
-        Column::number("p95 / ms"),
-        Column::number("worst / ms"),
-        Column::number("recovery / frames"),
-        Column::number("PSNR / dB"),
-        Column::number("step"),
-    ]);
+    let mut table = Table::headed(
+        "controller | acts on | #> 1.1 T / % | #> 1.25 T / % | #|t-T|/T / % | #at switches / % | #calm / % | \
+         #p95 / ms | #worst / ms | #recovery / frames | #PSNR / dB | #step",
+    );
     let recovery = |m: &Metrics| match m.recovery_frames.len() {
         0 => f64::NAN,
         n => m.recovery_frames.iter().sum::<usize>() as f64 / n as f64,
@@ -133,7 +123,7 @@ pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
             format!("{:.1}", m.p95_seconds * 1e3).into(),
             format!("{:.1}", m.worst_seconds * 1e3).into(),
             recovery(m).is_finite().then(|| format!("{:.1}", recovery(m))).into(),
-            m.mean_psnr.map(|p| format!("{p:.1}")).into(),
+            format!("{:.1}", m.mean_psnr).into(),
             format!("{:.2}", m.mean_step).into(),
         ]);
     }
@@ -148,7 +138,7 @@ pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     mark(7, true, &|m| m.p95_seconds);
     mark(8, true, &|m| m.worst_seconds);
     mark(9, true, &recovery);
-    mark(10, false, &|m| m.mean_psnr.unwrap_or(f64::NAN));
+    mark(10, false, &|m| m.mean_psnr);
     table
 }
 
@@ -275,11 +265,6 @@ fn around_switches(playback: &Playback, controller: usize, before: usize, after:
         .collect()
 }
 
-/// Returns (frame, target in milliseconds) of every frame.
-fn numbered_targets(playback: &Playback) -> Vec<(f64, f64)> {
-    playback.targets.iter().enumerate().map(|(i, t)| (i as f64, t * 1e3)).collect()
-}
-
 fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
     for (i, s) in switches.iter().enumerate() {
         let text = if switches.len() <= 8 { format!("switch {}", i + 1) } else { String::new() };
@@ -301,33 +286,23 @@ fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) ->
 /// When a picture cannot be encoded.
 fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Result<Page> {
     let frames = playback.references.len();
-    let numbered = |c: usize, f: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
-        (0..playback.records[c].len()).map(|i| (i as f64, f(i))).collect()
+    let numbered = |c: usize, f: &dyn Fn(&Record) -> f64| -> Vec<(f64, f64)> {
+        playback.records[c].iter().enumerate().map(|(i, r)| (i as f64, f(r))).collect()
+    };
+    let over_frames = |title: &str, y: Axis, height: f64| {
+        let chart = Chart::new(title, Axis::linear("frame"), y).size(900.0, height);
+        with_switches(chart, &playback.switches)
     };
     let mut page = Page::new(story.title.clone(), &story.lead);
     page.table(&table(playback, metrics), &table_caption());
 
-    let chart =
-        Chart::new("Frame time", Axis::linear("frame"), Axis::log("frame time / ms")).size(900.0, 380.0);
-    let chart = with_switches(chart, &playback.switches)
-        .series(Series::new("target", Mark::Steps(numbered_targets(playback))).color(10))
-        .series(
-            Series::new(
-                "time at the reference step",
-                Mark::Band(
-                    playback
-                        .references
-                        .iter()
-                        .enumerate()
-                        .map(|(i, r)| (i as f64, playback.targets[i].min(r.seconds) * 1e3, r.seconds * 1e3))
-                        .collect(),
-                ),
-            )
-            .color(6),
-        );
-    let chart = per_controller(chart, playback, |c| {
-        Mark::Line(numbered(c, &|i| playback.records[c][i].seconds * 1e3))
-    });
+    let targets = playback.targets.iter().enumerate().map(|(i, t)| (i as f64, t * 1e3)).collect();
+    let band = playback.references.iter().zip(&playback.targets).enumerate();
+    let band = band.map(|(i, (r, t))| (i as f64, t.min(r.seconds) * 1e3, r.seconds * 1e3)).collect();
+    let chart = over_frames("Frame time", Axis::log("frame time / ms"), 380.0)
+        .series(Series::new("target", Mark::Steps(targets)).color(10))
+        .series(Series::new("time at the reference step", Mark::Band(band)).color(6));
+    let chart = per_controller(chart, playback, |c| Mark::Line(numbered(c, &|r| r.seconds * 1e3)));
     page.chart(
         &chart,
         "Measured time of every frame under every controller. The shaded area reaches from the target to the \
@@ -351,11 +326,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         );
     }
 
-    let chart =
-        Chart::new("Ray step", Axis::linear("frame"), Axis::log("step / reference steps")).size(900.0, 300.0);
-    let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
-        Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].step)))
-    });
+    let chart = over_frames("Ray step", Axis::log("step / reference steps"), 300.0);
+    let chart = per_controller(chart, playback, |c| Mark::Steps(numbered(c, &|r| f64::from(r.step))));
     page.chart(
         &chart,
         "Ray step of each controller: at a coarser step, frames are faster and pictures less exact. \
@@ -363,14 +335,9 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     );
 
     if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
-        let chart = Chart::new(
-            "Image sample distance",
-            Axis::linear("frame"),
-            Axis::linear("pixels between rays along each side").from(0.0),
-        )
-        .size(900.0, 220.0);
-        let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
-            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].image_sample_distance)))
+        let y = Axis::linear("pixels between rays along each side").from(0.0);
+        let chart = per_controller(over_frames("Image sample distance", y, 220.0), playback, |c| {
+            Mark::Steps(numbered(c, &|r| f64::from(r.image_sample_distance)))
         });
         page.chart(
             &chart,
@@ -379,11 +346,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         );
     }
 
-    let chart =
-        Chart::new("Picture quality", Axis::linear("frame"), Axis::linear("PSNR / dB")).size(900.0, 300.0);
-    let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
-        Mark::Line(numbered(c, &|i| playback.records[c][i].psnr.min(60.0)))
-    });
+    let chart = over_frames("Picture quality", Axis::linear("PSNR / dB"), 300.0);
+    let chart = per_controller(chart, playback, |c| Mark::Line(numbered(c, &|r| r.psnr.min(60.0))));
     page.chart(&chart, "Similarity to the picture at the reference step; values over 60 dB are drawn at 60.");
 
     page.heading("Predictions");
@@ -398,8 +362,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         let mut chart = with_switches(chart, &playback.switches);
         for c in predicting {
             let name = &playback.names[c];
-            let ratio =
-                |i: usize| f64::from(playback.records[c][i].predicted) / playback.records[c][i].seconds;
+            let ratio = |r: &Record| f64::from(r.predicted) / r.seconds;
             chart =
                 chart.series(Series::new(title(name), Mark::Line(numbered(c, &ratio))).color(color(name)));
         }

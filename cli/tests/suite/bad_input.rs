@@ -11,17 +11,11 @@ fn missing_and_truncated_files() {
     let at = folder.path();
     for (arguments, parts) in [
         (render("gone.nrrd", "0,0,2", TF, "8x8", &[]), ["gone.nrrd", "no such file"]),
-        (vec!["encode", "--model", "gone.safetensors", "ball.nrrd"], ["gone.safetensors", "no such file"]),
-        (vec!["encode", "--model", "volume.safetensors", "gone.mha"], ["gone.mha", "no such file"]),
-        (
-            vec!["predict", "--model", "gone.safetensors", "--inputs", "rows.csv"],
-            ["gone.safetensors", "no such file"],
-        ),
-        (
-            vec!["predict", "--model", "pred.safetensors", "--inputs", "gone.csv"],
-            ["gone.csv", "no such file"],
-        ),
-        (vec!["predict", "--model", ".", "--inputs", "rows.csv"], [".", "is a folder"]),
+        (words("encode --model gone.safetensors ball.nrrd"), ["gone.safetensors", "no such file"]),
+        (words("encode --model volume.safetensors gone.mha"), ["gone.mha", "no such file"]),
+        (words("predict --model gone.safetensors --inputs rows.csv"), ["gone.safetensors", "no such file"]),
+        (words("predict --model pred.safetensors --inputs gone.csv"), ["gone.csv", "no such file"]),
+        (words("predict --model . --inputs rows.csv"), [".", "is a folder"]),
         (render("rows.csv", "0,0,2", TF, "8x8", &[]), ["rows.csv", "accepted are .nrrd"]),
     ] {
         refuses(at, &arguments, &parts);
@@ -30,6 +24,7 @@ fn missing_and_truncated_files() {
         let whole = std::fs::read(at.join(name)).unwrap();
         for keep in [whole.len() - 1, whole.len() / 2, 60, 9, 1, 0] {
             std::fs::write(at.join(name), &whole[..keep]).unwrap();
+            let rows = ["predict", "--model", "pred.safetensors", "--inputs", name];
             match name {
                 "ball.nrrd" => refuses(at, &render(name, "0,0,2", TF, "8x8", &[]), &[name]),
                 "pred.safetensors" => {
@@ -37,17 +32,8 @@ fn missing_and_truncated_files() {
                 }
                 "volume.safetensors" => refuses(at, &["encode", "--model", name, "ball.nrrd"], &[name]),
                 // A truncated table may lack rows or digits without being invalid.
-                _ if keep == 0 => {
-                    refuses(
-                        at,
-                        &["predict", "--model", "pred.safetensors", "--inputs", name],
-                        &[name, "no row"],
-                    );
-                }
-                _ => {
-                    let output = entire(at, &["predict", "--model", "pred.safetensors", "--inputs", name]);
-                    assert!(matches!(output.status.code(), Some(0 | 1)));
-                }
+                _ if keep == 0 => refuses(at, &rows, &[name, "no row"]),
+                _ => assert!(matches!(entire(at, &rows).status.code(), Some(0 | 1))),
             }
         }
         std::fs::write(at.join(name), whole).unwrap();
@@ -76,11 +62,8 @@ fn tables_with_wrong_cells() {
         refuses(at, &["predict", "--model", "pred.safetensors", "--inputs", "t.csv"], &all);
     }
     std::fs::write(at.join("t.csv"), b"1,2,\xff\xfe,4,5\n").unwrap();
-    refuses(
-        at,
-        &["predict", "--model", "pred.safetensors", "--inputs", "t.csv"],
-        &["row 1, column 3", "not a number"],
-    );
+    let predict = words("predict --model pred.safetensors --inputs t.csv");
+    refuses(at, &predict, &["row 1, column 3", "not a number"]);
 }
 
 /// A model with one tensor changed.
@@ -194,23 +177,15 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
         all.extend(parts);
         refuses(at, &["encode", "--model", "m.safetensors", "ball.nrrd"], &all);
     }
-    refuses(
-        at,
-        &["predict", "--model", "volume.safetensors", "--inputs", "rows.csv"],
-        &["volume.safetensors", "no PredNet"],
-    );
-    refuses(
-        at,
-        &["encode", "--model", "pred.safetensors", "ball.nrrd"],
-        &["pred.safetensors", "no VolumeNet"],
-    );
-    refuses(at, &["encode", "--model", "ball.nrrd", "ball.nrrd"], &["ball.nrrd"]);
-    refuses(
-        at,
-        &["encode", "--model", "volume.safetensors", "ball.nrrd", "--range", "2,1"],
-        &["ball.nrrd", "range"],
-    );
-    refuses(at, &["encode", "--model", "volume.safetensors", "ball.nrrd", "--range", "nan,1"], &["range"]);
+    for (line, parts) in [
+        ("predict --model volume.safetensors --inputs rows.csv", &["volume.safetensors", "no PredNet"][..]),
+        ("encode --model pred.safetensors ball.nrrd", &["pred.safetensors", "no VolumeNet"]),
+        ("encode --model ball.nrrd ball.nrrd", &["ball.nrrd"]),
+        ("encode --model volume.safetensors ball.nrrd --range 2,1", &["ball.nrrd", "range"]),
+        ("encode --model volume.safetensors ball.nrrd --range nan,1", &["range"]),
+    ] {
+        refuses(at, &words(line), parts);
+    }
 }
 
 #[test]
@@ -286,11 +261,8 @@ fn volumes_with_broken_constant_or_thin_voxels_have_an_answer() {
     let number = |text: String| text.trim().split(',').map(|w| w.parse::<f64>().unwrap()).collect::<Vec<_>>();
     put("zero.nrrd", &float_nrrd([4, 0, 4], std::iter::empty()));
     refuses(at, &render("zero.nrrd", "0,0,2", TF, "8x8", &[]), &["zero.nrrd", "size along y is 0"]);
-    refuses(
-        at,
-        &["encode", "--model", "volume.safetensors", "zero.nrrd"],
-        &["zero.nrrd", "size along y is 0"],
-    );
+    let encode = words("encode --model volume.safetensors zero.nrrd");
+    refuses(at, &encode, &["zero.nrrd", "size along y is 0"]);
 
     // NaN counts as the low end and the infinities as the ends of the finite range; a note says so.
     let clean = |i: usize| [0.0, 1.0, 0.5][i % 3];
@@ -329,14 +301,8 @@ fn volumes_with_broken_constant_or_thin_voxels_have_an_answer() {
         put("thin.nrrd", &float_nrrd(dims, (0..dims.iter().product()).map(|i| i as f32)));
         assert!(encode("thin.nrrd").iter().all(|f| f.is_finite()));
         for shade in ["none", "local", "scatter"] {
-            let rgb = pixels(
-                at,
-                "thin.nrrd",
-                "35,35,2",
-                "0.5,1,1",
-                "32x32",
-                &["--shade", shade, "--skip", "distance"],
-            );
+            let more = ["--shade", shade, "--skip", "distance"];
+            let rgb = pixels(at, "thin.nrrd", "35,35,2", "0.5,1,1", "32x32", &more);
             assert!(rgb.iter().any(|&v| v > 10), "{dims:?} {shade}");
         }
     }
@@ -379,25 +345,10 @@ fn settings_of_the_environment_are_not_replaced() {
 fn a_refused_collection_leaves_no_table() {
     let folder = workshop();
     let at = folder.path();
-    let collect = |enlarge| {
-        vec![
-            "collect",
-            "ball.nrrd",
-            "--frames",
-            "1",
-            "--max-size",
-            "32",
-            "--device",
-            "cpu",
-            "--enlarge",
-            enlarge,
-            "--out",
-            "t.csv",
-        ]
-    };
-    refuses(at, &collect("0"), &["factors of 1 to 8"]);
+    let collect = "collect ball.nrrd --frames 1 --max-size 32 --device cpu --out t.csv --enlarge";
+    refuses(at, &words(&format!("{collect} 0")), &["factors of 1 to 8"]);
     assert!(!at.join("t.csv").exists() && !at.join("t.manifest.json").exists());
-    succeeds(at, &collect("1"));
+    succeeds(at, &words(&format!("{collect} 1")));
 }
 
 #[test]

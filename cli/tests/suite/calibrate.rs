@@ -7,7 +7,7 @@ use entire_core::scene::Shading;
 use entire_io::dataset::{Clock, read_tables};
 use entire_steer::predict::load;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 /// Writes three small volumes with different content.
 fn volumes(folder: &Path) {
@@ -16,23 +16,16 @@ fn volumes(folder: &Path) {
         ("b", |i| if i % 12 < 6 { 0 } else { (i % 200) as u8 }),
         ("c", |i| (i / 97 % 256) as u8),
     ] {
-        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 12 12 12\nencoding: raw\n\n".to_vec();
-        bytes.extend((0..12 * 12 * 12).map(value));
+        let bytes = byte_nrrd([12; 3], (0..12 * 12 * 12).map(value));
         std::fs::write(folder.join(format!("{name}.nrrd")), bytes).unwrap();
     }
 }
 
-fn run(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_entire"))
-        .args(arguments)
-        .current_dir(folder)
-        .env("XDG_DATA_HOME", folder.join("home"))
-        .output()
-        .unwrap()
+fn run(folder: &Path, line: &str) -> Output {
+    entire_in(folder, &[("XDG_DATA_HOME", folder.join("home").to_str().unwrap())], &words(line))
 }
 
-const QUICK: [&str; 10] =
-    ["--device", "cpu", "--seconds", "9", "--frames", "30", "--max-size", "64", "--quiet", "--threads"];
+const QUICK: &str = "--device cpu --seconds 9 --frames 30 --max-size 64 --quiet --threads 1";
 
 #[test]
 fn a_machines_model_is_made_found_and_says_its_clock() {
@@ -42,13 +35,10 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     volumes(&at.join("data"));
     // Without a model of the machine, `predict` names the command that makes one.
     std::fs::write(at.join("rows.csv"), "1\n").unwrap();
-    let none = run(at, &["predict", "--inputs", "rows.csv"]);
+    let none = run(at, "predict --inputs rows.csv");
     assert!(!none.status.success() && stderr(&none).contains("entire calibrate --shade none"), "{none:?}");
 
-    let mut arguments = vec!["calibrate", "--clock", "cpu", "--table", "frames.csv"];
-    arguments.extend(QUICK);
-    arguments.push("1");
-    let made = run(at, &arguments);
+    let made = run(at, &format!("calibrate --clock cpu --table frames.csv {QUICK}"));
     assert!(made.status.success(), "{}", stderr(&made));
     let said = stdout(&made);
     for part in ["to expect", "median error", "RMSE/SD", "clock cpu", "3 volumes"] {
@@ -57,11 +47,11 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     // Image sides of at most 64 pixels are too short for comparing pictures.
     assert!(said.contains("too few were compared"), "{said}");
     let path = at.join("home/entire/machine-none.safetensors");
-    let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
-    assert_eq!(model.metadata()["entire.clock"], "cpu");
+    let model = Model::from_bytes(&std::fs::read(path).unwrap()).unwrap();
+    assert_eq!(model.metadata["entire.clock"], "cpu");
     assert!(load(&model).is_ok());
     let provenance: serde_json::Value =
-        serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
+        serde_json::from_str(model.metadata["entire.provenance"].as_str()).unwrap();
     assert_eq!((&provenance["clock"], &provenance["shading"]), (&"cpu".into(), &"none".into()));
     let names: Vec<&str> = provenance["calibration"]["files"]
         .as_array()
@@ -72,37 +62,35 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     assert_eq!(names.len(), 3, "{names:?}");
     let frames = provenance["calibration"]["frames"].as_u64().unwrap();
     assert!((8..=30).contains(&frames), "{frames}");
-    for text in [model.metadata()["entire.provenance"].as_str(), &said] {
+    for text in [model.metadata["entire.provenance"].as_str(), &said] {
         assert!(!text.contains(&format!("\"{}", at.display())), "a path of this machine: {text}");
     }
 
     // The measured frames form a timing table. The model is evaluated on it by the model's clock; another
     // clock is refused.
-    let judged = run(at, &["evaluate", "--model", path.to_str().unwrap(), "--data", "frames.csv", "--quiet"]);
+    let evaluate = "evaluate --model home/entire/machine-none.safetensors --data frames.csv --quiet";
+    let judged = run(at, evaluate);
     assert!(judged.status.success(), "{}", stderr(&judged));
-    let arguments =
-        ["evaluate", "--clock", "wall", "--model", path.to_str().unwrap(), "--data", "frames.csv", "--quiet"];
-    let refused = run(at, &arguments);
+    let refused = run(at, &format!("{evaluate} --clock wall"));
     assert!(!refused.status.success() && stderr(&refused).contains("predicts cpu seconds"), "{refused:?}");
 
     // The same frames as a renderer's log: fitted without rendering.
-    let fitted =
-        run(at, &["calibrate", "--data", "frames.csv", "--out", "logged.safetensors", "--threads", "1"]);
+    let fitted = run(at, "calibrate --data frames.csv --out logged.safetensors --threads 1");
     assert!(fitted.status.success() && stdout(&fitted).contains("to expect"), "{}", stderr(&fitted));
     let logged = Model::from_bytes(&std::fs::read(at.join("logged.safetensors")).unwrap()).unwrap();
     // Wall time, since the CPU version has no time stamps.
-    assert!(load(&logged).is_ok() && logged.metadata()["entire.clock"] == "wall");
+    assert!(load(&logged).is_ok() && logged.metadata["entire.clock"] == "wall");
 
     // A note says that the prior predicts seconds of another clock.
-    let prior = ["--clock", "wall", "--prior", path.to_str().unwrap(), "--out", "wall.safetensors"];
-    let wall = run(at, &[&["calibrate", "--data", "frames.csv", "--threads", "1"][..], &prior].concat());
+    let prior = "--clock wall --prior home/entire/machine-none.safetensors --out wall.safetensors";
+    let wall = run(at, &format!("calibrate --data frames.csv --threads 1 {prior}"));
     assert!(wall.status.success(), "{}", stderr(&wall));
     assert!(stderr(&wall).contains("predicts cpu seconds; the new model predicts wall seconds"), "{wall:?}");
 
     // `predict` finds the machine's model by itself, and names the clock of its seconds.
-    let columns: usize = model.inputs().iter().map(|g| g.size).sum();
+    let columns: usize = model.inputs.iter().map(|g| g.size).sum();
     std::fs::write(at.join("rows.csv"), vec!["1.5"; columns].join(",") + "\n").unwrap();
-    let predicted = run(at, &["predict", "--inputs", "rows.csv"]);
+    let predicted = run(at, "predict --inputs rows.csv");
     assert!(predicted.status.success(), "{}", stderr(&predicted));
     assert!(stderr(&predicted).contains("predicts cpu seconds"), "{predicted:?}");
     assert!(stdout(&predicted).trim().parse::<f64>().unwrap() > 0.0);
@@ -113,8 +101,8 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     *bytes.last_mut().unwrap() ^= 1;
     std::fs::write(&volume, bytes).unwrap();
     for arguments in [
-        &["features", "--data", "frames.csv", "--quiet"][..],
-        &["calibrate", "--data", "frames.csv", "--out", "stale.safetensors", "--threads", "1"],
+        "features --data frames.csv --quiet",
+        "calibrate --data frames.csv --out stale.safetensors --threads 1",
     ] {
         let stale = run(at, arguments);
         assert!(!stale.status.success() && stderr(&stale).contains("changed after the frames"), "{stale:?}");
@@ -129,10 +117,11 @@ fn a_model_states_what_coarser_pictures_cost() {
     for error in ["rmse", "ssim"] {
         let out = format!("{error}.safetensors");
         // With few frames, most of the time is left for pictures.
-        let arguments = ["calibrate", "a.nrrd", "b.nrrd", "c.nrrd", "--device", "cpu", "--seconds", "60"];
-        let more = ["--frames", "12", "--min-size", "96", "--max-size", "128", "--quiet", "--threads", "1"];
-        let last = ["--picture-error", error, "--out", &out];
-        let made = run(at, &[&arguments[..], &more, &last].concat());
+        let line = format!(
+            "calibrate a.nrrd b.nrrd c.nrrd --device cpu --seconds 60 --frames 12 --min-size 96 --max-size 128 \
+             --quiet --threads 1 --picture-error {error} --out {out}"
+        );
+        let made = run(at, &line);
         assert!(made.status.success(), "{}", stderr(&made));
         let model = Model::from_bytes(&std::fs::read(at.join(&out)).unwrap()).unwrap();
         let quality = load(&model).unwrap().quality("").unwrap_or_else(|| panic!("{}", stdout(&made)));
@@ -141,7 +130,7 @@ fn a_model_states_what_coarser_pictures_cost() {
         let said = stdout(&made);
         assert!(said.contains("pictures") && said.contains("only the step is changed"), "{said}");
         let provenance: serde_json::Value =
-            serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
+            serde_json::from_str(model.metadata["entire.provenance"].as_str()).unwrap();
         let pictures = &provenance["calibration"]["pictures"];
         assert_eq!((&pictures["error"], &pictures["settings"]), (&error.into(), &20.into()));
         let of = |name: &str| pictures[name].as_f64();
@@ -189,18 +178,16 @@ fn what_cannot_be_calibrated_is_said() {
     let at = dir.path();
     volumes(at);
     refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
-    refuses_after_output(at, &["calibrate", "gone.nrrd", "--out", "m.safetensors"], &["gone.nrrd"]);
+    refuses_after_output(at, "calibrate gone.nrrd --out m.safetensors", &["gone.nrrd"]);
     // The CPU version has no time stamps.
-    let mut arguments = vec!["calibrate", "a.nrrd", "--clock", "device", "--out", "m.safetensors"];
-    arguments.extend(QUICK);
-    arguments.push("1");
-    refuses_after_output(at, &arguments, &["no clock device", "--clock"]);
+    let line = format!("calibrate a.nrrd --clock device --out m.safetensors {QUICK}");
+    refuses_after_output(at, &line, &["no clock device", "--clock"]);
     assert!(!at.join("m.safetensors").exists());
 }
 
 /// Checks that a command is refused, as [`refuses`] does; output before the error is allowed.
-fn refuses_after_output(folder: &Path, arguments: &[&str], parts: &[&str]) {
-    let output = entire(folder, arguments);
-    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", stderr(&output));
+fn refuses_after_output(folder: &Path, line: &str, parts: &[&str]) {
+    let output = entire(folder, &words(line));
+    assert_eq!(output.status.code(), Some(1), "{line}: {}", stderr(&output));
     parts.iter().for_each(|p| assert!(stderr(&output).contains(p), "{p}: {}", stderr(&output)));
 }

@@ -1,23 +1,9 @@
 //! `entire collect` as a process: interruption, resumption and refused input.
 
+use crate::support::{byte_nrrd, entire, json, stderr, stdout, words};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
-
-/// A small volume with structure, as NRRD.
-fn write_volume(path: &Path) {
-    let n = 24usize;
-    let mut bytes =
-        format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: {n} {n} {n}\nencoding: raw\n\n").into_bytes();
-    for z in 0..n {
-        for y in 0..n {
-            for x in 0..n {
-                bytes.push(((x * 7 + y * 5 + z * 3) % 256) as u8);
-            }
-        }
-    }
-    std::fs::write(path, bytes).unwrap();
-}
 
 fn collect(volume: &Path, out: &Path, more: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
@@ -26,8 +12,23 @@ fn collect(volume: &Path, out: &Path, more: &[&str]) -> Command {
     command
 }
 
-fn stderr(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
+/// Runs a command that must succeed.
+#[track_caller]
+fn works(command: &mut Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    output
+}
+
+/// Starts a command that writes a table, and waits until the table has `lines` lines.
+fn started(command: &mut Command, table: &Path, lines: usize) -> Child {
+    let child = command.spawn().unwrap();
+    let begin = Instant::now();
+    while std::fs::read_to_string(table).map_or(0, |t| t.lines().count()) < lines {
+        assert!(begin.elapsed() < Duration::from_secs(120), "no frame was written");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child
 }
 
 /// The table without its three clock columns.
@@ -40,10 +41,12 @@ fn frames(path: &Path) -> Vec<String> {
         .collect()
 }
 
+/// Returns a folder, and a small volume with structure in it.
 fn setting() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let volume = dir.path().join("v.nrrd");
-    write_volume(&volume);
+    let value = |i: usize| ((i % 24 * 7 + i / 24 % 24 * 5 + i / 576 * 3) % 256) as u8;
+    std::fs::write(&volume, byte_nrrd([24; 3], (0..24 * 24 * 24).map(value))).unwrap();
     (dir, volume)
 }
 
@@ -52,12 +55,7 @@ fn a_second_writer_of_a_table_is_refused_and_ruins_nothing() {
     let (dir, volume) = setting();
     let out = dir.path().join("t.csv");
     let settings = ["--frames", "3000", "--min-size", "96", "--max-size", "160"];
-    let mut first = collect(&volume, &out, &settings).spawn().unwrap();
-    let begin = Instant::now();
-    while std::fs::read_to_string(&out).map_or(0, |t| t.lines().count()) < 5 {
-        assert!(begin.elapsed() < Duration::from_secs(120), "no frame was written");
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    let mut first = started(&mut collect(&volume, &out, &settings), &out, 5);
     for _ in 0..3 {
         let second = collect(&volume, &out, &settings).arg("--resume").output().unwrap();
         assert_eq!(second.status.code(), Some(1), "{}", stderr(&second));
@@ -86,18 +84,12 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     let (dir, volume) = setting();
     let (whole, cut) = (dir.path().join("whole.csv"), dir.path().join("cut.csv"));
     let settings = ["--frames", "40", "--min-size", "96", "--max-size", "160"];
-    let output = collect(&volume, &whole, &settings).output().unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
+    let output = works(&mut collect(&volume, &whole, &settings));
     // Two warm-ups of the first frame, and one of every other frame.
-    assert!(String::from_utf8_lossy(&output.stdout).contains("41 warm-up renderings were discarded"));
+    assert!(stdout(&output).contains("41 warm-up renderings were discarded"));
 
-    let child = collect(&volume, &cut, &settings).spawn().unwrap();
-    let begin = Instant::now();
     // The interruption comes after several frames, so that some are left in the table.
-    while std::fs::read_to_string(&cut).map_or(0, |t| t.lines().count()) < 7 {
-        assert!(begin.elapsed() < Duration::from_secs(120), "no frame was written");
-        std::thread::sleep(Duration::from_millis(2));
-    }
+    let child = started(&mut collect(&volume, &cut, &settings), &cut, 7);
     let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(killed.success());
     let output = child.wait_with_output().unwrap();
@@ -117,17 +109,13 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     // Without --resume the table is unchanged; under other settings it is not continued.
     let output = collect(&volume, &cut, &settings).output().unwrap();
     assert!(output.status.code() == Some(1) && stderr(&output).contains("resume it"));
-    let output =
-        collect(&volume, &cut, &[&settings[..], &["--seed", "2", "--resume"]].concat()).output().unwrap();
+    let output = collect(&volume, &cut, &settings).args(["--seed", "2", "--resume"]).output().unwrap();
     assert!(stderr(&output).contains("seed was 1 and is 2 now"), "{}", stderr(&output));
     assert_eq!(frames(&cut), kept);
 
-    let output = collect(&volume, &cut, &[&settings[..], &["--resume"]].concat()).output().unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
+    works(collect(&volume, &cut, &settings).arg("--resume"));
     assert_eq!(frames(&cut), frames(&whole));
-    let manifest: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(dir.path().join("cut.manifest.json")).unwrap())
-            .unwrap();
+    let manifest = json(&dir.path().join("cut.manifest.json"));
     let runs = manifest["runs"].as_array().unwrap();
     assert_eq!(runs.len(), 2);
     assert_eq!((&runs[0]["interrupted"], &runs[1]["interrupted"]), (&true.into(), &false.into()));
@@ -196,9 +184,8 @@ fn a_table_is_collected_anew_from_its_manifest() {
     let (dir, volume) = setting();
     let (first, again) = (dir.path().join("first.csv"), dir.path().join("again.csv"));
     let settings = ["--frames", "3", "--passes", "2", "--max-size", "48", "--seed", "9", "--steps", "1,2.5"];
-    let output = collect(&volume, &first, &settings).output().unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
-    assert!(String::from_utf8_lossy(&output.stdout).starts_with("3 frames of 1 volume x 4 repeats"));
+    let output = works(&mut collect(&volume, &first, &settings));
+    assert!(stdout(&output).starts_with("3 frames of 1 volume x 4 repeats"));
 
     let like = |table: &Path, out: &Path, more: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
@@ -224,8 +211,7 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     let (dir, volume) = setting();
     let out = dir.path().join("t.csv");
     let settings = ["--frames", "3", "--max-size", "48"];
-    let output = collect(&volume, &out, &settings).output().unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
+    works(&mut collect(&volume, &out, &settings));
     let whole = frames(&out);
     // The table is cut as if the collection had been interrupted before the last frame.
     let text = std::fs::read_to_string(&out).unwrap();
@@ -246,15 +232,12 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     assert_eq!(frames(&out), whole[..5]);
 
     // Other commands that read the volumes refuse the changed volume too.
-    let program = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
-        command.current_dir(dir.path()).args(arguments).output().unwrap()
-    };
     let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../models/unshaded-distilled.safetensors");
     let evaluate = ["evaluate", "--quiet", "--model", model, "--data", "t.csv"];
-    let train = ["train", "--quiet", "--data", "t.csv", "--out", "m.safetensors"];
-    for arguments in [&["features", "--quiet", "--data", "t.csv"][..], &evaluate, &train] {
-        let output = program(arguments);
+    let features = ["features", "--quiet", "--data", "t.csv"];
+    let train = words("train --quiet --data t.csv --out m.safetensors");
+    for arguments in [&features[..], &evaluate[..], &train[..]] {
+        let output = entire(dir.path(), arguments);
         let said = stderr(&output);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
         assert!(said.contains("v.nrrd changed after the frames of t.csv"), "{arguments:?}: {said}");
@@ -262,23 +245,20 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
 
     // A file with the original content is accepted, although it was written later.
     std::fs::write(&volume, &bytes).unwrap();
-    let output = program(&["features", "--quiet", "--data", "t.csv"]);
+    let output = entire(dir.path(), &features);
     assert!(output.status.success(), "{}", stderr(&output));
     std::fs::remove_file(dir.path().join("t.features.csv.gz")).unwrap();
-    let output = collect(&volume, &out, &resume).output().unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
+    works(&mut collect(&volume, &out, &resume));
     assert_eq!(frames(&out), whole);
 
     // A table without checksums of its volumes is continued, with a note.
-    let manifest = dir.path().join("t.manifest.json");
-    let mut kept: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();
+    let path = dir.path().join("t.manifest.json");
+    let mut kept = json(&path);
     assert!(kept.as_object_mut().unwrap().remove("files").is_some());
-    std::fs::write(&manifest, kept.to_string()).unwrap();
-    let again = [&resume[..], &["--quiet"]].concat();
-    let output = collect(&volume, &out, &again).output().unwrap();
-    assert!(output.status.success() && output.stderr.is_empty(), "{}", stderr(&output));
-    std::fs::write(&manifest, kept.to_string()).unwrap();
-    let output = collect(&volume, &out, &resume).output().unwrap();
-    assert!(output.status.success() && stderr(&output).contains("no checksums"), "{}", stderr(&output));
+    std::fs::write(&path, kept.to_string()).unwrap();
+    let output = works(collect(&volume, &out, &resume).arg("--quiet"));
+    assert!(output.stderr.is_empty(), "{}", stderr(&output));
+    std::fs::write(&path, kept.to_string()).unwrap();
+    let output = works(&mut collect(&volume, &out, &resume));
+    assert!(stderr(&output).contains("no checksums"), "{}", stderr(&output));
 }

@@ -118,10 +118,10 @@ fn encode_prints_features_that_agree_with_double_precision() {
             assert!((found - expected).abs() < 1e-4 * norm, "{found} {expected}");
         }
     }
-    let one =
-        succeeds(folder.path(), &["encode", "--model", "volume.safetensors", "ball.nrrd", "--threads", "1"]);
-    let two =
-        succeeds(folder.path(), &["encode", "--model", "volume.safetensors", "ball.nrrd", "--threads", "2"]);
+    let [one, two] = ["1", "2"].map(|threads| {
+        let line = format!("encode --model volume.safetensors ball.nrrd --threads {threads}");
+        succeeds(folder.path(), &words(&line))
+    });
     assert_eq!(one, two);
 }
 
@@ -334,20 +334,9 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));
         assert!(!stderr(&output).contains("panicked"));
     }
-    for command in [
-        "calibrate",
-        "collect",
-        "features",
-        "train",
-        "evaluate",
-        "predict",
-        "encode",
-        "render",
-        "probe",
-        "steer",
-        "schedule",
-        "demo",
-    ] {
+    for command in
+        words("calibrate collect features train evaluate predict encode render probe steer schedule demo")
+    {
         let help = succeeds(folder.path(), &[command, "--help"]);
         assert!(help.contains("Examples:") && help.contains(&format!("entire {command}")), "{help}");
     }
@@ -359,20 +348,9 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
 fn pictures_do_not_depend_on_the_number_of_threads() {
     let folder = workshop();
     for size in ["61x83", "40x17", "8x8", "33x120"] {
-        let arguments = [
-            "render",
-            "ball.nrrd",
-            "--camera",
-            "10,20,2.2",
-            "--tf",
-            "0.7,0.2,0.5",
-            "--size",
-            size,
-            "--out",
-            "a.png",
-        ];
+        let line = format!("render ball.nrrd --camera 10,20,2.2 --tf 0.7,0.2,0.5 --size {size} --out a.png");
         let drawn = |threads: &str| {
-            let output = entire_in(folder.path(), &[("LP_NUM_THREADS", threads)], &arguments);
+            let output = entire_in(folder.path(), &[("LP_NUM_THREADS", threads)], &words(&line));
             assert!(output.status.success(), "{}", stderr(&output));
             picture(&folder.path().join("a.png"))
         };

@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use crate::ball;
-use crate::support::{entire, refuses, stderr, succeeds};
+use crate::support::{byte_nrrd, entire, json, refuses, stderr, succeeds, words};
 
 const RENDERER: &str = "[renderer]\nkind = \"entire\"\ndevice = \"cpu\"\n";
 
@@ -72,25 +72,10 @@ fn a_database_is_rendered_and_its_table_names_every_image() {
     // The image equals the picture that `entire render` draws.
     let row = &rows[7];
     let camera = format!("{},{},{}", row["rx_deg"], row["ry_deg"], row["dz_radii"]);
-    succeeds(
-        dir.path(),
-        &[
-            "render",
-            "a ball's $(x).nrrd",
-            "--camera",
-            &camera,
-            "--tf",
-            "0.5,0.05,0.4",
-            "--size",
-            "48x32",
-            "--step",
-            &row["step"],
-            "--device",
-            "cpu",
-            "--out",
-            "one.png",
-        ],
-    );
+    let line =
+        format!("--camera {camera} --tf 0.5,0.05,0.4 --size 48x32 --step {} --device cpu", row["step"]);
+    let arguments = ["render", "a ball's $(x).nrrd", "--out", "one.png"];
+    succeeds(dir.path(), &[&arguments[..], &words(&line)[..]].concat());
     let (one, other) = (dir.path().join("one.png"), dir.path().join("db.cdb").join(&row["FILE"]));
     assert_eq!(std::fs::read(one).unwrap(), std::fs::read(other).unwrap());
     // Without --resume, the finished database is refused; with --resume, no task is rendered again.
@@ -212,7 +197,7 @@ fn two_drivers_do_not_work_on_one_database() {
 fn render_picture(folder: &Path) {
     let line =
         "render second.nrrd --camera 1,2,3 --tf 0.5,0.05,0.4 --size 48x32 --device cpu --out picture.png";
-    succeeds(folder, &line.split(' ').collect::<Vec<_>>());
+    succeeds(folder, &words(line));
 }
 
 #[test]
@@ -238,10 +223,8 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     assert_eq!(journal(dir.path()).matches("\"failed\"").count(), 8);
     // After the repair, failed tasks are rendered; the others are not rendered again.
     std::fs::write(dir.path().join("draw.sh"), script.replace("= 36", "= 999")).unwrap();
-    let said = succeeds(
-        dir.path(),
-        &["farm", "job.toml", "--slots", "2", "--resume", "--retry-quarantined", "--quiet"],
-    );
+    let again = words("farm job.toml --slots 2 --resume --retry-quarantined --quiet");
+    let said = succeeds(dir.path(), &again);
     assert!(said.contains("40 of 40 images, 4 of them"), "{said}");
 }
 
@@ -290,18 +273,15 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     succeeds(dir.path(), &["farm", "job.toml", "--dry-run", "--save-tasks", "tasks.csv"]);
     let list = std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap();
     assert_eq!(list.lines().count(), 41);
-    let schedule = ["schedule", "tasks.csv", "--nodes", "4", "--out", "a.csv"];
-    succeeds(dir.path(), &schedule);
-    succeeds(
-        dir.path(),
-        &[&schedule[..], &["--method", "affinity", "--dispatch", "1", "--window", "2"]].concat(),
-    );
+    let schedule = "schedule tasks.csv --nodes 4 --out a.csv";
+    succeeds(dir.path(), &words(schedule));
+    succeeds(dir.path(), &words(&format!("{schedule} --method affinity --dispatch 1 --window 2")));
     // Options that would have no effect are refused.
     for (more, parts) in [
-        (&["--dispatch", "1"][..], ["--dispatch", "--method static"]),
-        (&["--method", "queue", "--window", "2"], ["--window", "--method queue"]),
+        ("--dispatch 1", ["--dispatch", "--method static"]),
+        ("--method queue --window 2", ["--window", "--method queue"]),
     ] {
-        refuses(dir.path(), &[&schedule[..], more].concat(), &parts);
+        refuses(dir.path(), &words(&format!("{schedule} {more}")), &parts);
     }
     // The saved list can be the source of the tasks' expected times.
     let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
@@ -309,8 +289,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     let said = succeeds(dir.path(), &["farm", "told.toml", "--dry-run"]);
     assert!(said.contains("the list "), "{said}");
     let said = succeeds(dir.path(), &["farm", "job.toml", "--openjd", "t.json", "--slots", "2"]);
-    let template: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(dir.path().join("t.json")).unwrap()).unwrap();
+    let template = json(&dir.path().join("t.json"));
     assert_eq!(template["specificationVersion"], "jobtemplate-2023-09", "{said}");
     refuses(dir.path(), &["farm", "none.toml"], &["cannot read the job file none.toml"]);
     refuses(dir.path(), &["farm", "job.toml", "--slots", "0"], &["--slots is 0"]);
@@ -332,11 +311,8 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         let output = entire(dir.path(), &[&["farm", "job.toml"], more].concat());
         assert!(output.status.code() == Some(2) && stderr(&output).contains(part), "{}", stderr(&output));
     }
-    refuses(
-        dir.path(),
-        &["schedule", "tasks.csv", "--nodes", "9000000000000", "--out", "a.csv"],
-        &["--nodes is"],
-    );
+    let many = words("schedule tasks.csv --nodes 9000000000000 --out a.csv");
+    refuses(dir.path(), &many, &["--nodes is"]);
     // Workers of another farm run the template's bundles; the report covers their images.
     for order in std::fs::read_dir(dir.path().join("db.cdb/.farm/orders")).unwrap() {
         let number = order.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned();
@@ -350,21 +326,14 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         .iter()
         .filter_map(|e| Some((e["done"]["predicted_s"].as_f64()?, e["done"]["answer"]["seconds"].as_f64()?)));
     assert_eq!(pairs.filter(|(expected, took)| expected != took).count(), 40, "{}", journal(dir.path()));
-    refuses(
-        dir.path(),
-        &["farm", "job.toml", "--resume", "--engine", "hyperqueue", "--python", "no-such-python"],
-        &["no-such-python", "--python"],
-    );
+    let other = words("farm job.toml --resume --engine hyperqueue --python no-such-python");
+    refuses(dir.path(), &other, &["no-such-python", "--python"]);
 }
 
 /// Writes a volume of 8³ voxels of one value, except one voxel of 0 and one of 255.
 fn write_level(path: &Path, level: u8) {
-    let head = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: raw\n\n";
-    let mut bytes = head.as_bytes().to_vec();
-    bytes.push(255);
-    bytes.resize(head.len() + 511, level);
-    bytes.push(0);
-    std::fs::write(path, bytes).unwrap();
+    let values = std::iter::once(255).chain(std::iter::repeat_n(level, 510)).chain([0]);
+    std::fs::write(path, byte_nrrd([8; 3], values)).unwrap();
 }
 
 const STEPS: &str = "name = \"db\"\nsizes = [\"16x12\"]\nsteps = [1.0]\n\

@@ -1,6 +1,6 @@
 //! Fill values, and bytes that use a small part of their range.
 
-use crate::support::{entire, float_nrrd, picture, render, stderr, succeeds};
+use crate::support::{byte_nrrd, entire, float_nrrd, picture, render, stderr, succeeds, words};
 use entire_io::volume::{Fill, Range, Reading, Volume, VolumeData};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -94,8 +94,7 @@ fn fill_values_are_drawn_as_the_low_end() {
 fn bytes_of_a_narrow_range_are_said_and_can_be_spanned() {
     let folder = tempfile::tempdir().unwrap();
     let bytes: Vec<u8> = (0..4096u32).map(|i| 3 + (i % 15) as u8).collect();
-    let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 16 16 16\nencoding: raw\n\n";
-    std::fs::write(folder.path().join("dim.nrrd"), [header.as_bytes(), &bytes].concat()).unwrap();
+    std::fs::write(folder.path().join("dim.nrrd"), byte_nrrd([16; 3], bytes.iter().copied())).unwrap();
     let drawn = |more: &[&str]| {
         let arguments = render("dim.nrrd", "10,20,2.5", "0.8,0.02,0.7", "32x32", more);
         let output = entire(folder.path(), &arguments);
@@ -121,27 +120,11 @@ fn tables_keep_how_volumes_are_read() {
     let value = |i: usize| if i.is_multiple_of(5) { -9999.0 } else { 0.1 + (i % 97) as f32 / 100.0 };
     let bytes = float_nrrd([16, 16, 16], (0..4096).map(value));
     std::fs::write(folder.path().join("v.nrrd"), bytes).unwrap();
-    let collect = |out: &str, more: &[&str]| {
-        let mut arguments = vec![
-            "collect",
-            "v.nrrd",
-            "--device",
-            "cpu",
-            "--frames",
-            "2",
-            "--repeats",
-            "1",
-            "--max-size",
-            "32",
-            "--out",
-            out,
-        ];
-        arguments.extend_from_slice(more);
-        entire(folder.path(), &arguments)
+    let collect = |out: &str, more: &str| {
+        let common = "collect v.nrrd --device cpu --frames 2 --repeats 1 --max-size 32";
+        entire(folder.path(), &words(&format!("{common} --out {out} {more}")))
     };
-    for (out, more) in
-        [("found.csv", &[][..]), ("kept.csv", &["--fill", "none"]), ("low.csv", &["--fill", "-9999"])]
-    {
+    for (out, more) in [("found.csv", ""), ("kept.csv", "--fill none"), ("low.csv", "--fill -9999")] {
         let output = collect(out, more);
         assert!(output.status.success(), "{}", stderr(&output));
         succeeds(folder.path(), &["features", "--data", out, "--quiet"]);
@@ -155,7 +138,7 @@ fn tables_keep_how_volumes_are_read() {
     };
     assert_eq!(features("found"), features("low"));
     assert_ne!(features("found"), features("kept"));
-    let output = collect("kept.csv", &["--resume"]);
+    let output = collect("kept.csv", "--resume");
     let text = stderr(&output);
     assert!(!output.status.success() && text.contains("reading was"), "{text}");
 }

@@ -22,13 +22,16 @@ fn files(folder: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, serde::Deserialize)]
 struct Row {
+    file: String,
     readers: String,
     dims: String,
+    #[serde(rename = "type")]
     kind: String,
     spacing: String,
-    range: Option<(f32, f32)>,
+    min: Option<f32>,
+    max: Option<f32>,
     crc32: String,
     refusal: String,
 }
@@ -40,20 +43,10 @@ fn table() -> BTreeMap<String, Row> {
         csv.headers().unwrap().iter().collect::<Vec<_>>(),
         ["file", "readers", "dims", "type", "spacing", "min", "max", "crc32", "refusal"]
     );
-    for record in csv.records() {
-        let record = record.unwrap();
-        let cell = |at: usize| record[at].to_owned();
-        let range = (!record[5].is_empty()).then(|| (record[5].parse().unwrap(), record[6].parse().unwrap()));
-        let row = Row {
-            readers: cell(1),
-            dims: cell(2),
-            kind: cell(3),
-            spacing: cell(4),
-            range,
-            crc32: cell(7),
-            refusal: cell(8),
-        };
-        assert!(rows.insert(cell(0), row).is_none(), "{} has two rows", &record[0]);
+    for row in csv.deserialize() {
+        let row: Row = row.unwrap();
+        let name = row.file.clone();
+        assert!(rows.insert(row.file.clone(), row).is_none(), "{name} has two rows");
     }
     rows
 }
@@ -96,7 +89,7 @@ fn difference(name: &str, row: &Row) -> Option<String> {
         && kind == row.kind
         && spacing.len() == 3
         && volume.spacing().iter().zip(&spacing).all(near)
-        && range == row.range
+        && range == row.min.zip(row.max)
         && format!("{:08x}", crc32fast::hash(&bytes)) == row.crc32;
     (!same).then(|| {
         let (dims, spacing, crc32) = (volume.dims(), volume.spacing(), crc32fast::hash(&bytes));
@@ -141,7 +134,7 @@ fn a_value_that_differs_is_found() {
         &|row| row.dims = "10 12 8".to_owned(),
         &|row| row.kind = "int16".to_owned(),
         &|row| row.spacing = "1 1.5001 2".to_owned(),
-        &|row| row.range = None,
+        &|row| row.min = None,
         &|row| row.crc32 = "00000000".to_owned(),
         &|row| row.refusal = "gone".to_owned(),
     ];

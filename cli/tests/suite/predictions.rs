@@ -33,7 +33,7 @@ fn predicting_models() -> Vec<(String, Model)> {
     files_in("models", ".safetensors")
         .into_iter()
         .map(|p| (name(&p), Model::from_bytes(&std::fs::read(&p).unwrap()).unwrap()))
-        .filter(|(_, m)| m.prednet().is_some())
+        .filter(|(_, m)| m.prednet.is_some())
         .collect()
 }
 
@@ -104,7 +104,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
     let mut of_random = vec![0usize; models.len()];
     let mut ordinary = vec![0usize; models.len()];
     for (((name, model), count), ordinary) in models.iter().zip(&mut of_random).zip(&mut ordinary) {
-        let parts = model.prednet().unwrap();
+        let parts = model.prednet.as_ref().unwrap();
         let net = PredNet::new(parts).unwrap();
         // The inputs of unit costs are counts: of any size, and never negative.
         let counts = Normalization { mean: vec![1e8; net.inputs()], std: vec![1e8; net.inputs()] };
@@ -171,15 +171,15 @@ fn hostile_models_predict_positive_seconds_or_are_refused() {
     let path = files_in("models", "local-distilled.safetensors").remove(0);
     let file = ModelFile::from_bytes(&std::fs::read(path).unwrap()).unwrap();
     let model = file.to_model().unwrap();
-    let width: usize = model.inputs().iter().map(|g| g.size).sum();
-    let mean = model.prednet().unwrap().input.as_ref().unwrap().mean.clone();
+    let width: usize = model.inputs.iter().map(|g| g.size).sum();
+    let mean = model.prednet.as_ref().unwrap().input.as_ref().unwrap().mean.clone();
     for factor in [-1.0, -1e3, 0.0, 1e4, -1e20] {
-        let mut parts = model.prednet().unwrap().clone();
+        let mut parts = model.prednet.as_ref().unwrap().clone();
         let last = parts.layers.last_mut().unwrap();
         last.weight.iter_mut().chain(&mut last.bias).for_each(|w| *w *= factor);
         let mut hostile = file.clone();
         // Some of these networks cannot be stored: the file refuses them, which is also correct.
-        let Ok(hostile) = hostile.set_prednet(&parts, model.inputs()).and_then(|f| f.to_model()) else {
+        let Ok(hostile) = hostile.set_prednet(&parts, &model.inputs).and_then(|f| f.to_model()) else {
             continue;
         };
         match predict_rows(&hostile, &mean, width) {

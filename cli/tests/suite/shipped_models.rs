@@ -29,7 +29,7 @@ fn shipped_encoders_agree_with_pytorch_in_double_precision() {
     for (model, volume, expected) in GOLDEN {
         let bytes = std::fs::read(root.join("models").join(format!("{model}.safetensors"))).unwrap();
         let model_file = Model::from_bytes(&bytes).unwrap();
-        let net = VolumeNet::new(model_file.volumenet().unwrap()).unwrap();
+        let net = VolumeNet::new(model_file.volumenet.as_ref().unwrap()).unwrap();
         let volume_file = Volume::open(root.join("data").join(volume)).unwrap();
         let mut features = [0.0f32; 2];
         net.encode(&volume_file.view(), &mut net.scratch(), Executor::Serial, &mut features).unwrap();
@@ -50,10 +50,10 @@ fn every_shipped_model_has_a_card_and_provenance() {
         if path.extension().is_some_and(|e| e == "safetensors") {
             let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
             let provenance: serde_json::Value =
-                serde_json::from_str(&model.metadata()[Key::Provenance.name()]).unwrap();
+                serde_json::from_str(&model.metadata[Key::Provenance.name()]).unwrap();
             assert!(provenance.is_object(), "{}", path.display());
             let card = std::fs::read_to_string(path.with_extension("md")).unwrap();
-            for text in [&card, &model.metadata()[Key::Provenance.name()]] {
+            for text in [&card, &model.metadata[Key::Provenance.name()]] {
                 for start in ["\": \"/", "\":\"/", "`/"] {
                     assert!(!text.contains(start), "{}: a path of one machine", path.display());
                 }

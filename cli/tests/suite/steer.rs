@@ -1,21 +1,15 @@
 //! `entire steer` and `entire demo` as processes: their files, output and refused input.
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
 use crate::ball;
+use crate::support::{entire, entire_in, json, stderr, stdout, succeeds, words};
+use std::collections::BTreeSet;
+use std::path::Path;
 
-fn entire(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_entire")).args(arguments).output().unwrap()
-}
-
-fn setting() -> (tempfile::TempDir, PathBuf, PathBuf) {
+/// Returns a folder with a volume, ball.nrrd.
+fn setting() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
-    let volume = dir.path().join("ball.nrrd");
-    ball::write(&volume);
-    let out = dir.path().join("out");
-    (dir, volume, out)
+    ball::write(&dir.path().join("ball.nrrd"));
+    dir
 }
 
 fn check_report(out: &Path, controllers: usize, frames: usize) {
@@ -37,8 +31,7 @@ fn check_report(out: &Path, controllers: usize, frames: usize) {
     }
     let csv = std::fs::read_to_string(out.join("frames.csv")).unwrap();
     assert_eq!(csv.lines().count(), 1 + controllers * frames);
-    let summary: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+    let summary = json(&out.join("summary.json"));
     assert_eq!(summary["frames"], frames);
     let figures = summary["controllers"].as_object().unwrap();
     assert_eq!(figures.len(), controllers);
@@ -51,23 +44,17 @@ fn check_report(out: &Path, controllers: usize, frames: usize) {
 
 #[test]
 fn steer_plays_a_path_and_writes_a_report_that_stands_alone() {
-    let (dir, volume, out) = setting();
-    let saved = dir.path().join("path.json");
-    let (volume, out_text, saved_text) =
-        (volume.to_str().unwrap(), out.to_str().unwrap(), saved.to_str().unwrap());
-    let common = ["--target", "1ms", "--device", "cpu", "--size", "40x32", "--scenes", "4"];
-    let generated = ["steer", volume, "--generate", "switches", "--frames", "12", "--save-path", saved_text];
-    let output = entire(&[&generated[..], &common[..], &["--out", out_text]].concat());
-    let text = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let dir = setting();
+    let steer = "steer ball.nrrd --target 1ms --device cpu --size 40x32 --scenes 4";
+    let line = format!("{steer} --generate switches --frames 12 --save-path path.json --out out");
+    let text = succeeds(dir.path(), &words(&line));
     assert!(text.contains("Algorithm 1") && text.contains("report.html"), "{text}");
-    check_report(&out, 5, 12);
+    check_report(&dir.path().join("out"), 5, 12);
 
     // The saved path plays again, under other controllers.
+    let line = format!("{steer} --path path.json --controllers vtk-gpu,unreal,hybrid --out again");
+    succeeds(dir.path(), &words(&line));
     let again = dir.path().join("again");
-    let other = ["steer", volume, "--path", saved_text, "--controllers", "vtk-gpu,unreal,hybrid"];
-    let output = entire(&[&other[..], &common[..], &["--out", again.to_str().unwrap()]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     check_report(&again, 3, 12);
     let csv = std::fs::read_to_string(again.join("frames.csv")).unwrap();
     let names: BTreeSet<&str> = csv.lines().skip(1).map(|l| l.split(',').nth(1).unwrap()).collect();
@@ -76,38 +63,13 @@ fn steer_plays_a_path_and_writes_a_report_that_stands_alone() {
 
 #[test]
 fn steer_chooses_image_sizes_and_logs_them() {
-    let (dir, volume, out) = setting();
-    let log = dir.path().join("log.csv");
-    let (volume, out_text, log_text) =
-        (volume.to_str().unwrap(), out.to_str().unwrap(), log.to_str().unwrap());
+    let dir = setting();
+    let (log, out) = (dir.path().join("log.csv"), dir.path().join("out"));
     // The target is shorter than any frame on any machine, so that the smallest pictures are chosen.
-    let output = entire(&[
-        "steer",
-        volume,
-        "--generate",
-        "orbit",
-        "--frames",
-        "12",
-        "--target",
-        "1us",
-        "--limits",
-        "1,4",
-        "--device",
-        "cpu",
-        "--size",
-        "121x97",
-        "--scenes",
-        "4",
-        "--controllers",
-        "olp,hybrid",
-        "--max-image-sample-distance",
-        "1.9",
-        "--table",
-        log_text,
-        "--out",
-        out_text,
-    ]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let line = "steer ball.nrrd --generate orbit --frames 12 --target 1us --limits 1,4 --device cpu --size \
+                121x97 --scenes 4 --controllers olp,hybrid --max-image-sample-distance 1.9 --table log.csv \
+                --out out";
+    succeeds(dir.path(), &words(line));
     let frames = std::fs::read_to_string(out.join("frames.csv")).unwrap();
     let at = |name: &str| frames.lines().next().unwrap().split(',').position(|c| c == name).unwrap();
     let (who, distance) = (at("controller"), at("image_sample_distance"));
@@ -133,10 +95,9 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert_eq!(widths, drawn);
     assert_eq!(widths.len(), 2 * 12);
     // Its manifest says how the volume was read.
-    let manifest = std::fs::read(log.with_extension("manifest.json")).unwrap();
-    let manifest: serde_json::Value = serde_json::from_slice(&manifest).unwrap();
+    let manifest = json(&log.with_extension("manifest.json"));
     assert!(manifest["renderer"] == "cpu" && manifest["settings"]["reading"].is_object(), "{manifest}");
-    assert!(manifest["files"].as_object().unwrap().contains_key(volume), "{manifest}");
+    assert!(manifest["files"].as_object().unwrap().contains_key("ball.nrrd"), "{manifest}");
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
@@ -144,23 +105,19 @@ fn steer_chooses_image_sizes_and_logs_them() {
 /// Checks that the machine's model is calibrated with the volumes in data/, but not with the played volume.
 #[test]
 fn demo_calibrates_on_other_volumes_and_its_model_steers() {
-    let (dir, volume, out) = setting();
+    let dir = setting();
+    let out = dir.path().join("out");
     std::fs::create_dir(dir.path().join("data")).unwrap();
     for name in ["a.nrrd", "b.nrrd", "c.nrrd"] {
         ball::write(&dir.path().join("data").join(name));
     }
     // A copy of the volume counts as another volume; a link to the volume does not.
-    std::os::unix::fs::symlink(&volume, dir.path().join("data/same.nrrd")).unwrap();
-    let (volume, out_text) = (volume.to_str().unwrap(), out.to_str().unwrap());
-    let small = ["--frames", "16", "--scenes", "4", "--seconds", "12", "--size", "40x40", "--device", "cpu"];
-    let output = Command::new(env!("CARGO_BIN_EXE_entire"))
-        .args([&["demo", volume, "--out", out_text][..], &small[..]].concat())
-        .current_dir(dir.path())
-        .env("XDG_DATA_HOME", dir.path())
-        .output()
-        .unwrap();
-    let text = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    std::os::unix::fs::symlink(dir.path().join("ball.nrrd"), dir.path().join("data/same.nrrd")).unwrap();
+    let home = [("XDG_DATA_HOME", dir.path().to_str().unwrap())];
+    let line = "demo ball.nrrd --out out --frames 16 --scenes 4 --seconds 12 --size 40x40 --device cpu";
+    let output = entire_in(dir.path(), &home, &words(line));
+    let text = stdout(&output);
+    assert!(output.status.success(), "{}", stderr(&output));
     for word in [
         "enlarged trilinearly x2",
         "target",
@@ -174,80 +131,55 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     }
     check_report(&out, 5, 16);
 
-    let (model, path) = (out.join("model.safetensors"), out.join("path.json"));
-    let played = dir.path().join("played");
-    let output = entire(&[
-        "steer",
-        volume,
-        "--enlarge",
-        "2",
-        "--path",
-        path.to_str().unwrap(),
-        "--model",
-        model.to_str().unwrap(),
-        "--target",
-        "500fps",
-        "--device",
-        "cpu",
-        "--size",
-        "40x40",
-        "--scenes",
-        "4",
-        "--out",
-        played.to_str().unwrap(),
-    ]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let summary = std::fs::read_to_string(played.join("summary.json")).unwrap();
+    let line = "steer ball.nrrd --enlarge 2 --path out/path.json --model out/model.safetensors --target 500fps \
+                --device cpu --size 40x40 --scenes 4 --out played";
+    succeeds(dir.path(), &words(line));
+    let summary = std::fs::read_to_string(dir.path().join("played/summary.json")).unwrap();
     assert!(summary.contains("model.safetensors"), "{summary}");
 }
 
 #[test]
 fn bad_input_is_one_line_and_status_1() {
-    let (dir, volume, out) = setting();
-    let (volume, out) = (volume.to_str().unwrap(), out.to_str().unwrap());
-    let bad_path = dir.path().join("bad.json");
-    std::fs::write(&bad_path, "{\"format\": \"entire-path-1\", \"frames\": 3, \"keyframes\": []}").unwrap();
-    let bad = bad_path.to_str().unwrap();
-    let generate = ["--generate", "orbit"];
-    let with = |more: &[&str], path: &[&str]| {
-        let base = ["steer", volume, "--device", "cpu", "--out", out];
-        let output = entire(&[&base[..], path, more].concat());
-        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    let dir = setting();
+    let bad = r#"{"format": "entire-path-1", "frames": 3, "keyframes": []}"#;
+    std::fs::write(dir.path().join("bad.json"), bad).unwrap();
+    let with = |more: &str| {
+        let output = entire(dir.path(), &words(&format!("steer ball.nrrd --device cpu --out out {more}")));
+        let text = stderr(&output);
         assert!(!text.contains("panicked"), "{text}");
         (output.status.code(), text)
     };
     for (more, expected) in [
-        (&["--target", "33"][..], "--target: "),
-        (&["--target", "33"], "no known unit"),
-        (&["--target", "0ms"], "finite positive"),
-        (&["--target", "-1"], "no known unit"),
-        (&["--target", "-5ms"], "finite positive"),
-        (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
-        (&["--target", "9ms", "--retarget", "5:8"], "--retarget \"5:8\""),
-        (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),
-        (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
-        (&["--target", "9ms", "--hold", "3"], "several volumes"),
-        (&["--target", "9ms", "--limits", "4,2"], "step limits"),
-        (&["--target", "9ms", "--scenes", "3"], "at least 4 scenes"),
-        (&["--target", "9ms", "--controllers", "pid,pid"], "twice"),
-        (&["--target", "9ms", "--frames", "2"], "8 to 1000000 frames"),
-        (&["--target", "9ms", "--clock", "device"], "no device clock"),
-        (&["--target", "9ms", "--model", "/no/such/model"], "/no/such/model"),
+        ("--target 33", "--target: "),
+        ("--target 33", "no known unit"),
+        ("--target 0ms", "finite positive"),
+        ("--target -1", "no known unit"),
+        ("--target -5ms", "finite positive"),
+        ("--target 9ms --retarget 5", "FRAME:TIME"),
+        ("--target 9ms --retarget 5:8", "--retarget \"5:8\""),
+        ("--target 9ms --retarget 9:8ms,3:9ms", "ordered by frame"),
+        ("--target 9ms --scales 9:1,3:0.5", "ordered by frame"),
+        ("--target 9ms --hold 3", "several volumes"),
+        ("--target 9ms --limits 4,2", "step limits"),
+        ("--target 9ms --scenes 3", "at least 4 scenes"),
+        ("--target 9ms --controllers pid,pid", "twice"),
+        ("--target 9ms --frames 2", "8 to 1000000 frames"),
+        ("--target 9ms --clock device", "no device clock"),
+        ("--target 9ms --model /no/such/model", "/no/such/model"),
     ] {
-        let (code, text) = with(more, &generate);
+        let (code, text) = with(&format!("--generate orbit {more}"));
         assert_eq!(code, Some(1), "{more:?}: {text}");
         assert!(text.contains(expected) && text.trim_end().lines().count() == 1, "{more:?}: {text}");
     }
-    let (code, text) = with(&["--target", "9ms"], &["--path", bad]);
+    let (code, text) = with("--target 9ms --path bad.json");
     assert!(code == Some(1) && text.contains("bad.json is no path: there is no keyframe"), "{text}");
-    for usage in [&["--target", "9ms"][..], &["--target", "9ms", "--size", "9", "--generate", "orbit"]] {
-        assert_eq!(with(usage, &[]).0, Some(2), "{usage:?}");
+    for usage in ["--target 9ms", "--target 9ms --size 9 --generate orbit"] {
+        assert_eq!(with(usage).0, Some(2), "{usage}");
     }
-    let (code, text) = with(&["--target", "9ms", "--max-image-sample-distance", "0.5"], &generate);
+    let (code, text) = with("--target 9ms --max-image-sample-distance 0.5 --generate orbit");
     assert!(code == Some(2) && text.contains("from 1 to 20"), "{text}");
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_entire")).arg("demo").current_dir(dir.path()).output().unwrap();
-    let text = String::from_utf8_lossy(&output.stderr);
+    let output = entire(dir.path(), &["demo"]);
+    let text = stderr(&output);
     assert!(output.status.code() == Some(1) && text.contains("project's root"), "{text}");
 }
 

@@ -3,8 +3,8 @@
 use entire_core::nn::Target;
 use entire_steer::predict::LONGEST_FRAME;
 use entire_train::gradient::{
-    Loss, Network, Progress, Samples, Settings, Standardization, Stop, Trainer, cosine_learning_rate,
-    preset_widths, train,
+    Loss, Network, Progress, Samples, Settings, Standardization, Stop, Trained, Trainer,
+    cosine_learning_rate, preset_widths, train,
 };
 use proptest::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -34,12 +34,16 @@ fn noise(n: usize, seed: u64) -> Vec<f64> {
         .collect()
 }
 
-fn run(samples: Samples<'_>, validation: Samples<'_>, settings: &Settings, threads: usize) -> Vec<f32> {
-    let network = Network::<f32>::random(&[2, 16, 8, 1], settings.seed).unwrap();
-    let trained =
-        train(&pool(threads), network, None, samples, validation, settings, |_| ControlFlow::Continue(()))
-            .unwrap();
-    trained.network.parameters().to_vec()
+/// Trains a random network of these layer widths to the end.
+fn trained(
+    threads: usize,
+    widths: &[usize],
+    training: Samples<'_>,
+    validation: Samples<'_>,
+    settings: &Settings,
+) -> anyhow::Result<Trained<f32>> {
+    let network = Network::random(widths, settings.seed)?;
+    train(&pool(threads), network, None, training, validation, settings, |_| ControlFlow::Continue(()))
 }
 
 /// Frames whose log time is a smooth function of two inputs.
@@ -195,26 +199,24 @@ fn steps_are_those_of_pytorch() {
 fn the_result_depends_on_the_seed_and_not_on_the_threads() {
     let (x, t) = frames(600, 1);
     let samples = Samples { inputs: &x, seconds: &t };
-    let mut settings = Settings::default();
-    settings.epochs = 3;
-    settings.batch = 200;
-    let one = run(samples, NONE, &settings, 1);
-    assert_eq!(one, run(samples, NONE, &settings, 1));
-    assert_eq!(one, run(samples, NONE, &settings, 3));
-    settings.seed = 2;
-    assert_ne!(one, run(samples, NONE, &settings, 1));
+    let settings = Settings { epochs: 3, batch: 200, ..Settings::default() };
+    let run = |settings: &Settings, threads: usize| {
+        let trained = trained(threads, &[2, 16, 8, 1], samples, NONE, settings).unwrap();
+        trained.network.parameters().to_vec()
+    };
+    let one = run(&settings, 1);
+    assert_eq!(one, run(&settings, 1));
+    assert_eq!(one, run(&settings, 3));
+    assert_ne!(one, run(&Settings { seed: 2, ..settings }, 1));
 }
 
 #[test]
 fn times_that_no_frame_takes_are_refused() {
     let (x, mut t) = frames(8, 1);
     let longest = f64::from(LONGEST_FRAME);
-    let mut settings = Settings::default();
-    settings.epochs = 1;
+    let settings = Settings { epochs: 1, ..Settings::default() };
     let trained = |training: Samples<'_>, validation: Samples<'_>| {
-        let network = Network::<f32>::random(&[2, 4, 1], 1).unwrap();
-        train(&pool(1), network, None, training, validation, &settings, |_| ControlFlow::Continue(()))
-            .map(drop)
+        trained(1, &[2, 4, 1], training, validation, &settings)
     };
     let (vx, vt) = frames(4, 2);
     t[5] = longest;
@@ -241,17 +243,10 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
         (Target::Seconds, Loss::SquaredError, 0.2),
         (Target::Seconds, Loss::Relative, 0.1),
     ] {
-        let mut settings = Settings::default();
-        settings.epochs = 60;
-        settings.batch = 64;
-        settings.learning_rate = 1e-2;
-        settings.final_learning_rate = 1e-4;
-        settings.target = target;
-        settings.loss = loss;
-        let network = Network::<f32>::random(&[2, 32, 16, 1], 1).unwrap();
-        let trained =
-            train(&pool(2), network, None, training, validation, &settings, |_| ControlFlow::Continue(()))
-                .unwrap();
+        let (learning_rate, final_learning_rate) = (1e-2, 1e-4);
+        let rest = Settings { learning_rate, final_learning_rate, ..Settings::default() };
+        let settings = Settings { epochs: 60, batch: 64, target, loss, ..rest };
+        let trained = trained(2, &[2, 32, 16, 1], training, validation, &settings).unwrap();
         let mut errors: Vec<f64> =
             trained.predict(&pool(2), &vx).unwrap().iter().zip(&vt).map(|(p, t)| (p - t).abs() / t).collect();
         errors.sort_by(f64::total_cmp);
@@ -275,16 +270,9 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
 fn a_high_quantile_lies_above_that_share_of_frames() {
     let (x, _) = frames(4000, 5);
     let t: Vec<f64> = noise(4000, 6).iter().map(|u| 1.0 + 0.5 * u).collect();
-    let mut settings = Settings::default();
-    settings.epochs = 40;
-    settings.learning_rate = 1e-2;
-    settings.loss = Loss::Pinball { quantile: 0.9 };
-    let network = Network::<f32>::random(&[2, 8, 1], 1).unwrap();
-    let trained =
-        train(&pool(2), network, None, Samples { inputs: &x, seconds: &t }, NONE, &settings, |_| {
-            ControlFlow::Continue(())
-        })
-        .unwrap();
+    let loss = Loss::Pinball { quantile: 0.9 };
+    let settings = Settings { epochs: 40, learning_rate: 1e-2, loss, ..Settings::default() };
+    let trained = trained(2, &[2, 8, 1], Samples { inputs: &x, seconds: &t }, NONE, &settings).unwrap();
     let p = trained.predict(&pool(1), &x).unwrap();
     let covered = p.iter().zip(&t).filter(|(p, t)| t <= p).count() as f64 / 4000.0;
     assert!((covered - 0.9).abs() < 0.03, "{covered}");
@@ -297,18 +285,10 @@ fn early_stopping_keeps_the_best_weights() {
     let t: Vec<f64> = noise(40, 8).iter().map(|u| u.exp()).collect();
     let (vx, _) = frames(40, 9);
     let vt: Vec<f64> = noise(40, 10).iter().map(|u| u.exp()).collect();
-    let mut settings = Settings::default();
-    settings.epochs = 2000;
-    settings.patience = 20;
-    settings.learning_rate = 1e-2;
-    settings.batch = 40;
-    let network = Network::<f32>::random(&[2, 64, 64, 1], 1).unwrap();
-    let validation = Samples { inputs: &vx, seconds: &vt };
-    let trained =
-        train(&pool(1), network, None, Samples { inputs: &x, seconds: &t }, validation, &settings, |_| {
-            ControlFlow::Continue(())
-        })
-        .unwrap();
+    let settings =
+        Settings { epochs: 2000, patience: 20, learning_rate: 1e-2, batch: 40, ..Settings::default() };
+    let (training, validation) = (Samples { inputs: &x, seconds: &t }, Samples { inputs: &vx, seconds: &vt });
+    let trained = trained(1, &[2, 64, 64, 1], training, validation, &settings).unwrap();
     assert_eq!(trained.stop, Stop::Early);
     assert_eq!(trained.history.len(), trained.best_epoch + 20);
     let lowest = trained.history.iter().map(|h| h.validation_loss).fold(f64::INFINITY, f64::min);
@@ -326,8 +306,7 @@ fn an_interrupted_run_returns_what_it_has() {
     let (x, t) = frames(400, 11);
     let (vx, vt) = frames(100, 12);
     let (training, validation) = (Samples { inputs: &x, seconds: &t }, Samples { inputs: &vx, seconds: &vt });
-    let mut settings = Settings::default();
-    settings.batch = 50;
+    let settings = Settings { batch: 50, ..Settings::default() };
     for stop_at in [1, 8, 30] {
         let mut seen: Vec<Progress> = Vec::new();
         let network = Network::<f32>::random(&[2, 8, 1], 1).unwrap();
@@ -348,24 +327,12 @@ fn an_interrupted_run_returns_what_it_has() {
 fn fine_tuning_starts_from_the_given_model() {
     let (x, t) = frames(500, 13);
     let training = Samples { inputs: &x, seconds: &t };
-    let mut settings = Settings::default();
-    settings.epochs = 30;
-    settings.learning_rate = 1e-2;
-    settings.target = Target::LogSeconds;
-    let first = train(
-        &pool(2),
-        Network::<f32>::random(&[2, 16, 1], 1).unwrap(),
-        None,
-        training,
-        NONE,
-        &settings,
-        |_| ControlFlow::Continue(()),
-    )
-    .unwrap();
+    let target = Target::LogSeconds;
+    let settings = Settings { epochs: 30, learning_rate: 1e-2, target, ..Settings::default() };
+    let first = trained(2, &[2, 16, 1], training, NONE, &settings).unwrap();
     let parts = first.to_parts();
     let slower: Vec<f64> = t.iter().map(|t| t * 1.05).collect();
-    settings.epochs = 1;
-    settings.learning_rate = 1e-6;
+    let settings = Settings { epochs: 1, learning_rate: 1e-6, ..settings };
     let second = train(
         &pool(2),
         Network::<f32>::from_parts(&parts).unwrap(),
@@ -385,20 +352,9 @@ fn fine_tuning_starts_from_the_given_model() {
 #[test]
 fn a_diverging_run_says_so_and_keeps_finite_weights() {
     let (x, t) = frames(300, 14);
-    let mut settings = Settings::default();
-    settings.learning_rate = 1e30;
-    settings.final_learning_rate = 1e30;
-    settings.clip_norm = f64::INFINITY;
-    let trained = train(
-        &pool(1),
-        Network::<f32>::random(&[2, 8, 8, 1], 1).unwrap(),
-        None,
-        Samples { inputs: &x, seconds: &t },
-        NONE,
-        &settings,
-        |_| ControlFlow::Continue(()),
-    )
-    .unwrap();
+    let (learning_rate, final_learning_rate, clip_norm) = (1e30, 1e30, f64::INFINITY);
+    let settings = Settings { learning_rate, final_learning_rate, clip_norm, ..Settings::default() };
+    let trained = trained(1, &[2, 8, 8, 1], Samples { inputs: &x, seconds: &t }, NONE, &settings).unwrap();
     assert_eq!(trained.stop, Stop::Diverged);
     assert!(trained.network.parameters().iter().all(|p| p.is_finite()));
 }
@@ -407,18 +363,10 @@ fn a_diverging_run_says_so_and_keeps_finite_weights() {
 fn constant_inputs_and_targets_are_harmless() {
     let x = [3.0f32, 7.0].repeat(20);
     let t = vec![0.25f64; 20];
-    let s = Standardization::fit(Samples { inputs: &x, seconds: &t }, 2, Target::Seconds);
+    let samples = Samples { inputs: &x, seconds: &t };
+    let s = Standardization::fit(samples, 2, Target::Seconds);
     assert_eq!((&s.input_std[..], s.output_std), (&[1.0, 1.0][..], 1.0));
-    let trained = train(
-        &pool(1),
-        Network::<f32>::random(&[2, 4, 1], 1).unwrap(),
-        None,
-        Samples { inputs: &x, seconds: &t },
-        NONE,
-        &Settings::default(),
-        |_| ControlFlow::Continue(()),
-    )
-    .unwrap();
+    let trained = trained(1, &[2, 4, 1], samples, NONE, &Settings::default()).unwrap();
     assert!((trained.predict(&pool(1), &[3.0, 7.0]).unwrap()[0] - 0.25).abs() < 1e-3);
 }
 
@@ -452,10 +400,7 @@ fn bad_input_is_refused_with_a_reason() {
     let attempt = |training: Samples<'_>, validation: Samples<'_>, change: fn(&mut Settings)| {
         let mut settings = Settings::default();
         change(&mut settings);
-        let network = Network::<f32>::random(&[2, 4, 1], 1).unwrap();
-        train(&pool(1), network, None, training, validation, &settings, |_| ControlFlow::Break(()))
-            .map(|_| ())
-            .unwrap_err()
+        trained(1, &[2, 4, 1], training, validation, &settings).unwrap_err()
     };
     let nan: Vec<f32> = x.iter().enumerate().map(|(i, v)| if i == 5 { f32::NAN } else { *v }).collect();
     let zero: Vec<f64> = t.iter().enumerate().map(|(i, v)| if i == 3 { 0.0 } else { *v }).collect();

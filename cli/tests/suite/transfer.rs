@@ -1,6 +1,6 @@
 //! A model of one renderer is calibrated to another with a few frames.
 
-use entire_cli::calibrate::{calibrate_from, calibrate_to_frames};
+use entire_cli::calibrate::calibrate_to_frames;
 use entire_core::model::ModelFile;
 use entire_io::dataset::{Clock, Table, Timed};
 use entire_io::metrics::Metrics;
@@ -25,11 +25,10 @@ fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
     let recipe = |kind| Recipe { kind, ..Recipe::default() };
     let nothing = Timed { frames: &[], seconds: &[] };
     let base = recipe(Kind::Analytic).make(&context, here.timed(), nothing).unwrap().file;
-    let few: Vec<usize> = (0..there.frames.len()).step_by(20).collect();
-    let frames: Vec<_> = few.iter().map(|&i| there.frames[i]).collect();
-    let seconds: Vec<f64> = few.iter().map(|&i| there.seconds[i]).collect();
+    let frames: Vec<_> = there.frames.iter().copied().step_by(20).collect();
+    let seconds: Vec<f64> = there.seconds.iter().copied().step_by(20).collect();
     let few = Timed { frames: &frames, seconds: &seconds };
-    let tuned = calibrate_to_frames(&base, &context, few).unwrap();
+    let tuned = calibrate_to_frames(std::slice::from_ref(&base), &context, few).unwrap();
     let error = |file: &ModelFile| {
         let predicted = predict(&file.to_model().unwrap(), &context, &unseen.frames).unwrap();
         Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
@@ -76,7 +75,7 @@ fn what_converting_stored_values_costs_is_told_from_the_volume() {
 #[test]
 fn the_longest_ray_decides_how_long_a_gpu_takes() {
     let tables = tables(&["none-h100-train", "none-h100-members"]);
-    let fit = |context: &FitContext<'_>, frames: Timed<'_>| calibrate_from(&[], context, frames);
+    let fit = |context: &FitContext<'_>, frames: Timed<'_>| calibrate_to_frames(&[], context, frames);
     let gpu = error(&tables, Clock::Device, fit);
     // In software, no cost is that of a single ray.
     let software = error(&drawn_by(&tables, "vulkan", "llvmpipe"), Clock::Device, fit);

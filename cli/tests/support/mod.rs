@@ -23,6 +23,11 @@ pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
+/// Returns the words of a command line without quotes.
+pub(crate) fn words(line: &str) -> Vec<&str> {
+    line.split_whitespace().collect()
+}
+
 /// Returns the standard output of a run that must succeed.
 pub(crate) fn succeeds(folder: &Path, arguments: &[&str]) -> String {
     let output = entire(folder, arguments);
@@ -125,6 +130,15 @@ pub(crate) fn float_nrrd(dims: [usize; 3], values: impl Iterator<Item = f32>) ->
     file
 }
 
+/// A NRRD file of unsigned bytes.
+pub(crate) fn byte_nrrd(dims: [usize; 3], values: impl Iterator<Item = u8>) -> Vec<u8> {
+    let [x, y, z] = dims;
+    let mut file =
+        format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: {x} {y} {z}\nencoding: raw\n\n").into_bytes();
+    file.extend(values);
+    file
+}
+
 /// A folder with the files that most tests use; it is removed after the test.
 pub(crate) fn workshop() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -146,6 +160,11 @@ pub(crate) fn workshop() -> tempfile::TempDir {
     }
     put("rows.csv", rows.as_bytes());
     folder
+}
+
+/// The parsed JSON of a file.
+pub(crate) fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
 pub(crate) fn fixture(name: &str) -> PathBuf {

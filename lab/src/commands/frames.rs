@@ -2,14 +2,14 @@
 
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
-use entire_cli::calibrate::{NamedPrior, calibrate_from, calibrate_to_tables};
+use entire_cli::calibrate::{NamedPrior, calibrate_to_frames, calibrate_to_tables};
 use entire_io::dataset::{Clock, Table as TimingTable, read_tables};
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::interrupt;
 use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
-use entire_report::{Axis, Chart, Column, Mark, Series, Table};
+use entire_report::{Axis, Chart, Mark, Series, Table};
 use entire_steer::calibrate::FEWEST_FRAMES;
 use entire_train::fit::{FitContext, predict};
 use entire_train::split::{GroupBy, TimedFrames};
@@ -185,7 +185,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 let few = [TimingTable { frames: few, ..tables[0].clone() }];
                 let (file, expected) = if count < FEWEST_FRAMES {
                     let few = TimedFrames::of(&few[0].frames, options.clock);
-                    let file = calibrate_from(&others, &context, few.timed())?;
+                    let files: Vec<_> = others.iter().map(|p| p.1.clone()).collect();
+                    let file = calibrate_to_frames(&files, &context, few.timed())?;
                     (file, None)
                 } else {
                     let (file, report) = calibrate_to_tables(&few, (shading, options.clock), &others, &pool)?;
@@ -216,14 +217,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
 /// Prints the table and draws the chart.
 fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
-    let mut table = Table::new(vec![
-        Column::text("frames of"),
-        Column::number("frames"),
-        Column::number("median error, %"),
-        Column::number("largest"),
-        Column::number("RMSE/SD"),
-        Column::number("expected, %"),
-    ]);
+    let mut table =
+        Table::headed("frames of | #frames | #median error, % | #largest | #RMSE/SD | #expected, %");
     let mut chart = Chart::new(
         "Frames that a calibration needs, from models of other types of machine",
         Axis::log("frames"),

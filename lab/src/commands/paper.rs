@@ -38,18 +38,50 @@ pub(crate) struct Options {
 #[derive(Debug, Subcommand)]
 enum Step {
     /// Run every step, one after another.
-    All(AllOptions),
+    #[command(after_help = "Example:
+  entire-lab paper all --data ../shared/data")]
+    All {
+        #[command(flatten)]
+        step: StepOptions,
+        #[command(flatten)]
+        which: WhichEncoders,
+        #[command(flatten)]
+        train: HowToTrain,
+        #[command(flatten)]
+        report: HowToReport,
+    },
     /// Render frames with our raycaster in every mode and with yt, and some of these frames also at low
     /// resolution (the proxy).
     #[command(after_help = "Example:
   entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20")]
     Collect(StepOptions),
     /// Train VolumeNets.
-    Encode(EncodeOptions),
+    #[command(after_help = "Example:
+  entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python")]
+    Encode {
+        #[command(flatten)]
+        making: Making,
+        #[command(flatten)]
+        which: WhichEncoders,
+    },
     /// Train predictors on the collected frames and test them.
-    Train(TrainOptions),
+    #[command(after_help = "Example:
+  entire-lab paper train --data ../shared/data --only overall,ablation --runs 1")]
+    Train {
+        #[command(flatten)]
+        step: StepOptions,
+        #[command(flatten)]
+        how: HowToTrain,
+    },
     /// Write the report from the kept results.
-    Report(ReportOptions),
+    #[command(after_help = "Example:
+  entire-lab paper report --bars")]
+    Report {
+        #[command(flatten)]
+        places: Places,
+        #[command(flatten)]
+        how: HowToReport,
+    },
 }
 
 /// Options of every step.
@@ -98,17 +130,6 @@ pub(crate) struct StepOptions {
     device: Device,
 }
 
-/// Options of `encode`.
-#[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "Example:
-  entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python")]
-pub(crate) struct EncodeOptions {
-    #[command(flatten)]
-    making: Making,
-    #[command(flatten)]
-    which: WhichEncoders,
-}
-
 #[derive(Debug, Clone, clap::Args)]
 struct WhichEncoders {
     /// Only these input sizes.
@@ -117,17 +138,6 @@ struct WhichEncoders {
     /// Only these lengths of the feature vector.
     #[arg(long, value_delimiter = ',', value_name = "LENGTHS")]
     features: Vec<usize>,
-}
-
-/// Options of `train`.
-#[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "Example:
-  entire-lab paper train --data ../shared/data --only overall,ablation --runs 1")]
-pub(crate) struct TrainOptions {
-    #[command(flatten)]
-    step: StepOptions,
-    #[command(flatten)]
-    how: HowToTrain,
 }
 
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -141,17 +151,6 @@ struct HowToTrain {
     /// Epochs of every network of the paper; default: the description's number.
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
-}
-
-/// Options of `report`.
-#[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "Example:
-  entire-lab paper report --bars")]
-pub(crate) struct ReportOptions {
-    #[command(flatten)]
-    places: Places,
-    #[command(flatten)]
-    how: HowToReport,
 }
 
 #[derive(Debug, Clone, clap::Args)]
@@ -170,21 +169,6 @@ struct HowToReport {
     bars: bool,
 }
 
-/// Options of `all`.
-#[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "Example:
-  entire-lab paper all --data ../shared/data")]
-pub(crate) struct AllOptions {
-    #[command(flatten)]
-    step: StepOptions,
-    #[command(flatten)]
-    which: WhichEncoders,
-    #[command(flatten)]
-    train: HowToTrain,
-    #[command(flatten)]
-    report: HowToReport,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -193,19 +177,17 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let none = HowToTrain::default();
     match &options.step {
         Step::Collect(step) => with(&step.making, &step.modes, &none, &|work| collect_all(work, step)),
-        Step::Encode(o) => with(&o.making, &[], &none, &|work| encode_all(work, &o.making, &o.which)),
-        Step::Train(TrainOptions { step, how }) => {
-            with(&step.making, &step.modes, how, &|work| train_all(work, step, how))
+        Step::Encode { making, which } => with(making, &[], &none, &|work| encode_all(work, making, which)),
+        Step::Train { step, how } => with(&step.making, &step.modes, how, &|work| train_all(work, step, how)),
+        Step::Report { places, how } => {
+            report_all(&description::read(&places.description)?, &places.out, how)
         }
-        Step::Report(o) => report_all(&description::read(&o.places.description)?, &o.places.out, &o.how),
-        Step::All(AllOptions { step, which, train, report }) => {
-            with(&step.making, &step.modes, train, &|work| {
-                collect_all(work, step)?;
-                encode_all(work, &step.making, which)?;
-                train_all(work, step, train)?;
-                report_all(work.paper, work.out, report)
-            })
-        }
+        Step::All { step, which, train, report } => with(&step.making, &step.modes, train, &|work| {
+            collect_all(work, step)?;
+            encode_all(work, &step.making, which)?;
+            train_all(work, step, train)?;
+            report_all(work.paper, work.out, report)
+        }),
     }
 }
 
@@ -318,22 +300,12 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let Some((set, mode)) = work.paper.panels.get(&Panel::Steering).and_then(|p| p.first()) else {
         return Ok(());
     };
-    // By the paper's rule the played member was not in the training.
-    let prefix = format!("{set}-{mode}-{}-network-1-", work.paper.rule(set).split());
-    let models = work.out.join("models");
-    let network = std::fs::read_dir(&models).ok().and_then(|entries| {
-        // Takes the most recent file, since older networks were trained on other frames or with other
-        // encoders.
-        entries
-            .flatten()
-            .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))
-            .max_by_key(|e| e.metadata().and_then(|m| m.modified()).ok())
-            .map(|e| e.path())
-    });
-    if !calibration.exists() || !folder.is_dir() || network.is_none() {
+    let network =
+        if calibration.exists() && folder.is_dir() { trials::steering_network(work, mode)? } else { None };
+    if network.is_none() {
         entire_io::files::note(&format!(
-            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces) and the network \
-             of {set}"
+            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces) and the frames of \
+             its network"
         ));
         return Ok(());
     }

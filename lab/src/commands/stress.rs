@@ -2,7 +2,7 @@
 
 use crate::bars;
 use crate::stress::report::{matrix, page};
-use crate::stress::{self, SCENES, Verdict, bars_on_device, harmless, run as play, run_real};
+use crate::stress::{self, Verdict, bars_on_device, harmless, run as play, run_real};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
@@ -50,17 +50,10 @@ pub(crate) struct Options {
 /// # Errors
 /// Bad options, files that cannot be written, or a scene that entire's controller fails.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let scenes: Vec<usize> = if options.scenes.is_empty() {
-        SCENES.iter().map(|s| s.number).collect()
-    } else {
-        options.scenes.clone()
-    };
-    for n in &scenes {
-        ensure!(
-            SCENES.iter().any(|s| s.number == *n),
-            "--scenes names {n}; scenes are numbered 1 to {}",
-            SCENES.len()
-        );
+    let all: Vec<usize> = stress::scenes().map(|s| s.0).collect();
+    let scenes = if options.scenes.is_empty() { &all } else { &options.scenes };
+    for n in scenes {
+        ensure!(all.contains(n), "--scenes names {n}; scenes are numbered 1 to {}", all.len());
     }
     let methods: Vec<ControllerKind> = if options.controllers.is_empty() {
         ControllerKind::value_variants().to_vec()
@@ -68,7 +61,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         options.controllers.clone()
     };
     let bar = progress_bar("stress");
-    let verdicts = play(&scenes, &methods, LONG_RUN, &bar);
+    let verdicts = play(scenes, &methods, LONG_RUN, &bar);
     bar.finish_and_clear();
     let verdicts = verdicts?;
     let mut name = "scripted clock; the CPU version of the raycaster counts the work".to_owned();
@@ -79,7 +72,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(device) = options.device {
         let mut renderer = device::open(device)?;
         let bar = progress_bar("stress");
-        let played = run_real(&scenes, &real_methods, renderer.as_mut(), options.clock, &bar);
+        let played = run_real(scenes, &real_methods, renderer.as_mut(), options.clock, &bar);
         bar.finish_and_clear();
         real = played?;
         name = format!("{name}; real: {}, clock {}", renderer.device(), options.clock.name());

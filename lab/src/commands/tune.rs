@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::Sample;
 use entire_io::files::{make_folder_of, write_json};
 use entire_io::progress::templated_bar;
-use entire_report::{Column, Table};
+use entire_report::Table;
 use entire_steer::features::PROBE_SIDE;
 use serde_json::json;
 use std::path::PathBuf;
@@ -53,13 +53,8 @@ pub(crate) struct Options {
 
 /// Returns a table with the increase of the paths' cost when a single constant has no effect.
 fn worth_table(worth: &[Removed]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("constant"),
-        Column::number("value"),
-        Column::number("value without effect"),
-        Column::number("cost increase"),
-        Column::number("standard error"),
-    ]);
+    let mut table =
+        Table::headed("constant | #value | #value without effect | #cost increase | #standard error");
     for r in worth {
         table.row(vec![
             r.name.into(),
@@ -185,22 +180,10 @@ impl Options {
 
 /// Returns a table with the costs of every path before and after the search.
 fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
-    let mut columns = vec![Column::text("path"), Column::number("cost"), Column::number("… after")];
-    for what in [
-        "fitted: |t-T|/T",
-        "> 1.1 T",
-        "quality",
-        "coarse",
-        "jumps",
-        "cold: |t-T|/T",
-        "> 1.1 T",
-        "quality",
-        "coarse",
-        "second in bound",
-    ] {
-        columns.push(Column::number(what));
-    }
-    let mut table = Table::new(columns);
+    let mut table = Table::headed(
+        "path | #cost | #… after | #fitted: |t-T|/T | #> 1.1 T | #quality | #coarse | #jumps | \
+         #cold: |t-T|/T | #> 1.1 T | #quality | #coarse | #second in bound",
+    );
     for (i, (recorded, _)) in played.iter().enumerate() {
         let mut row = vec![
             recorded[0].trace.name.clone().into(),

@@ -1,5 +1,6 @@
 //! Comparison of methods of load balancing, judged by measured times.
 
+use super::bars::worst;
 use crate::bars::Bar;
 use crate::trace::Trace;
 use anyhow::{Context, Result};
@@ -11,7 +12,7 @@ use entire_farm::{
 use entire_io::files::make_folder;
 use entire_io::machine::Provenance;
 use entire_io::metrics::median;
-use entire_report::{Axis, Chart, Column, Mark, Page, Series, Table};
+use entire_report::{Axis, Chart, Mark, Page, Series, Table};
 use entire_steer::schedule::{assign_longest_first, longest_first};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -42,12 +43,7 @@ pub(crate) fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
             median(&mut rest)
         };
         let decided: Vec<f64> = repeats.iter().filter_map(|r| others(r)).collect();
-        let mut worst = 0.0f64;
-        for nodes in 2..=64 {
-            let speeds = vec![1.0; nodes];
-            let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(&judged, &speeds);
-            worst = worst.max(of(&decided)? / of(&judged)?);
-        }
+        let (worst, _) = worst(&decided, &judged)?;
         range = Some(range.map_or((worst, worst), |(low, high)| (low.min(worst), high.max(worst))));
     }
     Ok(range)
@@ -136,11 +132,8 @@ pub(crate) fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<
             100.0 * middle
         ),
     );
-    let mut table = Table::new(
-        std::iter::once(Column::text("method"))
-            .chain(shown.iter().map(|n| Column::number(format!("N = {n}"))))
-            .collect(),
-    );
+    let columns: String = shown.iter().map(|n| format!(" | #N = {n}")).collect();
+    let mut table = Table::headed(&format!("method{columns}"));
     let any = format!("queue, any order (mean of {RANDOM_ORDERS})");
     let rows = COMPARED.iter().map(|c| c.0).zip(&makespans).chain([(any.as_str(), &random)]);
     for (title, ends) in rows {
@@ -227,13 +220,10 @@ pub(crate) fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<
 /// Adds a table of further cases to the page: nodes of different speeds, and volumes that take time to load.
 fn mixed(tasks: &[Task], measured: &[f64], page: &mut Page) -> Result<()> {
     page.heading("Unequal nodes, and volumes that must be loaded");
-    let mut table = Table::new(vec![
-        Column::text("case"),
-        Column::number("static, predicted"),
-        Column::number("queue, arrival"),
-        Column::number("queue, predicted longest first"),
-        Column::number("the same, loaded volume first"),
-    ]);
+    let mut table = Table::headed(
+        "case | #static, predicted | #queue, arrival | #queue, predicted longest first | \
+         #the same, loaded volume first",
+    );
     let mean = measured.iter().sum::<f64>() / measured.len() as f64;
     for nodes in [8usize, 16, 32] {
         for (name, speeds, load) in [

@@ -123,7 +123,8 @@ impl<'a> State<'a> {
     }
 }
 
-fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+/// The numbers below `n` in random order.
+pub(super) fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let mut out: Vec<usize> = (0..n).collect();
     for i in (1..n).rev() {
         out.swap(i, (rng.next_u64() % (i as u64 + 1)) as usize);

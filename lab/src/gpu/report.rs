@@ -5,7 +5,7 @@ use super::pictures::Difference;
 use entire_io::dataset::{Clock, NoiseFloor, TimedFrame};
 use entire_io::machine::Provenance;
 use entire_io::metrics::median;
-use entire_report::{Axis, Cell, Chart, Column, Mark, Page, Series, Table};
+use entire_report::{Axis, Cell, Chart, Mark, Page, Series, Table};
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -46,12 +46,7 @@ fn shown(value: Option<f64>, factor: f64, digits: usize) -> Cell {
 impl Found {
     /// Outcomes of the steps, as a table.
     pub(crate) fn steps(&self) -> Table {
-        let mut table = Table::new(vec![
-            Column::text("step"),
-            Column::text("state"),
-            Column::number("s"),
-            Column::text("last line of output"),
-        ]);
+        let mut table = Table::headed("step | state | #s | last line of output");
         for o in &self.outcomes.0 {
             let said: String = o.said.chars().take(160).collect();
             table.row(vec![
@@ -66,15 +61,10 @@ impl Found {
 
     /// Returns a table of the errors of the machine's models on held-out volumes.
     pub(crate) fn errors(&self) -> Table {
-        let mut table = Table::new(vec![
-            Column::text("shading"),
-            Column::text("frames"),
-            Column::number("n"),
-            Column::number("median error / %"),
-            Column::number("RMSE/SD"),
-            Column::number("noise floor / %"),
-            Column::number("in a session, median error / %"),
-        ]);
+        let mut table = Table::headed(
+            "shading | frames | #n | #median error / % | #RMSE/SD | #noise floor / % | \
+             #in a session, median error / %",
+        );
         for (kind, mode, found) in &self.evaluations {
             let one = &found["predictors"][0];
             let session = found["in_session"].as_object().and_then(|o| o.values().next());
@@ -94,10 +84,9 @@ impl Found {
     /// Returns a table of median milliseconds by shading mode, kind of table and image size.
     pub(crate) fn times(&self) -> Table {
         const EDGES: [u64; 4] = [0, 128 * 128, 512 * 512, u64::MAX];
-        let mut columns =
-            vec![Column::text("shading"), Column::text("frames"), Column::number("voxels, most")];
-        columns.extend(["below 128² pixels / ms", "128² to 512²", "512² and more"].map(Column::number));
-        let mut table = Table::new(columns);
+        let mut table = Table::headed(
+            "shading | frames | #voxels, most | #below 128² pixels / ms | #128² to 512² | #512² and more",
+        );
         for (kind, mode, frames) in &self.tables {
             let most =
                 frames.iter().map(|f| f.scene.dims.iter().map(|d| u64::from(*d)).product::<u64>()).max();
@@ -115,13 +104,8 @@ impl Found {
 
     /// Returns a table that compares each controller's frame times with the target.
     pub(crate) fn held(&self) -> Table {
-        let mut table = Table::new(vec![
-            Column::text("controller"),
-            Column::number("> 1.1 T / %"),
-            Column::number("> 1.25 T / %"),
-            Column::number("|t-T|/T / %"),
-            Column::number("PSNR / dB"),
-        ]);
+        let mut table =
+            Table::headed("controller | #> 1.1 T / % | #> 1.25 T / % | #|t-T|/T / % | #PSNR / dB");
         let controllers = self.switches.as_ref().and_then(|s| s["controllers"].as_object());
         for (name, c) in controllers.into_iter().flatten() {
             table.row(vec![
@@ -154,14 +138,8 @@ impl Found {
         );
         page.table(&self.steps(), "Steps. A step that ran out of time counts with its partial results.");
         page.heading("Pictures");
-        let mut worst = Table::new(vec![
-            Column::text("volume"),
-            Column::text("shading"),
-            Column::number("camera"),
-            Column::number("largest difference / 255"),
-            Column::number("mean"),
-            Column::text("same samples"),
-        ]);
+        let mut worst =
+            Table::headed("volume | shading | #camera | #largest difference / 255 | #mean | same samples");
         for d in &self.pictures {
             let same = d.same_samples.map(|s| if s { "yes" } else { "no" });
             worst.row(vec![
@@ -179,7 +157,7 @@ impl Found {
         );
         if let Some(probe) = &self.probe {
             page.heading("The device");
-            let mut numbers = Table::new(vec![Column::text("quantity"), Column::text("value")]);
+            let mut numbers = Table::headed("quantity | value");
             for group in ["limits", "timestamps", "numbers"] {
                 for (name, value) in probe[group].as_object().into_iter().flatten() {
                     numbers.row(vec![

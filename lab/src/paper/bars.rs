@@ -4,29 +4,11 @@ use super::description::{BASE_MODE, DataSet, Panel, Paper, Rule, YT};
 use super::encode::{ALL, SHIPPED};
 use super::judge::{NETWORK, OURS};
 use super::material::Reconstruction;
-use super::results::{Results, Row};
+use super::results::Results;
 use super::train::FEATURE_VECTOR;
 use super::trials::AS_IT_IS;
 use super::{cases, control, interval};
 use crate::bars::Bar;
-
-/// A table or figure of the paper in our report.
-#[derive(Clone, Debug)]
-pub(crate) struct Shown {
-    /// The paper's label.
-    pub(crate) label: String,
-    /// True if our report has this table or figure.
-    pub(crate) there: bool,
-    /// Command that makes our table or figure.
-    pub(crate) command: String,
-    /// Our number and the paper's, in words.
-    pub(crate) summary: String,
-}
-
-/// Errors of our predictor on a split.
-pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> {
-    results.row(split, OURS)
-}
 
 /// A ratio of errors, and its interval over test volumes.
 type Ratio = (Option<f64>, Option<(f64, f64)>);
@@ -42,16 +24,15 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
 }
 
 /// Returns the bars; a bar without a value is short. Bars on a data set are about the paper's base mode and
-/// the paper's split of that data set.
+/// the paper's split of that data set. `missing` is the number of labels without a table or figure.
 pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],
-    shown: &[Shown],
+    missing: usize,
     reconstructions: &[Reconstruction],
     seconds: f64,
 ) -> Vec<Bar> {
     let limits = &paper.limits;
-    let missing = shown.iter().filter(|s| !s.there || s.command.is_empty()).count();
     let mut out = Vec::new();
     if !paper.partial {
         out.push(Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0));
@@ -106,7 +87,7 @@ pub(crate) fn bars(
     for d in paper.data_sets.iter().filter(|d| !d.only_tests) {
         for mode in &d.modes {
             let found = find(&overall, &d.name, mode);
-            let pair = found.and_then(|r| ours_of(r, d.rule.split()).zip(network(r)));
+            let pair = found.and_then(|r| r.row(d.rule.split(), OURS).zip(network(r)));
             let ratio = pair.as_ref().map(|(o, p)| o.rmse / p.rmse);
             let interval = pair.as_ref().and_then(|(o, p)| interval::of_ratio(&o.by_volume, &p.by_volume));
             let name = format!("{}/{mode}/ours-over-network", d.name);
@@ -218,8 +199,7 @@ fn frames_of(results: &Results) -> Option<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::super::interval::{ByVolume, Errors};
-    use super::super::results::{CONSTANT, LVRP};
-    use super::super::results::{Fact, Row};
+    use super::super::results::{CONSTANT, Fact, LVRP, Row};
     use super::*;
     use std::path::Path;
 
@@ -237,9 +217,7 @@ mod tests {
             runs: 1,
             rmse: interval::rmse(&by_volume).unwrap(),
             rmse_sd: 0.0,
-            rmse_median: 1.0,
             sd: 1.0,
-            mean: 1.0,
             over_constant: over,
             over_lvrp: over.map(|v| 2.0 * v),
             mdape: 0.1,
@@ -272,7 +250,7 @@ mod tests {
         ablation.rows.push(row(NETWORK, "members", [1.0, 1.0], None));
         ablation.rows.push(row(&format!("without {FEATURE_VECTOR}"), "members", [4.0, 4.0], None));
         let found: Vec<String> =
-            bars(&paper, &[fewer, ablation], &[], &[], 1.0).iter().map(ToString::to_string).collect();
+            bars(&paper, &[fewer, ablation], 0, &[], 1.0).iter().map(ToString::to_string).collect();
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("nyx_cosmology/network-over-constant - 0.2000 short (0.5000"), "{found:?}");
         assert!(found[0].ends_with("with 90 of 100 frames)"), "{found:?}");
@@ -284,7 +262,7 @@ mod tests {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");
         let mut paper: Paper = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
         let of = |paper: &Paper, all: &[Results], name: &str| -> String {
-            let found = bars(paper, all, &[], &[], 1.0);
+            let found = bars(paper, all, 0, &[], 1.0);
             let bar = found.iter().find(|b| b.name == format!("paper/{name}")).unwrap();
             bar.to_string().split_once(&bar.name).unwrap().1.trim().to_owned()
         };

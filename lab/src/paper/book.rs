@@ -7,7 +7,7 @@ use super::section::Section;
 use super::sections::{section, trials};
 use anyhow::Result;
 use entire_io::files::{make_folder, write_whole};
-use entire_report::{Column, Table};
+use entire_report::Table;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -81,8 +81,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
         out += &tables_and_charts(&trial.section, trial.title, trial.stem, &images)?;
     }
     if !missing.is_empty() {
-        let mut table =
-            Table::new(vec![Column::text("label"), Column::text("title"), Column::text("command")]);
+        let mut table = Table::headed("label | title | command");
         for label in missing {
             let command = format!("`{}`", label.command);
             table.row(vec![label.label.as_str().into(), label.title.as_str().into(), command.into()]);

@@ -280,9 +280,7 @@ fn of_volume(
             let wanted: Vec<Wanted> = table.frames.iter().filter(|w| now(table, w)).cloned().collect();
             let mut warm_up = table.protocol.warm_up;
             for w in wanted {
-                if work.stop() {
-                    bail!("{}", work.stopped());
-                }
+                work.go_on()?;
                 let fail = || format!("{shown}, frame {}", w.number);
                 let dims = match loaded {
                     Some(dims) => dims,

@@ -217,7 +217,7 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
             let points: Vec<(f64, f64)> =
                 drawn.iter().filter(|r| r.controller == controller).map(|r| (r.frame as f64, y(r))).collect();
             if !points.is_empty() {
-                out.push(Curve { chart: chart.title.into(), name: name.into(), x: "frame".into(), points });
+                out.push(Curve::new(chart.title, name, "frame", points));
             }
         };
         for (controller, title) in DRAWN {
@@ -298,21 +298,16 @@ fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     let mut steps: Vec<f64> = samples.iter().map(|s| f64::from(s.setting.step)).collect();
     steps.sort_by(f64::total_cmp);
     steps.dedup();
-    let curve = |name: String, points| Curve {
-        chart: "G".into(),
-        name,
-        x: "ray step, reference steps".into(),
-        points,
-    };
+    let curve = |name: &str, points| Curve::new("G", name, "ray step, reference steps", points);
     let mut out = Vec::new();
     for (scene, mut points) in by_scene {
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         let Some(reference) = points.iter().find(|p| p.0 == 1.0).map(|p| p.1) else { continue };
         points.iter_mut().for_each(|p| p.1 /= reference);
-        out.push(curve(format!("scene {scene}"), points));
+        out.push(curve(&format!("scene {scene}"), points));
     }
     let ratios = steps.iter().map(|s| (*s, f64::from(g.time_ratio(*s as f32)))).collect();
-    out.push(curve("G".into(), ratios));
+    out.push(curve("G", ratios));
     Ok(out)
 }
 

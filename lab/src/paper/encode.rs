@@ -2,6 +2,7 @@
 //! together, and with other numbers of channels for the capacity sweep.
 
 use super::Work;
+use super::description::Encoders;
 use super::volumes::Place;
 use crate::child;
 use anyhow::{Context, Result, bail, ensure};
@@ -38,6 +39,28 @@ pub(crate) struct Encoder {
 }
 
 impl Encoder {
+    /// The study's encoders of a data set, or of [`ALL`]: of every input side and length of the feature
+    /// vector, then those of the capacity sweep.
+    pub(crate) fn of_set(asked: &Encoders, set: &str) -> Vec<Self> {
+        let one = |size: usize, features: usize, channels: &[usize]| Self {
+            set: set.to_owned(),
+            size,
+            features,
+            channels: channels.to_vec(),
+        };
+        let sweep = &asked.capacity;
+        let pairs = asked.sizes.iter().flat_map(|s| asked.features.iter().map(|f| one(*s, *f, &[])));
+        pairs.chain(sweep.channels.iter().map(|c| one(sweep.size, sweep.features, c))).collect()
+    }
+
+    /// True if the training was completed.
+    ///
+    /// # Errors
+    /// When the record cannot be read.
+    pub(crate) fn is_trained(&self, out: &Path) -> Result<bool> {
+        Ok(self.record(out)?.is_some_and(|r| r.complete()))
+    }
+
     /// Path of the model file.
     pub(crate) fn path(&self, out: &Path) -> PathBuf {
         let Self { set, size, features, channels } = self;
@@ -107,25 +130,12 @@ pub(crate) fn encoders(
 ) -> Vec<Encoder> {
     let asked = &work.paper.encoders;
     let wanted = |list: &[usize], n: usize| list.is_empty() || list.contains(&n);
-    let mut out = Vec::new();
-    let names = places.iter().filter(|p| !p.splits.is_empty()).map(|p| p.set.name.clone());
-    for set in names.chain([ALL.to_owned()]) {
-        for &size in asked.sizes.iter().filter(|n| wanted(sizes, **n)) {
-            for &length in asked.features.iter().filter(|n| wanted(features, **n)) {
-                out.push(Encoder { set: set.clone(), size, features: length, channels: Vec::new() });
-            }
-        }
-    }
-    let capacity = &asked.capacity;
-    if wanted(sizes, capacity.size) && wanted(features, capacity.features) {
-        let sets = capacity.data_sets.iter().filter(|s| places.iter().any(|p| p.set.name == **s));
-        for set in sets {
-            for channels in &capacity.channels {
-                let (size, features) = (capacity.size, capacity.features);
-                out.push(Encoder { set: set.clone(), size, features, channels: channels.clone() });
-            }
-        }
-    }
+    let swept = |e: &Encoder| e.channels.is_empty() || asked.capacity.data_sets.contains(&e.set);
+    let names = places.iter().filter(|p| !p.splits.is_empty()).map(|p| p.set.name.as_str()).chain([ALL]);
+    let mut out: Vec<Encoder> = names
+        .flat_map(|set| Encoder::of_set(asked, set))
+        .filter(|e| wanted(sizes, e.size) && wanted(features, e.features) && swept(e))
+        .collect();
     // Encoders of the main size for single data sets come first, encoders of the capacity sweep last.
     let main = asked.main;
     out.sort_by_key(|e| {
@@ -147,12 +157,10 @@ pub(crate) fn encode(
     make_folder(&work.out.join("volumenet"))?;
     let root = places.first().context("no data set")?.root.clone();
     for (i, encoder) in encoders.iter().enumerate() {
-        if encoder.record(work.out)?.is_some_and(|r| r.complete()) {
+        if encoder.is_trained(work.out)? {
             continue;
         }
-        if work.stop() {
-            bail!("{}", work.stopped());
-        }
+        work.go_on()?;
         let parts_of: Vec<&Place> = places
             .iter()
             .filter(|p| !p.splits.is_empty() && (encoder.set == ALL || p.set.name == encoder.set))

@@ -120,16 +120,12 @@ fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
 
 /// The trained encoders, of one data set if it is given, without those of the capacity sweep.
 pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>> {
-    let asked = &work.paper.encoders;
     let mut out = Vec::new();
     let names = work.paper.data_sets.iter().map(|d| d.name.as_str()).chain([ALL]);
     for name in names.filter(|n| set.is_none_or(|s| s == *n)) {
-        for &size in &asked.sizes {
-            for &features in &asked.features {
-                let encoder = Encoder { set: name.to_owned(), size, features, channels: Vec::new() };
-                if encoder.record(work.out)?.is_some_and(|r| r.complete()) {
-                    out.push(encoder);
-                }
+        for encoder in Encoder::of_set(&work.paper.encoders, name) {
+            if encoder.channels.is_empty() && encoder.is_trained(work.out)? {
+                out.push(encoder);
             }
         }
     }
@@ -171,7 +167,8 @@ fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
         sides.iter().map(|&s| quantity_column(SceneQuantity::SamplesPerPixel, s)).collect();
     for encoder in &encoders {
         let model = open_model(encoder)?;
-        let parts = model.volumenet().with_context(|| format!("{} holds no VolumeNet", encoder.display()))?;
+        let parts =
+            model.volumenet.as_ref().with_context(|| format!("{} holds no VolumeNet", encoder.display()))?;
         wanted.push(code_column(&encoder_id(parts), 0));
     }
     if there.is_some_and(|t| wanted.iter().all(|w| t.column(w).is_some())) {

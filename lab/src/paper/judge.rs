@@ -9,7 +9,7 @@ use super::volumes::Place;
 use crate::latency::Bench;
 use crate::study::{Bounds, Line, Runner};
 use anyhow::{Context, Result};
-use entire_core::model::{Model, ModelFile};
+use entire_core::model::Model;
 use entire_io::dataset::{Clock, TimedFrame};
 use entire_io::enlarge::enlarge;
 use entire_io::metrics::{Metrics, median, percentile, usable};
@@ -18,7 +18,6 @@ use entire_train::evaluation::PROBE_SHARE;
 use entire_train::fit::{FitContext, Recipe, predict};
 use entire_train::split::TimedFrames;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// Name of the paper's network in tables.
 pub(super) const NETWORK: &str = "the paper's network";
@@ -43,53 +42,41 @@ pub(super) struct At<'a> {
     pub(super) context: FitContext<'a>,
 }
 
-/// A method by which a predictor is made.
-pub(super) struct Method<'a> {
-    /// Name in error messages.
-    pub(super) name: &'a str,
-    /// Key in the names of model files; different methods have different keys.
-    pub(super) key: &'a str,
-    /// Recipe of its training; each run adds to the seed.
-    pub(super) recipe: Recipe,
-}
-
 impl At<'_> {
-    /// Trains a predictor `runs` times with different seeds, or reads the stored models. `parts` gives the training
-    /// and validation frames of a run.
+    /// Trains a predictor several times with different seeds, or reads the stored models. `name` stands in
+    /// error messages, and `key` in the names of model files: different methods have different keys. Each run
+    /// adds to the recipe's seed. `parts` gives the training and validation frames of a run.
     pub(super) fn runs<'f>(
         &self,
-        method: &Method<'_>,
-        runs: usize,
+        name: &str,
+        key: &str,
+        recipe: &Recipe,
         parts: impl Fn(usize) -> (TimedFrames<'f>, TimedFrames<'f>),
-    ) -> Result<Vec<(ModelFile, PathBuf)>> {
-        let mut out = Vec::with_capacity(runs);
-        for run in 1..=runs {
-            let recipe =
-                Recipe { seed: method.recipe.seed + 100 * (run as u64 - 1), ..method.recipe.clone() };
+    ) -> Result<Vec<Model>> {
+        let of = |run: usize| -> Result<Model> {
+            let recipe = Recipe { seed: recipe.seed + 100 * (run as u64 - 1), ..recipe.clone() };
             let (training, validation) = parts(run);
             let none = TimedFrames::default();
-            let key = format!("{}-{}-{}-{run}", self.place.set.name, self.mode, method.key);
-            let bounds = Bounds::Frames(&none);
-            out.push(
-                self.runner
-                    .made(&key, &recipe, &self.context, (&training, &validation), &bounds)
-                    .with_context(|| {
-                        format!("{}, {}, {}, run {run}", self.place.set.name, self.mode, method.name)
-                    })?,
-            );
-        }
-        Ok(out)
+            let (set, bounds) = (&self.place.set.name, Bounds::Frames(&none));
+            let key = format!("{set}-{}-{key}-{run}", self.mode);
+            let (file, _) = self
+                .runner
+                .made(&key, &recipe, &self.context, (&training, &validation), &bounds)
+                .with_context(|| format!("{set}, {}, {name}, run {run}", self.mode))?;
+            Ok(file.to_model()?)
+        };
+        (1..=self.work.paper.runs).map(of).collect()
     }
 
-    /// Trains a predictor as [`At::runs`] does, on the frames of a split, and returns its models.
+    /// Trains a predictor as [`At::runs`] does, on the frames of a split.
     pub(super) fn on_split(
         &self,
-        method: &Method<'_>,
-        runs: usize,
+        name: &str,
+        key: &str,
+        recipe: &Recipe,
         frames: &SplitFrames<'_>,
     ) -> Result<Vec<Model>> {
-        let made = self.runs(method, runs, |_| (frames.training.clone(), frames.validation.clone()))?;
-        made.iter().map(|(file, _)| Ok(file.to_model()?)).collect()
+        self.runs(name, key, recipe, |_| (frames.training.clone(), frames.validation.clone()))
     }
 
     /// Predictions of every model for some frames.
@@ -97,19 +84,16 @@ impl At<'_> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
 
-    /// Returns [`line_of`] the frames of this data set and mode.
-    pub(super) fn proxy(&self, training: &TimedFrames<'_>) -> Option<Line> {
-        line_of(&self.loaded.low, training)
-    }
-
-    /// Evaluates the baselines on some frames, and returns a judge to which predictors can be added.
+    /// Evaluates the baselines on some frames, and returns a judge to which predictors can be added. The
+    /// low-resolution proxy is fitted to `training`.
     pub(super) fn judge<'f>(
         &self,
         split: &str,
         frames: &'f TimedFrames<'f>,
-        line: Option<Line>,
+        training: &TimedFrames<'_>,
     ) -> Judge<'f> {
-        Judge::new(&self.loaded.low, self.work.paper.runs, split, frames, line)
+        let low = &self.loaded.low;
+        Judge::new(low, self.work.paper.runs, split, frames, line_of(low, training))
     }
 
     /// Measurement of latencies on a volume of the data set, enlarged as for rendering.
@@ -217,7 +201,6 @@ impl<'a> Judge<'a> {
         let mut errors: Vec<f64> =
             runs.iter().flat_map(|p| p.iter().zip(measured).map(|(p, t)| (p - t).powi(2))).collect();
         errors.sort_by(f64::total_cmp);
-        let mut each: Vec<f64> = metrics.iter().map(|m| m.rmse).collect();
         let by_volume = |of: &TimedFrames<'_>, runs: &[Vec<f64>]| {
             interval::by_volume(of.frames.iter().map(|f| f.scene.volume.as_str()), &of.seconds, runs)
         };
@@ -235,9 +218,7 @@ impl<'a> Judge<'a> {
             runs: metrics.len(),
             rmse,
             rmse_sd: if metrics.len() > 1 { (squares / (n - 1.0)).sqrt() } else { 0.0 },
-            rmse_median: median(&mut each).unwrap_or(rmse),
             sd: first.sd,
-            mean: measured.iter().sum::<f64>() / measured.len() as f64,
             over_constant: None,
             over_lvrp: None,
             mdape: metrics.iter().map(|m| m.mdape).sum::<f64>() / n,

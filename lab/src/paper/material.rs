@@ -50,16 +50,7 @@ pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result
     let mut reconstructions = Vec::new();
     let names = paper.data_sets.iter().map(|d| d.name.as_str()).chain([ALL]);
     for set in names {
-        let encoder = |size: usize, features: usize, channels: &[usize]| Encoder {
-            set: set.to_owned(),
-            size,
-            features,
-            channels: channels.to_vec(),
-        };
-        let pairs = asked.sizes.iter().flat_map(|s| asked.features.iter().map(|f| encoder(*s, *f, &[])));
-        let capacity = &asked.capacity;
-        let widths = capacity.channels.iter().map(|c| encoder(capacity.size, capacity.features, c));
-        for encoder in pairs.chain(widths) {
+        for encoder in Encoder::of_set(asked, set) {
             let before = || kept.reconstructions.iter().find(|r| r.encoder == encoder);
             match encoder.record(out)?.filter(Record::complete) {
                 Some(record) => reconstructions.push(Reconstruction { encoder, record }),
@@ -83,7 +74,7 @@ pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result
 /// Reads the training record in the file of a shipped encoder; `None` if there is none.
 fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
     let (file, model) = read_model_file(path)?;
-    let net = model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+    let net = model.volumenet.as_ref().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
     let Some(text) = file.metadata.get(Key::Provenance.name()) else { return Ok(None) };
     let provenance: Provenance = serde_json::from_str(text)
         .with_context(|| format!("{} does not say how it was trained", path.display()))?;

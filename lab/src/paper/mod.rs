@@ -30,6 +30,7 @@ pub(crate) mod yt;
 pub(crate) use description::Paper;
 pub(crate) use volumes::{Place, Selection, places};
 
+use anyhow::{Result, ensure};
 use std::time::Instant;
 
 /// Context of every step of the study.
@@ -56,6 +57,12 @@ impl Work<'_> {
     /// True if the study must stop: the user asked, or the time is over.
     pub(crate) fn stop(&self) -> bool {
         (self.interrupted)() || self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+
+    /// Returns an error if the study must stop.
+    pub(crate) fn go_on(&self) -> Result<()> {
+        ensure!(!self.stop(), "{}", self.stopped());
+        Ok(())
     }
 
     /// Reason for the stop, and the way to continue.

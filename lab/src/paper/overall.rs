@@ -7,7 +7,7 @@ use super::judge::{NETWORK, OURS};
 use super::results::{CONSTANT, LVRP, Results, Row};
 use super::section::{Section, errors_table, seconds, title, title_of, with_interval};
 use super::volumes::in_words;
-use entire_report::{Axis, Chart, Column, Mark, Series, Table};
+use entire_report::{Axis, Chart, Mark, Series, Table};
 
 /// The paper's rule for test volumes, for captions.
 const RULE: &str = "random volumes of MAESTROeX, left-out ensemble members of Nyx and Castro";
@@ -79,24 +79,11 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
 /// Returns a table with a row for every data set and mode that has the split, and appends the ratios of each
 /// row in words to `parts`.
 fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("data set, renderer"),
-        Column::text("tested on"),
-        Column::number("training frames"),
-        Column::number("test frames"),
-        Column::number("network, RMSE s"),
-        Column::number("SD over runs (runs)"),
-        Column::number("ms"),
-        Column::number("mean of 15 %, s"),
-        Column::number("LVRP, s"),
-        Column::number("LVRP, ms"),
-        Column::number("ours, s"),
-        Column::number("SD over runs (runs)"),
-        Column::number("ms"),
-        Column::number("network/mean"),
-        Column::number("network/LVRP"),
-        Column::number("ours/network"),
-    ]);
+    let mut table = Table::headed(
+        "data set, renderer | tested on | #training frames | #test frames | #network, RMSE s | \
+         #SD over runs (runs) | #ms | #mean of 15 %, s | #LVRP, s | #LVRP, ms | #ours, s | \
+         #SD over runs (runs) | #ms | #network/mean | #network/LVRP | #ours/network",
+    );
     for r in of {
         let split = split(paper.rule(&r.set)).split();
         let find = |name: &str| r.row(split, name);
@@ -104,15 +91,10 @@ fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Ve
         let s_of = |row: Option<&Row>| row.map(|x| seconds(x.rmse));
         let ms = |row: Option<&Row>| Some(format!("{:.3}", 1e3 * row?.latency?));
         let ours = find(OURS);
-        let ratios = [
-            with_interval(network.over_constant, r.over_constant_interval(network)),
-            with_interval(network.over_lvrp, r.over_lvrp_interval(network)),
-            with_interval(
-                ours.map(|o| o.rmse / network.rmse),
-                ours.and_then(|o| interval::of_ratio(&o.by_volume, &network.by_volume)),
-            ),
-        ];
-        let [over_mean, over_lvrp, ours_over] = ratios;
+        let over_mean = with_interval(network.over_constant, r.over_constant_interval(network));
+        let over_lvrp = with_interval(network.over_lvrp, r.over_lvrp_interval(network));
+        let interval = ours.and_then(|o| interval::of_ratio(&o.by_volume, &network.by_volume));
+        let ours_over = with_interval(ours.map(|o| o.rmse / network.rmse), interval);
         parts.push(format!(
             "{}: {over_mean} of the mean, {over_lvrp} of LVRP, ours {ours_over} of the network",
             title(paper, r)

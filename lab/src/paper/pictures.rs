@@ -38,12 +38,10 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
         let text = format!("{LOBES} {SIDE} {} {:?}", place.jobs.len(), encoders);
         let mark = fnv1a_text(text.as_bytes());
         let set = &place.set.name;
-        if kept(work.out, Panel::Pictures, set, mode, &mark)?.is_some() {
+        if kept(work.out, Panel::Pictures, set, mode, &mark)? {
             continue;
         }
-        if work.stop() {
-            bail!("{}", work.stopped());
-        }
+        work.go_on()?;
         let mut results = Results::new(Panel::Pictures, set, mode, mark);
         results.device = renderer.device();
         results.machine = entire_io::machine::machine();

@@ -1,6 +1,6 @@
 //! The report: every table and figure of the paper beside ours, with the command that makes it.
 
-use super::bars::{Shown, bars};
+use super::bars::bars;
 use super::description::{Label, Paper};
 use super::material::Material;
 use super::section::Section;
@@ -31,17 +31,8 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
     );
     let sections: Vec<(&Label, Section)> =
         paper.labels.iter().map(|l| (l, section(paper, l, material))).collect();
-    let shown: Vec<Shown> = sections
-        .iter()
-        .map(|(l, s)| Shown {
-            label: l.label.clone(),
-            there: s.there(),
-            command: l.command.clone(),
-            summary: s.summary.clone(),
-        })
-        .collect();
     page.heading("Row by row");
-    page.table(&rows_table(paper, &shown), "");
+    page.table(&rows_table(&sections), "");
     for (label, section) in &sections {
         page.heading(&format!("{} ({})", label.title, label.label));
         if let Some(numbers) = &label.paper {
@@ -50,12 +41,7 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
         if !section.there() {
             page.paragraph(&format!("Not measured. Command: {}", label.command));
         }
-        for (table, caption) in &section.tables {
-            page.table(table, caption);
-        }
-        for (chart, caption) in &section.charts {
-            page.chart(chart, caption);
-        }
+        tables_and_charts(&mut page, section);
         let mut shots = Vec::new();
         for (file, caption) in &section.pictures {
             shots.push((picture(material, file)?, caption.clone()));
@@ -73,16 +59,12 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
     }
     for trial in trials(paper, material) {
         page.heading(trial.title);
-        for (table, caption) in &trial.section.tables {
-            page.table(table, caption);
-        }
-        for (chart, caption) in &trial.section.charts {
-            page.chart(chart, caption);
-        }
+        tables_and_charts(&mut page, &trial.section);
         page.paragraph(&format!("Command: {}", trial.command));
     }
-    let found =
-        bars(paper, &material.all, &shown, &material.reconstructions, started.elapsed().as_secs_f64());
+    let missing = sections.iter().filter(|(l, s)| !s.there() || l.command.is_empty()).count();
+    let seconds = started.elapsed().as_secs_f64();
+    let found = bars(paper, &material.all, missing, &material.reconstructions, seconds);
     page.heading("Bars");
     page.table(&crate::bars::table(&found), "");
     page.heading("Where the numbers come from");
@@ -102,12 +84,23 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
     facts.push(("Rendered by", devices.join("; ")));
     page.facts(facts);
     page.write(&out.join("report.html"))?;
-    let rows: Vec<serde_json::Value> = shown
+    let rows: Vec<serde_json::Value> = sections
         .iter()
-        .map(|s| json!({ "label": s.label, "there": s.there, "ours": s.summary, "command": s.command }))
+        .map(
+            |(l, s)| json!({ "label": l.label, "there": s.there(), "ours": s.summary, "command": l.command }),
+        )
         .collect();
     write_json(&out.join("rows.json"), &rows)?;
     Ok(found)
+}
+
+fn tables_and_charts(page: &mut Page, section: &Section) {
+    for (table, caption) in &section.tables {
+        page.table(table, caption);
+    }
+    for (chart, caption) in &section.charts {
+        page.chart(chart, caption);
+    }
 }
 
 /// Bytes of a picture that a step drew or the description names.
@@ -119,20 +112,15 @@ pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
 }
 
 /// Table with a row per label.
-fn rows_table(paper: &Paper, shown: &[Shown]) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("label"),
-        Column::text("title"),
-        Column::text("ours"),
-        Column::text("command"),
-    ]);
-    for (label, s) in paper.labels.iter().zip(shown) {
-        let ours = if s.there { s.summary.as_str() } else { "not measured" };
+fn rows_table(sections: &[(&Label, Section)]) -> Table {
+    let mut table = Table::headed("label | title | ours | command");
+    for (label, s) in sections {
+        let ours = if s.there() { s.summary.as_str() } else { "not measured" };
         table.row(vec![
             label.label.as_str().into(),
             label.title.as_str().into(),
             ours.into(),
-            s.command.as_str().into(),
+            label.command.as_str().into(),
         ]);
     }
     table

@@ -28,12 +28,8 @@ pub(crate) struct Row {
     pub(crate) rmse: f64,
     /// Standard deviation of the RMSE over the runs, seconds.
     pub(crate) rmse_sd: f64,
-    /// Median RMSE over the runs, seconds.
-    pub(crate) rmse_median: f64,
     /// Standard deviation of the measured seconds.
     pub(crate) sd: f64,
-    /// Mean of the measured seconds.
-    pub(crate) mean: f64,
     /// RMSE divided by the RMSE of the constant baseline, [`CONSTANT`].
     pub(crate) over_constant: Option<f64>,
     /// RMSE divided by the RMSE of the low-resolution proxy, both on the frames that were rendered at low
@@ -67,6 +63,18 @@ pub(crate) struct Curve {
     pub(crate) x: String,
     /// Points (x, y) of the curve.
     pub(crate) points: Vec<(f64, f64)>,
+}
+
+impl Curve {
+    /// A curve of some points in a chart.
+    pub(super) fn new(chart: &str, name: &str, x: &str, points: Vec<(f64, f64)>) -> Self {
+        Self { chart: chart.into(), name: name.into(), x: x.into(), points }
+    }
+
+    /// A curve of some values; the position along x is the value's index.
+    pub(super) fn by_index(chart: &str, name: &str, x: &str, values: &[f64]) -> Self {
+        Self::new(chart, name, x, values.iter().enumerate().map(|(k, v)| (k as f64, *v)).collect())
+    }
 }
 
 /// Name of the chart of the orbit's times; its curve of measured times is [`MEASURED`].
@@ -178,27 +186,18 @@ pub(super) fn write(out: &Path, results: &Results) -> Result<()> {
     write_json(&path(out, results.panel, &results.set, &results.mode), results)
 }
 
-/// Reads the stored results of a part; `None` if they are missing or have another identity.
+/// True if the results of a part are stored and have this identity.
 ///
 /// # Errors
 /// When the file cannot be read.
-pub(super) fn kept(
-    out: &Path,
-    panel: Panel,
-    set: &str,
-    mode: &str,
-    identity: &str,
-) -> Result<Option<Results>> {
+pub(super) fn kept(out: &Path, panel: Panel, set: &str, mode: &str, identity: &str) -> Result<bool> {
     let path = path(out, panel, set, mode);
-    if !path.exists() {
-        return Ok(None);
-    }
-    let found: Results = one(&read_text(&path, 256 << 20)?, &path)?;
-    Ok((found.identity == identity).then_some(found))
+    Ok(path.exists() && one(&path)?.identity == identity)
 }
 
-fn one(text: &str, path: &Path) -> Result<Results> {
-    serde_json::from_str(text).with_context(|| format!("{} holds no results of this version", path.display()))
+fn one(path: &Path) -> Result<Results> {
+    serde_json::from_str(&read_text(path, 256 << 20)?)
+        .with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
 /// Reads all results of a folder, and adds results from `kept` that the folder lacks.
@@ -215,7 +214,7 @@ pub(super) fn read_all(out: &Path, kept: Vec<Results>) -> Result<Vec<Results>> {
         {
             let path = entry?.path();
             if path.extension().is_some_and(|e| e == "json") {
-                let found = one(&read_text(&path, 256 << 20)?, &path)?;
+                let found = one(&path)?;
                 all.insert(key(&found), found);
             }
         }

@@ -4,7 +4,7 @@ use super::description::Paper;
 use super::interval;
 use super::results::{CONSTANT, LVRP, Results};
 use super::volumes::in_words;
-use entire_report::{Chart, Column, Table};
+use entire_report::{Chart, Table};
 
 /// Contents of the report for one table or figure of the paper.
 #[derive(Clone, Debug, Default)]
@@ -72,19 +72,10 @@ pub(super) fn over(v: Option<f64>, interval: Option<(f64, f64)>, own: bool) -> S
 
 /// Table of the errors of every predictor in a part of the study.
 pub(super) fn errors_table(r: &Results) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("tested on"),
-        Column::text("predictor"),
-        Column::number("RMSE, s"),
-        Column::number("SD over runs"),
-        Column::number("runs"),
-        Column::number("RMSE/SD"),
-        Column::number("over the mean of 15 %"),
-        Column::number("over LVRP"),
-        Column::number("median error, %"),
-        Column::number("prediction, ms"),
-        Column::number("test frames"),
-    ]);
+    let mut table = Table::headed(
+        "tested on | predictor | #RMSE, s | #SD over runs | #runs | #RMSE/SD | #over the mean of 15 % | \
+         #over LVRP | #median error, % | #prediction, ms | #test frames",
+    );
     for row in &r.rows {
         table.row(vec![
             in_words(&row.split).into(),

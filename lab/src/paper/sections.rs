@@ -13,7 +13,7 @@ use super::section::{Section, errors_table, mode_in_words, over, ratio, seconds,
 use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;
 use super::volumes::in_words;
-use entire_report::{Axis, Chart, Column, Mark, Series, Table};
+use entire_report::{Axis, Chart, Mark, Series, Table};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Our counterpart of a label, from the available results.
@@ -94,15 +94,9 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> 
 }
 
 fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
-    let mut table = Table::new(vec![
-        Column::text("data set, renderer"),
-        Column::number("members"),
-        Column::number("volumes"),
-        Column::number("voxels"),
-        Column::number("frames"),
-        Column::number("mean time, s"),
-        Column::number("SD, s"),
-    ]);
+    let mut table = Table::headed(
+        "data set, renderer | #members | #volumes | #voxels | #frames | #mean time, s | #SD, s",
+    );
     let mut parts = Vec::new();
     for r in of {
         let Some(f) = r.facts.iter().find(|f| f.name == "times") else { continue };
@@ -125,28 +119,22 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
 }
 
-/// Returns one chart for each chart name in `curves`, with all curves of that chart.
-fn charts(title: &str, curves: &[&Curve], y: &str) -> Vec<Chart> {
-    let names: BTreeSet<&str> = curves.iter().map(|c| c.chart.as_str()).collect();
-    names
-        .into_iter()
-        .map(|name| {
-            let of: Vec<&&Curve> = curves.iter().filter(|c| c.chart == name).collect();
-            let x = of.first().map_or(String::new(), |c| c.x.clone());
-            let mut chart = Chart::new(format!("{title}: {name}"), Axis::linear(x), Axis::linear(y));
-            for (i, c) in of.iter().enumerate() {
-                chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
-            }
-            chart
-        })
-        .collect()
+/// Adds a line for each curve to a chart, each in another color.
+fn lines<'a>(chart: Chart, curves: impl IntoIterator<Item = &'a Curve>) -> Chart {
+    curves.into_iter().enumerate().fold(chart, |chart, (i, c)| {
+        chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i))
+    })
 }
 
+/// Adds a chart for each experiment in which one parameter varies.
 fn varied_curves(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of {
-        let shown: Vec<&Curve> =
-            r.curves.iter().filter(|c| ![ORBIT_CHART, DRAWN_CHART].contains(&c.chart.as_str())).collect();
-        for chart in charts(&title(paper, r), &shown, "seconds") {
+        let names: BTreeSet<&str> = r.curves.iter().map(|c| c.chart.as_str()).collect();
+        for name in names.into_iter().filter(|name| ![ORBIT_CHART, DRAWN_CHART].contains(name)) {
+            let of: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == name).collect();
+            let x = of.first().map_or("", |c| c.x.as_str());
+            let title = format!("{}: {name}", title(paper, r));
+            let chart = lines(Chart::new(title, Axis::linear(x), Axis::linear("seconds")), of);
             let what = "One parameter of the scene varies, the others are constant. Predictions are those of the first \
                         training run.";
             s.charts.push((chart, what.into()));
@@ -160,12 +148,9 @@ fn orbits(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of {
         let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == DRAWN_CHART).collect();
         let Some(first) = shown.first() else { continue };
-        let mut chart = Chart::new(title(paper, r), Axis::linear(&first.x), Axis::log("seconds"));
-        for (v, c) in shown.iter().enumerate() {
-            chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(v));
-        }
-        s.charts.push((chart, "Each pose has its own random transfer function.".into()));
         s.summary = format!("{}: {} volumes along an orbit", title(paper, r), shown.len());
+        let chart = Chart::new(title(paper, r), Axis::linear(&first.x), Axis::log("seconds"));
+        s.charts.push((lines(chart, shown), "Each pose has its own random transfer function.".into()));
     }
 }
 
@@ -195,17 +180,10 @@ fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
 
 fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of.iter().filter(|r| r.rows.iter().any(|x| x.more.contains_key("size"))) {
-        let mut table = Table::new(vec![
-            Column::text("encoder"),
-            Column::number("PSNR training, dB"),
-            Column::number("validation"),
-            Column::number("test"),
-            Column::number("encoding, ms"),
-            Column::number("RMSE, s"),
-            Column::number("SD over runs"),
-            Column::number("over the mean of 15 %"),
-            Column::number("epochs"),
-        ]);
+        let mut table = Table::headed(
+            "encoder | #PSNR training, dB | #validation | #test | #encoding, ms | #RMSE, s | \
+             #SD over runs | #over the mean of 15 % | #epochs",
+        );
         for row in r.rows.iter().filter(|x| x.more.contains_key("size")) {
             let db = |k: &str| row.more.get(k).map(|v| format!("{v:.2}"));
             table.row(vec![
@@ -231,17 +209,10 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
     if material.reconstructions.iter().all(|r| r.encoder.set == SHIPPED) {
         return;
     }
-    let mut table = Table::new(vec![
-        Column::text("data set"),
-        Column::text("encoder"),
-        Column::text("channels"),
-        Column::number("training, dB"),
-        Column::number("validation"),
-        Column::number("test"),
-        Column::number("epochs"),
-        Column::number("seconds"),
-        Column::text("end of training"),
-    ]);
+    let mut table = Table::headed(
+        "data set | encoder | channels | #training, dB | #validation | #test | #epochs | #seconds | \
+         end of training",
+    );
     let mut best = Vec::new();
     for r in &material.reconstructions {
         let e = &r.encoder;
@@ -291,11 +262,8 @@ fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
     let Some(first) = shown.first() else { return };
     let names: Vec<&str> =
         first.rows.iter().filter(|x| x.name.contains('→')).map(|x| x.name.as_str()).collect();
-    let mut columns = vec![Column::text("data set, renderer")];
-    columns.extend(
-        names.iter().flat_map(|n| [Column::number(format!("{n}: RMSE, s")), Column::number("RD, %")]),
-    );
-    let mut table = Table::new(columns);
+    let columns: String = names.iter().map(|n| format!(" | #{n}: RMSE, s | #RD, %")).collect();
+    let mut table = Table::headed(&format!("data set, renderer{columns}"));
     let mut deviations = vec![Vec::new(); names.len()];
     for r in &shown {
         let errors: Vec<Option<f64>> =
@@ -362,23 +330,16 @@ fn tuning(of: &[&Results], s: &mut Section) {
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x != SORTED).map(|c| c.chart.as_str()).collect();
         for name in names {
-            let mut chart =
+            let chart =
                 Chart::new(name, Axis::log("frames learned from"), Axis::log("RMSE, s, median of runs"));
             let of = r.curves.iter().filter(|c| c.chart == name && c.x != SORTED);
-            for (i, c) in of.enumerate() {
-                chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
-            }
             let what = "Fine-tuning starts from the network that was pre-trained on all data sets.";
-            s.charts.push((chart, format!("{what}{machine}")));
+            s.charts.push((lines(chart, of), format!("{what}{machine}")));
         }
-        let mut table = Table::new(vec![
-            Column::text("target"),
-            Column::number("pre-trained, unchanged, s"),
-            Column::number("ours, unchanged, s"),
-            Column::number("mean of its frames as prediction, s"),
-            Column::number("SD, s"),
-            Column::number("test frames"),
-        ]);
+        let mut table = Table::headed(
+            "target | #pre-trained, unchanged, s | #ours, unchanged, s | \
+             #mean of its frames as prediction, s | #SD, s | #test frames",
+        );
         for f in &r.facts {
             let v = |k: &str| f.values.get(k).map(|v| seconds(*v));
             table.row(vec![
@@ -394,12 +355,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
             let what = "Errors of models that were trained without any frame of the target.";
             s.tables.push((table, format!("{what}{machine}")));
         }
-        let mut few = Table::new(vec![
-            Column::text("target"),
-            Column::text("predictor"),
-            Column::number("training frames"),
-            Column::number("RMSE, s"),
-        ]);
+        let mut few = Table::headed("target | predictor | #training frames | #RMSE, s");
         let points =
             r.curves.iter().filter(|c| c.x != SORTED).flat_map(|c| c.points.iter().map(move |p| (c, p)));
         for (c, (frames, rmse)) in points {
@@ -426,10 +382,8 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x == SORTED).map(|c| c.chart.as_str()).collect();
         for name in &names {
-            let mut chart = Chart::new(*name, Axis::linear(SORTED), Axis::log("seconds"));
-            for (i, c) in r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name).enumerate() {
-                chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
-            }
+            let chart = Chart::new(*name, Axis::linear(SORTED), Axis::log("seconds"));
+            let chart = lines(chart, r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name));
             s.charts.push((chart, "Test frames, with the predictions of the first training run.".into()));
         }
         all.extend(names);
@@ -447,11 +401,8 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
             Axis::categories("nodes", NODES.iter().map(ToString::to_string).collect()),
             Axis::linear("load of a node over GT's slowest"),
         );
-        let mut table = Table::new(
-            std::iter::once(Column::text("nodes"))
-                .chain(methods.iter().map(|m| Column::number(format!("{m}: slowest node over GT's"))))
-                .collect(),
-        );
+        let columns = methods.map(|m| format!(" | #{m}: slowest node over GT's")).concat();
+        let mut table = Table::headed(&format!("nodes{columns}"));
         let fact = |name: &str, nodes: usize| {
             r.facts.iter().find(|f| f.name == name && f.values.get("nodes") == Some(&(nodes as f64)))
         };
@@ -559,19 +510,10 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
 
 /// Table of the errors of all trials of one part and mode, also relative to the first trial.
 fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
-    let mut table = Table::new(vec![
-        Column::text(name),
-        Column::number("training frames"),
-        Column::number("validation frames"),
-        Column::number("epochs"),
-        Column::number("epoch of the weights"),
-        Column::number("RMSE, s"),
-        Column::number("SD over runs (runs)"),
-        Column::number("RMSE/SD"),
-        Column::number("over the mean of 15 %"),
-        Column::number("over LVRP"),
-        Column::number("over the first row"),
-    ]);
+    let mut table = Table::headed(&format!(
+        "{name} | #training frames | #validation frames | #epochs | #epoch of the weights | #RMSE, s | \
+         #SD over runs (runs) | #RMSE/SD | #over the mean of 15 % | #over LVRP | #over the first row"
+    ));
     let rows = || r.rows.iter().filter(|x| x.split == TOGETHER && x.more.contains_key("epochs"));
     let first = rows().next();
     for row in rows() {
@@ -603,13 +545,8 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
 
 /// Table of the errors of the unchanged recipe by mode and data set, relative to baselines of that data set alone.
 fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
-    let mut table = Table::new(vec![
-        Column::text("data set, renderer"),
-        Column::number("test frames"),
-        Column::number("RMSE/SD"),
-        Column::number("over the mean of 15 %"),
-        Column::number("over LVRP"),
-    ]);
+    let mut table =
+        Table::headed("data set, renderer | #test frames | #RMSE/SD | #over the mean of 15 % | #over LVRP");
     let mut any = false;
     for r in of {
         let known = |split: &str| split == TOGETHER || paper.data_sets.iter().any(|d| d.title == split);

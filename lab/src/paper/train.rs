@@ -3,7 +3,7 @@
 use super::collect::{DRAWN_ORBIT, EXPERIMENTS, ORBIT, PER_EXPERIMENT};
 use super::description::{BY_MODALITY, BY_VOLUMES, Panel, Paper, RAYCASTER_MODES};
 use super::frames::{Loaded, SplitFrames, identity, main_encoder, of_panel, trained};
-use super::judge::{At, Method, NETWORK, OURS, by_proxy};
+use super::judge::{At, NETWORK, OURS, by_proxy, line_of};
 use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, write};
 use super::volumes::{Parts, Place, in_words};
 use super::{Work, tuning};
@@ -21,7 +21,7 @@ use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 /// Name of VolumeNet's feature vector among the inputs that an ablation leaves out.
@@ -71,18 +71,14 @@ pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
         let context = FitContext { tables: &loaded.tables, pool: work.pool, bar: &hidden, stop: &stop };
         let at = At { work, place, mode, loaded: &loaded, clock, runner: &runner, context };
         for &panel in panels {
-            if work.stop() {
-                bail!("{}", work.stopped());
-            }
+            work.go_on()?;
             let mark = identity(work, panel, &place.set.name, &loaded.tables, &loaded.low)?;
-            if kept(work.out, panel, &place.set.name, mode, &mark)?.is_none() {
+            if !kept(work.out, panel, &place.set.name, mode, &mark)? {
                 let started = Instant::now();
                 let mut results = Results::new(panel, &place.set.name, mode, mark);
                 let made = at.make(panel, &mut results);
                 // If the study was stopped, the error says so, even if the part ended with another error.
-                if work.stop() {
-                    bail!("{}", work.stopped());
-                }
+                work.go_on()?;
                 made.with_context(|| format!("{} of {} in mode {mode}", panel.name(), place.set.name))?;
                 results.seconds = started.elapsed().as_secs_f64();
                 if let Some(m) = &loaded.tables[0].manifest {
@@ -143,13 +139,12 @@ impl At<'_> {
     fn networks(&self, split: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
         let (recipe, _) = self.network(split)?;
         let key = format!("{split}-network");
-        self.on_split(&Method { name: NETWORK, key: &key, recipe }, self.paper().runs, frames)
+        self.on_split(NETWORK, &key, &recipe, frames)
     }
 
     fn ours(&self, split: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
-        let recipe = self.paper().ours_for(self.mode)?.clone();
         let key = format!("{split}-ours");
-        self.on_split(&Method { name: OURS, key: &key, recipe }, self.paper().runs, frames)
+        self.on_split(OURS, &key, self.paper().ours_for(self.mode)?, frames)
     }
 
     /// Trains the paper's network without one of its inputs, and returns the models.
@@ -161,7 +156,7 @@ impl At<'_> {
             recipe.volumenet = None;
         }
         let key = format!("{split}-without-{input}");
-        self.on_split(&Method { name: input, key: &key, recipe }, self.paper().runs, frames)
+        self.on_split(input, &key, &recipe, frames)
     }
 
     fn note_frames(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
@@ -171,6 +166,14 @@ impl At<'_> {
         let counts = [count(&frames.training), count(&frames.validation), count(&frames.test)];
         results.frames.insert(split.to_owned(), counts);
         Ok(())
+    }
+
+    /// Name and frames of the data set's main split, which are noted in the results.
+    fn main_frames(&self, results: &mut Results) -> Result<(&'static str, SplitFrames<'_>)> {
+        let split = self.main()?;
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
+        Ok((split, frames))
     }
 
     fn overall(&self, results: &mut Results) -> Result<()> {
@@ -211,10 +214,9 @@ impl At<'_> {
                 continue;
             }
             self.note_frames(results, parts.name, &frames)?;
-            let line = self.proxy(&frames.training);
             let networks = self.networks(parts.name, &frames)?;
             let ours = self.ours(parts.name, &frames)?;
-            let mut judge = self.judge(parts.name, &frames.test, line);
+            let mut judge = self.judge(parts.name, &frames.test, &frames.training);
             for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
                 judge.add(name, &self.predictions(models, &frames.test.frames)?);
                 if let (Some(bench), Some(row)) = (&mut bench, judge.rows.last_mut()) {
@@ -228,7 +230,7 @@ impl At<'_> {
             for (title, table) in &self.loaded.modalities {
                 let other = self.loaded.all(*table, self.clock);
                 let split = format!("{BY_MODALITY}: {title}");
-                let mut judge = self.judge(&split, &other, line);
+                let mut judge = self.judge(&split, &other, &frames.training);
                 for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
                     judge.add(name, &self.predictions(models, &other.frames)?);
                 }
@@ -248,7 +250,7 @@ impl At<'_> {
         ];
         for (path, chart) in encoders {
             let model = open_model(&path)?;
-            let id = encoder_id(model.volumenet().context("no VolumeNet")?);
+            let id = encoder_id(model.volumenet.as_ref().context("no VolumeNet")?);
             let (Some(x), Some(y)) =
                 (features.column(&code_column(&id, 0)), features.column(&code_column(&id, 1)))
             else {
@@ -266,25 +268,19 @@ impl At<'_> {
                     let code = (f64::from(row[x]), f64::from(row[y]));
                     by_member.entry(member).or_default().insert(f.scene.volume.clone(), code);
                 }
-                for (member, codes) in by_member {
+                let chart = format!("features, {chart}");
+                results.curves.extend(by_member.into_iter().map(|(member, codes)| {
                     let points = codes.into_values().collect();
-                    results.curves.push(Curve {
-                        chart: format!("features, {chart}"),
-                        name: member.trim_end_matches('/').to_owned(),
-                        x: "feature 1".into(),
-                        points,
-                    });
-                }
+                    Curve::new(&chart, member.trim_end_matches('/'), "feature 1", points)
+                }));
             }
         }
         Ok(())
     }
 
     fn ablation(&self, results: &mut Results) -> Result<()> {
-        let split = self.main()?;
-        let frames = self.frames(split)?;
-        self.note_frames(results, split, &frames)?;
-        let mut judge = self.judge(split, &frames.test, self.proxy(&frames.training));
+        let (split, frames) = self.main_frames(results)?;
+        let mut judge = self.judge(split, &frames.test, &frames.training);
         let networks = self.networks(split, &frames)?;
         judge.add(NETWORK, &self.predictions(&networks, &frames.test.frames)?);
         for input in &self.paper().network.inputs {
@@ -297,10 +293,8 @@ impl At<'_> {
 
     fn varied(&self, results: &mut Results) -> Result<()> {
         let table = self.loaded.varied.context("no frames of one parameter varied at a time")?;
-        let split = self.main()?;
-        let frames = self.frames(split)?;
-        self.note_frames(results, split, &frames)?;
-        let line = self.proxy(&frames.training);
+        let (split, frames) = self.main_frames(results)?;
+        let line = line_of(&self.loaded.low, &frames.training);
         let networks = self.networks(split, &frames)?;
         let ours = self.ours(split, &frames)?;
         let all = self.loaded.all(table, self.clock);
@@ -313,7 +307,7 @@ impl At<'_> {
         for (i, (experiment, input)) in EXPERIMENTS.iter().zip(inputs).enumerate() {
             let of = all.parted(|f| f.number < ORBIT && f.number / PER_EXPERIMENT == i as u64).0;
             let models = self.without(&input.to_string(), &frames)?;
-            let mut judge = self.judge(experiment, &of, line);
+            let mut judge = self.judge(experiment, &of, &frames.training);
             let by_network = self.predictions(&networks, &of.frames)?;
             let by_ours = self.predictions(&ours, &of.frames)?;
             judge.add(NETWORK, &by_network);
@@ -326,13 +320,10 @@ impl At<'_> {
             let x = |k: usize| {
                 if i == 1 { f64::from(of.frames[k].scene.width) } else { k as f64 }
             };
+            let axis = if i == 1 { "image side, pixels" } else { "frame" };
             let mut curve = |name: &str, y: &[f64]| {
-                results.curves.push(Curve {
-                    chart: (*experiment).to_owned(),
-                    name: name.to_owned(),
-                    x: if i == 1 { "image side, pixels" } else { "frame" }.into(),
-                    points: y.iter().enumerate().map(|(k, t)| (x(k), *t)).collect(),
-                });
+                let points = y.iter().enumerate().map(|(k, t)| (x(k), *t)).collect();
+                results.curves.push(Curve::new(experiment, name, axis, points));
             };
             curve(MEASURED, &of.seconds);
             if let Some(p) = by_network.first() {
@@ -351,42 +342,27 @@ impl At<'_> {
         let by_network = self.predictions(&networks[..1], &orbit.frames)?;
         let by_ours = self.predictions(&ours[..1], &orbit.frames)?;
         for (name, y) in [(MEASURED, &orbit.seconds), (NETWORK, &by_network[0]), (OURS, &by_ours[0])] {
-            results.curves.push(Curve {
-                chart: ORBIT_CHART.into(),
-                name: name.into(),
-                x: "task".into(),
-                points: y.iter().enumerate().map(|(k, t)| (k as f64, *t)).collect(),
-            });
+            results.curves.push(Curve::by_index(ORBIT_CHART, name, "task", y));
         }
         let drawn = all.parted(|f| f.number >= DRAWN_ORBIT).0;
         for (v, times) in drawn.seconds.chunks(self.paper().orbit.poses.max(1)).enumerate() {
-            results.curves.push(Curve {
-                chart: DRAWN_CHART.into(),
-                name: drawn.frames[v * self.paper().orbit.poses].scene.volume.clone(),
-                x: "pose of the orbit".into(),
-                points: times.iter().enumerate().map(|(pose, t)| (pose as f64, *t)).collect(),
-            });
+            let volume = &drawn.frames[v * self.paper().orbit.poses].scene.volume;
+            results.curves.push(Curve::by_index(DRAWN_CHART, volume, "pose of the orbit", times));
         }
         Ok(())
     }
 
     fn samples(&self, results: &mut Results) -> Result<()> {
-        let split = self.main()?;
-        let frames = self.frames(split)?;
-        self.note_frames(results, split, &frames)?;
+        let (split, frames) = self.main_frames(results)?;
         let (recipe, _) = self.network(split)?;
-        let line = self.proxy(&frames.training);
-        let mut judge = self.judge(split, &frames.test, line);
+        let mut judge = self.judge(split, &frames.test, &frames.training);
         for &share in self.paper().shares.iter().chain([&1.0]) {
             let count = ((share * frames.training.frames.len() as f64).round() as usize).max(2);
             let predicted = if share < 1.0 {
                 let key = format!("{split}-network-{share:.2}");
-                let method = Method { name: NETWORK, key: &key, recipe: recipe.clone() };
-                let made = self.runs(&method, self.paper().runs, |run| {
+                let models = self.runs(NETWORK, &key, &recipe, |run| {
                     (frames.training.sample(count, run as u64).0, frames.validation.clone())
                 })?;
-                let models: Vec<Model> =
-                    made.iter().map(|(f, _)| Ok(f.to_model()?)).collect::<Result<_>>()?;
                 self.predictions(&models, &frames.test.frames)?
             } else {
                 self.predictions(&self.networks(split, &frames)?, &frames.test.frames)?
@@ -402,12 +378,9 @@ impl At<'_> {
     }
 
     fn depth(&self, results: &mut Results) -> Result<()> {
-        let split = self.main()?;
-        let frames = self.frames(split)?;
-        self.note_frames(results, split, &frames)?;
+        let (split, frames) = self.main_frames(results)?;
         let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
-        let line = self.proxy(&frames.training);
-        let mut judge = self.judge(split, &frames.test, line);
+        let mut judge = self.judge(split, &frames.test, &frames.training);
         for preset in &self.paper().depths {
             let (network, _) = self.network(split)?;
             let models = self.with_layers(preset, network, "", &frames)?;
@@ -436,16 +409,13 @@ impl At<'_> {
             return self.networks(split, frames);
         }
         let key = format!("{split}-{encoder}{preset}");
-        self.on_split(&Method { name: preset, key: &key, recipe }, self.paper().runs, frames)
+        self.on_split(preset, &key, &recipe, frames)
     }
 
     fn encoders(&self, results: &mut Results) -> Result<()> {
-        let split = self.main()?;
-        let frames = self.frames(split)?;
-        self.note_frames(results, split, &frames)?;
+        let (split, frames) = self.main_frames(results)?;
         let set = &self.place.set.name;
-        let line = self.proxy(&frames.training);
-        let mut judge = self.judge(split, &frames.test, line);
+        let mut judge = self.judge(split, &frames.test, &frames.training);
         for encoder in trained(self.work, Some(set))? {
             let path = encoder.path(self.work.out);
             let name = format!("{}³F{}", encoder.size, encoder.features);
@@ -473,7 +443,7 @@ impl At<'_> {
     /// Seconds to encode a volume, on one thread.
     fn encoding(&self, path: &Path) -> Result<f64> {
         let model = open_model(path)?;
-        let net = VolumeNet::new(model.volumenet().context("no VolumeNet")?)?;
+        let net = VolumeNet::new(model.volumenet.as_ref().context("no VolumeNet")?)?;
         let job = self.place.jobs.first().context("no volume")?;
         let volume = entire_io::volume::Volume::open(self.place.root.join(&job.path))?;
         let (mut scratch, mut code) = (net.scratch(), vec![0.0; net.feature_len()]);
@@ -487,11 +457,9 @@ impl At<'_> {
     }
 
     fn finalists(&self, results: &mut Results) -> Result<()> {
-        let split = self.main()?;
-        let frames = self.frames(split)?;
-        self.note_frames(results, split, &frames)?;
+        let (split, frames) = self.main_frames(results)?;
         let trained = trained(self.work, Some(&self.place.set.name))?;
-        let mut judge = self.judge(split, &frames.test, self.proxy(&frames.training));
+        let mut judge = self.judge(split, &frames.test, &frames.training);
         for (size, features, preset) in &self.paper().finalists {
             let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
                 entire_io::files::note(&format!(
@@ -500,7 +468,7 @@ impl At<'_> {
                 ));
                 continue;
             };
-            let path: PathBuf = encoder.path(self.work.out);
+            let path = encoder.path(self.work.out);
             let network = Recipe { volumenet: Some(path), ..self.paper().network.clone() };
             let models = self.with_layers(preset, network, &format!("{size}f{features}-"), &frames)?;
             judge.add(

@@ -7,7 +7,7 @@ use super::description::{Change, Panel, TrialTables, Validation};
 use super::frames::{Low, low_as_text, main_encoder};
 use super::judge::{Judge, line_of};
 use super::results::{Results, kept, write};
-use crate::study::{clock, twins};
+use crate::study::{Bounds, Runner, clock, twins};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::GroupKind;
 use entire_core::nn::Target;
@@ -15,7 +15,7 @@ use entire_io::dataset::{Clock, Table};
 use entire_io::files::{fnv1a_text, make_folder, read_text, write_json};
 use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
-use entire_train::fit::{Recipe, TargetChoice};
+use entire_train::fit::{FitContext, Recipe, TargetChoice};
 use entire_train::gradient::{Network, Progress, Samples, Settings, preset_widths, train};
 use entire_train::split::{GroupBy, TimedFrames};
 use indicatif::ProgressBar;
@@ -43,7 +43,6 @@ const PER_LOBE: usize = 3;
 
 /// A network to be trained.
 struct Trial {
-    name: String,
     change: Change,
     epochs: usize,
     width: usize,
@@ -130,6 +129,29 @@ pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     Ok(())
 }
 
+/// Trains the paper's network on the repository's frames of a mode, or finds it in the folder of models. These frames
+/// have none of the members that the recorded paths show, and come from the machine of the paths. `None` if the
+/// description names no tables of this mode, or if they are missing.
+///
+/// # Errors
+/// When a table cannot be read, when the training fails, and when the study is stopped.
+pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<PathBuf>> {
+    let Some(tables) = work.paper.trials.tables.iter().find(|t| t.mode == mode) else { return Ok(None) };
+    let Some(measured) = Measured::read(tables, clock(&work.paper.clock)?)? else { return Ok(None) };
+    let all = measured.frames(0);
+    let (validation, training) = all.hold_out(GroupBy::Volume, 1);
+    let (shipped, _) = main_encoder(work, None)?;
+    let recipe = Recipe { volumenet: Some(shipped), ..work.paper.network.clone() };
+    let (hidden, none) = (ProgressBar::hidden(), TimedFrames::default());
+    let stop = || work.stop();
+    let runner = Runner { pool: work.pool, models: work.out.join("models"), bar: &hidden, stop: &stop };
+    let context = FitContext { tables: &measured.tables, pool: work.pool, bar: &hidden, stop: &stop };
+    let parts = (&training, &validation);
+    let (_, path) =
+        runner.made(&format!("steering-{mode}"), &recipe, &context, parts, &Bounds::Frames(&none))?;
+    Ok(Some(path))
+}
+
 /// Returns trials of the paper's recipe and, if `changed` is true, of every change of the recipe.
 fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
     let asked = &work.paper.trials;
@@ -146,8 +168,8 @@ fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Resul
                 Validation::All => held.clone(),
                 Validation::Training => TimedFrames::default(),
             };
-            let parts = Parts { tables: &measured.tables, training: &training, validation: &validation };
-            parts.trial(work, measured, change.clone(), asked.epochs)
+            let parts = (&training, &validation);
+            trial(work, measured, &measured.tables, parts, change.clone(), asked.epochs)
         })
         .collect()
 }
@@ -174,9 +196,8 @@ fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
     for &(count, epochs) in &work.paper.trials.frames {
         let chosen = first_of_each(&all, count)?;
         let (validation, training) = chosen.parted(|f| held.contains(&f.scene.volume));
-        let parts = Parts { tables: &labels, training: &training, validation: &validation };
         let change = Change { name: count.to_string(), ..change.clone() };
-        out.push(parts.trial(work, measured, change, epochs)?);
+        out.push(trial(work, measured, &labels, (&training, &validation), change, epochs)?);
     }
     Ok(out)
 }
@@ -199,45 +220,34 @@ fn first_of_each<'a>(all: &TimedFrames<'a>, count: usize) -> Result<TimedFrames<
     Ok(out)
 }
 
-/// Training and validation frames of a trial.
-struct Parts<'a> {
-    tables: &'a [Table],
-    training: &'a TimedFrames<'a>,
-    validation: &'a TimedFrames<'a>,
-}
-
-impl Parts<'_> {
-    fn trial(&self, work: &Work<'_>, measured: &Measured, change: Change, epochs: usize) -> Result<Trial> {
-        let (shipped, _) = main_encoder(work, None)?;
-        let network = &work.paper.network;
-        let recipe =
-            Recipe { volumenet: Some(shipped), sorted_lobes: change.sorted_lobes, ..network.clone() };
-        let layout = recipe.layout(self.training.timed())?.1;
-        let groups: Vec<(GroupKind, usize)> = layout.sizes().collect();
-        let rows = |tables: &[Table], frames: &TimedFrames<'_>| {
-            let plain = layout.rows(tables, &frames.frames, work.pool, &ProgressBar::hidden())?;
-            let (inputs, width) = changed(&plain, &groups, &change);
-            Ok::<_, anyhow::Error>((Rows { inputs, seconds: frames.seconds.clone() }, width))
-        };
-        let (mut training, width) = rows(self.tables, self.training)?;
-        let (validation, _) = rows(self.tables, self.validation)?;
-        let (test, _) = rows(&measured.tables, &measured.frames(1))?;
-        let mut epochs = epochs;
-        if change.every_order {
-            let orders = every_order(&training, width, &groups)?;
-            epochs = (epochs * training.seconds.len()).div_ceil(orders.seconds.len());
-            training = orders;
-        }
-        Ok(Trial {
-            name: change.name.clone(),
-            change,
-            epochs,
-            width,
-            training,
-            validation,
-            test: test.inputs,
-        })
+/// A trial of a change, with its training and validation frames.
+fn trial(
+    work: &Work<'_>,
+    measured: &Measured,
+    tables: &[Table],
+    (training, validation): (&TimedFrames<'_>, &TimedFrames<'_>),
+    change: Change,
+    mut epochs: usize,
+) -> Result<Trial> {
+    let (shipped, _) = main_encoder(work, None)?;
+    let network = &work.paper.network;
+    let recipe = Recipe { volumenet: Some(shipped), sorted_lobes: change.sorted_lobes, ..network.clone() };
+    let layout = recipe.layout(training.timed())?.1;
+    let groups: Vec<(GroupKind, usize)> = layout.sizes().collect();
+    let rows = |tables: &[Table], frames: &TimedFrames<'_>| {
+        let plain = layout.rows(tables, &frames.frames, work.pool, &ProgressBar::hidden())?;
+        let (inputs, width) = changed(&plain, &groups, &change);
+        Ok::<_, anyhow::Error>((Rows { inputs, seconds: frames.seconds.clone() }, width))
+    };
+    let (mut training, width) = rows(tables, training)?;
+    let (validation, _) = rows(tables, validation)?;
+    let (test, _) = rows(&measured.tables, &measured.frames(1))?;
+    if change.every_order {
+        let orders = every_order(&training, width, &groups)?;
+        epochs = (epochs * training.seconds.len()).div_ceil(orders.seconds.len());
+        training = orders;
     }
+    Ok(Trial { change, epochs, width, training, validation, test: test.inputs })
 }
 
 /// Range of an input group in a row of inputs.
@@ -300,17 +310,18 @@ fn every_order(rows: &Rows, width: usize, groups: &[(GroupKind, usize)]) -> Resu
 
 impl Trial {
     fn settings(&self, recipe: &Recipe, run: usize) -> Settings {
-        let mut out = Settings::default();
-        out.epochs = self.epochs;
-        out.batch = self.change.batch.unwrap_or(recipe.batch);
-        out.patience = recipe.patience;
-        out.clip_norm = if self.change.no_clipping { f64::INFINITY } else { recipe.clip };
-        out.target = match self.change.target.unwrap_or(recipe.target) {
-            TargetChoice::Seconds => Target::Seconds,
-            TargetChoice::LogSeconds => Target::LogSeconds,
-        };
-        out.seed = recipe.seed + 100 * (run as u64 - 1);
-        out
+        Settings {
+            epochs: self.epochs,
+            batch: self.change.batch.unwrap_or(recipe.batch),
+            patience: recipe.patience,
+            clip_norm: if self.change.no_clipping { f64::INFINITY } else { recipe.clip },
+            target: match self.change.target.unwrap_or(recipe.target) {
+                TargetChoice::Seconds => Target::Seconds,
+                TargetChoice::LogSeconds => Target::LogSeconds,
+            },
+            seed: recipe.seed + 100 * (run as u64 - 1),
+            ..Settings::default()
+        }
     }
 
     fn train(&self, recipe: &Recipe, run: usize, pool: &ThreadPool, stop: &AtomicBool) -> Result<Done> {
@@ -325,7 +336,7 @@ impl Trial {
         let trained = train(pool, network, None, training, validation, &settings, go_on)?;
         ensure!(!stop.load(Ordering::Relaxed), "stopped");
         let mut predicted = trained.predict(pool, &self.test)?;
-        ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.name);
+        ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.change.name);
         // A network may predict negative seconds, which are set to 0.
         predicted.iter_mut().for_each(|t| *t = t.max(0.0));
         Ok(Done { predicted, best_epoch: trained.best_epoch, seconds: started.elapsed().as_secs_f64() })
@@ -366,7 +377,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
             let (trial, run) = all[i];
             let done = trial.train(network, run, &pool, &stop)?;
             write_json(&file(&identities[i]), &done)?;
-            bar.set_message(format!("{}, run {run}: {:.0} s", trial.name, done.seconds));
+            bar.set_message(format!("{}, run {run}: {:.0} s", trial.change.name, done.seconds));
             bar.inc(1);
         }
         Ok(())
@@ -375,16 +386,14 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     let ended = side_by_side(threads, &worker, &stop, &|| work.stop());
     bar.finish_and_clear();
     ended?;
-    if work.stop() {
-        bail!("{}", work.stopped());
-    }
+    work.go_on()?;
     let mut inputs = identities.concat();
     for table in &measured.tables {
         inputs += &format!(" {:016x}", table.hash);
     }
     inputs += &low_as_text(&measured.low);
     let mark = fnv1a_text(inputs.as_bytes());
-    if kept(work.out, panel, SETS, mode, &mark)?.is_some() {
+    if kept(work.out, panel, SETS, mode, &mark)? {
         return Ok(());
     }
     let mut results = Results::new(panel, SETS, mode, mark);
@@ -402,7 +411,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     for (k, trial) in trials.iter().enumerate() {
         let done: Vec<Done> = (0..runs).map(|run| read(run * trials.len() + k)).collect::<Result<_>>()?;
         let predicted: Vec<Vec<f64>> = done.iter().map(|d| d.predicted.clone()).collect();
-        judge.add(&trial.name, &predicted);
+        judge.add(&trial.change.name, &predicted);
         if let Some(row) = judge.rows.last_mut() {
             let best = done.iter().map(|d| d.best_epoch as f64).sum::<f64>() / runs as f64;
             row.more.insert("training frames".into(), trial.training.seconds.len() as f64);

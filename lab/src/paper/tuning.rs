@@ -10,7 +10,7 @@ use super::judge::{NETWORK, OURS};
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::volumes::{Selection, places, roots};
 use crate::study::{Bounds, Runner};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use entire_cli::calibrate::calibrate_to_frames;
 use entire_core::model::ModelFile;
 use entire_io::dataset::feature_table::{code_column, encoder_id};
@@ -76,9 +76,6 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     let mut tables: Vec<Table> = Vec::new();
     let mut pieces: Vec<(usize, usize)> = Vec::new();
     for (p, place) in all.iter().enumerate() {
-        if !table_path(work.out, &place.set.name, mode, Kind::Random, false).exists() {
-            continue;
-        }
         // This computes missing features of the table.
         if Loaded::read(work, place, mode, clock)?.is_none() {
             continue;
@@ -93,7 +90,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     }
     let mut others: Vec<Found> = Vec::new();
     let shipped = open_model(&paper.encoders.shipped[0])?;
-    let code = code_column(&encoder_id(shipped.volumenet().context("no VolumeNet")?), 0);
+    let code = code_column(&encoder_id(shipped.volumenet.as_ref().context("no VolumeNet")?), 0);
     let here = machine(&tables[0]).map(str::to_owned);
     let renderers = paper.tuning.renderers.iter().map(|t| (TOGETHER, t));
     for (set, (name, learn, test)) in renderers.chain(paper.tuning.machines.iter().map(|t| (MACHINES, t))) {
@@ -135,7 +132,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     let mut todo: Vec<&'static str> = Vec::new();
     for set in [TOGETHER, MACHINES] {
         let any = others.iter().any(|o| o.set == set) || (set == TOGETHER && tests);
-        if any && kept(work.out, Panel::Tuning, set, mode, &mark)?.is_none() {
+        if any && !kept(work.out, Panel::Tuning, set, mode, &mark)? {
             todo.push(set);
         }
     }
@@ -227,9 +224,7 @@ impl Pretrained<'_> {
         for &count in &counts {
             let mut found: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
             for run in 1..=work.paper.runs {
-                if work.stop() {
-                    bail!("{}", work.stopped());
-                }
+                work.go_on()?;
                 let (few, _) = target.learned.sample(count, run as u64);
                 let seed = recipe.seed + 100 * (run as u64 - 1);
                 let key = |how: &str| format!("all-{}-{how}-{count}-{run}", target.name);
@@ -246,7 +241,10 @@ impl Pretrained<'_> {
                 let alone = Recipe { epochs: work.paper.tuning.epochs, seed, ..(*recipe).clone() };
                 let (alone, _) = runner.made(&key("alone"), &alone, context, (&few, &none), &bounds)?;
                 found.entry("from nothing").or_default().push(rmse(&alone)?);
-                let (how, moved) = ("ours, calibrated", calibrate_to_frames(ours, context, few.timed())?);
+                let (how, moved) = (
+                    "ours, calibrated",
+                    calibrate_to_frames(std::slice::from_ref(ours), context, few.timed())?,
+                );
                 found.entry(how).or_default().push(rmse(&moved)?);
                 if run == 1 {
                     last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];
@@ -281,12 +279,7 @@ impl Pretrained<'_> {
         values.extend(constant.as_ref().map(|m| ("sd".to_owned(), m.sd)));
         results.facts.push(Fact { name: target.name.clone(), values });
         for (how, points) in curves {
-            results.curves.push(Curve {
-                chart: target.name.clone(),
-                name: how.into(),
-                x: "frames learned from".into(),
-                points,
-            });
+            results.curves.push(Curve::new(&target.name, how, "frames learned from", points));
         }
         Ok(())
     }
@@ -304,12 +297,10 @@ fn frame_by_frame(target: &Target<'_>, predicted: &[(&str, Vec<f64>)]) -> Vec<Cu
     order.sort_by(|a, b| measured[*a].total_cmp(&measured[*b]));
     let every = order.len().div_ceil(MOST_DRAWN).max(1);
     let shown: Vec<usize> = order.into_iter().step_by(every).collect();
-    let curve = |name: &str, seconds: &[f64]| Curve {
-        chart: target.name.clone(),
-        name: name.into(),
-        x: SORTED.into(),
+    let curve = |name: &str, seconds: &[f64]| {
         // The chart's axis is logarithmic; a prediction may be negative.
-        points: shown.iter().enumerate().map(|(k, i)| (k as f64, seconds[*i].max(LEAST_DRAWN))).collect(),
+        let drawn: Vec<f64> = shown.iter().map(|i| seconds[*i].max(LEAST_DRAWN)).collect();
+        Curve::by_index(&target.name, name, SORTED, &drawn)
     };
     let drawn = predicted.iter().map(|(name, seconds)| curve(name, seconds));
     std::iter::once(curve(MEASURED, measured)).chain(drawn).collect()

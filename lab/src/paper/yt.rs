@@ -5,7 +5,7 @@ use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::YT;
 use super::volumes::{Place, name_of};
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use entire_cli::collection::Job;
 use entire_io::dataset::{Manifest, Scene, Table, Writer};
 use entire_io::files::{make_folder, make_folder_of};
@@ -38,9 +38,7 @@ pub(crate) fn collect(work: &Work<'_>, place: &Place) -> Result<()> {
         for low in [false, true] {
             let to = part(work, job, low);
             if !to.exists() {
-                if work.stop() {
-                    bail!("{}", work.stopped());
-                }
+                work.go_on()?;
                 bar.set_message(name_of(job));
                 of_volume(work, place, job, low, &to)?;
             }

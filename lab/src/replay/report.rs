@@ -12,7 +12,7 @@ use entire_cli::steering::report::{ResponseCurve, color};
 use entire_cli::steering::rivals::StepResponse;
 use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
-use entire_report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_report::{Axis, Cell, Chart, Mark, Page, Rule, Series, Table};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -31,9 +31,37 @@ pub(crate) struct Results<'a> {
     pub(crate) scores: &'a [Score],
 }
 
+/// Controllers in the charts of single paths and in the table of all trials.
+const SHOWN: [ControllerKind; 4] =
+    [ControllerKind::Hybrid, ControllerKind::Olp, ControllerKind::Algorithm1, ControllerKind::Unreal];
+
 fn percent(v: f64) -> Option<String> {
     (!v.is_nan()).then(|| format!("{:.1}", 100.0 * v))
 }
+
+fn tenths(v: f64) -> Option<String> {
+    Some(format!("{v:.1}"))
+}
+
+/// A column of the table of scores: heading, value, text of the value, and true if the lowest value is the
+/// best (`None` if no value is marked as the best).
+type Figure = (&'static str, fn(&Score) -> f64, fn(f64) -> Option<String>, Option<bool>);
+
+const FIGURES: [Figure; 13] = [
+    ("> 1.1 T / %", |s| s.all.missed, percent, Some(true)),
+    ("|t-T|/T / %", |s| s.all.deviation, percent, Some(true)),
+    ("quality / %", |s| s.all.quality, percent, Some(false)),
+    ("calm > 1.1 T / %", |s| s.calm.missed, percent, Some(true)),
+    ("calm |t-T|/T / %", |s| s.calm.deviation, percent, Some(true)),
+    ("calm quality / %", |s| s.calm.quality, percent, Some(false)),
+    ("calm jumps / %", |s| s.jumps, percent, Some(true)),
+    ("in bound / %", |s| s.inside_bound, percent, None),
+    ("first |t-T|/T / %", |s| s.first_frame_deviation, percent, Some(true)),
+    ("SSIM / %", |s| s.ssim_ratio, percent, Some(false)),
+    ("PSNR loss / dB", |s| s.psnr_loss, tenths, Some(true)),
+    ("longest run", |s| s.longest as f64, |v| Some(v.to_string()), Some(true)),
+    ("worst t/T", |s| s.worst, tenths, Some(true)),
+];
 
 impl Results<'_> {
     /// Score of the oracle, which misses targets only because of the frames' noise.
@@ -48,84 +76,34 @@ impl Results<'_> {
 
     /// Returns a table with the scores of every controller and of the oracle.
     pub(crate) fn table(&self) -> Table {
-        let mut table = Table::new(vec![
-            Column::text("controller"),
-            Column::text("acts on"),
-            Column::number("> 1.1 T / %"),
-            Column::number("|t-T|/T / %"),
-            Column::number("quality / %"),
-            Column::number("calm > 1.1 T / %"),
-            Column::number("calm |t-T|/T / %"),
-            Column::number("calm quality / %"),
-            Column::number("calm jumps / %"),
-            Column::number("in bound / %"),
-            Column::number("first |t-T|/T / %"),
-            Column::number("SSIM / %"),
-            Column::number("PSNR loss / dB"),
-            Column::number("longest run"),
-            Column::number("worst t/T"),
-        ]);
+        let columns = FIGURES.map(|(heading, ..)| format!(" | #{heading}")).concat();
+        let mut table = Table::headed(&format!("controller | acts on{columns}"));
         let mut row = |title: &str, acts_on: &str, s: &Score| {
-            table.row(vec![
-                title.into(),
-                acts_on.into(),
-                percent(s.all.missed).into(),
-                percent(s.all.deviation).into(),
-                percent(s.all.quality).into(),
-                percent(s.calm.missed).into(),
-                percent(s.calm.deviation).into(),
-                percent(s.calm.quality).into(),
-                percent(s.jumps).into(),
-                percent(s.inside_bound).into(),
-                percent(s.first_frame_deviation).into(),
-                percent(s.ssim_ratio).into(),
-                format!("{:.1}", s.psnr_loss).into(),
-                s.longest.to_string().into(),
-                format!("{:.1}", s.worst).into(),
-            ]);
+            let mut cells: Vec<Cell> = vec![title.into(), acts_on.into()];
+            cells.extend(FIGURES.iter().map(|(_, value, shown, _)| Cell::from(shown(value(s)))));
+            table.row(cells);
         };
         for (player, s) in self.players.iter().zip(self.scores) {
             row(player.kind.title(), player.acts_on_name(), s);
         }
         row("oracle: knows every cost but not the noise", ActsOn::RayStep.name(), &self.oracle());
-        let mut mark = |column: usize, lowest: bool, value: &dyn Fn(&Score) -> f64| {
-            table.mark_best(column, &self.scores.iter().map(value).collect::<Vec<_>>(), lowest);
-        };
-        mark(2, true, &|s| s.all.missed);
-        mark(3, true, &|s| s.all.deviation);
-        mark(4, false, &|s| s.all.quality);
-        mark(5, true, &|s| s.calm.missed);
-        mark(6, true, &|s| s.calm.deviation);
-        mark(7, false, &|s| s.calm.quality);
-        mark(8, true, &|s| s.jumps);
-        mark(10, true, &|s| s.first_frame_deviation);
-        mark(11, false, &|s| s.ssim_ratio);
-        mark(12, true, &|s| s.psnr_loss);
-        mark(13, true, &|s| s.longest as f64);
-        mark(14, true, &|s| s.worst);
+        for (column, (_, value, _, lowest)) in (2..).zip(FIGURES) {
+            if let Some(lowest) = lowest {
+                table.mark_best(column, &self.scores.iter().map(value).collect::<Vec<_>>(), lowest);
+            }
+        }
         table
     }
 
     fn per_trial(&self) -> Table {
-        let mut columns =
-            vec![Column::text("trace"), Column::text("target"), Column::number("reachable / %")];
-        let shown: Vec<usize> = (0..self.players.len())
-            .filter(|k| {
-                matches!(
-                    self.players[*k].kind,
-                    ControllerKind::Hybrid
-                        | ControllerKind::Olp
-                        | ControllerKind::Algorithm1
-                        | ControllerKind::Unreal
-                )
-            })
-            .collect();
+        let mut columns = "trace | target | #reachable / %".to_owned();
+        let shown: Vec<usize> =
+            (0..self.players.len()).filter(|k| SHOWN.contains(&self.players[*k].kind)).collect();
         for k in &shown {
-            columns.push(Column::number(format!("{}: > 1.1 T", self.players[*k].kind.name())));
-            columns.push(Column::number("|t-T|/T"));
-            columns.push(Column::number("quality"));
+            let name = self.players[*k].kind.name();
+            columns += &format!(" | #{name}: > 1.1 T | #|t-T|/T | #quality");
         }
-        let mut table = Table::new(columns);
+        let mut table = Table::headed(&columns);
         for o in self.outcomes {
             let trial = &self.trials[o.trial];
             let frames = &o.frames[0];
@@ -375,8 +353,6 @@ impl Results<'_> {
     }
 
     fn charts(&self, page: &mut Page, outcome: &Outcome, trace: &Replayable) {
-        let shown =
-            [ControllerKind::Hybrid, ControllerKind::Olp, ControllerKind::Algorithm1, ControllerKind::Unreal];
         let line = |k: usize, f: &dyn Fn(&Replayed) -> f64| -> Vec<(f64, f64)> {
             outcome.frames[k].iter().enumerate().map(|(i, r)| (i as f64, f(r))).collect()
         };
@@ -392,7 +368,7 @@ impl Results<'_> {
             if let Some(oracle) = oracle {
                 chart = chart.series(Series::new("oracle", Mark::Line(line(0, oracle))).color(6));
             }
-            for kind in shown {
+            for kind in SHOWN {
                 if let Some(k) = self.players.iter().position(|p| p.kind == kind && on(p.acts_on)) {
                     chart = chart
                         .series(Series::new(kind.title(), Mark::Line(line(k, f))).color(color(kind.name())));
@@ -412,7 +388,7 @@ impl Results<'_> {
             "Finer is better while the target is met.",
         );
         let on_images = |on: ActsOn| on != ActsOn::RayStep;
-        if self.players.iter().any(|p| shown.contains(&p.kind) && on_images(p.acts_on)) {
+        if self.players.iter().any(|p| SHOWN.contains(&p.kind) && on_images(p.acts_on)) {
             let image = Chart::new(
                 "Image resolution",
                 Axis::linear("frame"),

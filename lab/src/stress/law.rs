@@ -26,6 +26,9 @@ enum Heard {
     Nothing,
     /// The controller gets the true time, but this number of frames later.
     Late(usize),
+    /// The controller gets the true time, rounded up to whole intervals of a display with 60 frames per
+    /// second.
+    Interval,
 }
 
 /// A frame of a script.
@@ -39,6 +42,8 @@ struct Shot {
     speed: f64,
     /// Factor by which the predictor's seconds are wrong.
     wrong: f64,
+    /// True if the predictor does not tell the parts of the seconds apart.
+    whole: bool,
     changes: Changes,
     target: f64,
     heard: Heard,
@@ -53,6 +58,7 @@ impl Shot {
         work: 60e-3,
         speed: 1.0,
         wrong: 1.0,
+        whole: false,
         changes: STEADY,
         target: 25e-3,
         heard: Heard::True,
@@ -68,13 +74,14 @@ const STEADY: Changes =
 const TRANSFER: Changes = Changes { transfer: true, ..STEADY };
 const MODE: Changes = Changes { mode: true, ..STEADY };
 
-/// A script: a function of frame number and noise, the number of frames, the standard deviation of the noise in
-/// ln(seconds), and the probability that a frame takes three times as long.
+/// A script: a function of frame number and noise, the number of frames, the standard deviation of the noise
+/// in ln(seconds), and the probability that a frame takes three times as long (`None`: no number is drawn for
+/// it).
 struct Script<'a> {
     shot: &'a mut dyn FnMut(usize, &mut Noise) -> Shot,
     frames: usize,
     sigma: f64,
-    spikes: f64,
+    spikes: Option<f64>,
 }
 
 fn response() -> StepResponse {
@@ -108,9 +115,14 @@ fn play_script(
     for i in 0..script.frames {
         let shot = (script.shot)(i, &mut noise);
         let mut cost = |step: f32| {
+            let scaled = f64::from(step).powf(-EXPONENT);
+            if shot.whole {
+                let seconds = shot.wrong * (shot.fixed + shot.work * scaled);
+                return CostTerms::whole(seconds as f32, 0.0, Source::Analytic);
+            }
             let mut parts = [0.0; TERMS];
             parts[0] = (shot.wrong * FIXED) as f32;
-            parts[4] = (shot.wrong * shot.work * f64::from(step).powf(-EXPONENT)) as f32;
+            parts[4] = (shot.wrong * shot.work * scaled) as f32;
             CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
         };
         let changes = Changes { first: i == 0, ..shot.changes };
@@ -122,7 +134,7 @@ fn play_script(
         });
         let clean = |step: f64| shot.speed * (shot.fixed + shot.work * step.powf(-EXPONENT));
         let step = f64::from(decision.step);
-        let spike = if noise.uniform() < script.spikes { 3.0 } else { 1.0 };
+        let spike = if script.spikes.is_some_and(|share| noise.uniform() < share) { 3.0 } else { 1.0 };
         let seconds = clean(step) * (script.sigma * noise.normal()).exp() * spike;
         let room = shot.target / shot.speed - shot.fixed;
         let oracle = if room > 0.0 { (shot.work / room).powf(1.0 / EXPONENT) } else { coarsest };
@@ -154,6 +166,9 @@ fn play_script(
         match shot.heard {
             Heard::True => waiting.push(Waiting { due: i, observed: observed(seconds) }),
             Heard::Other(t) => waiting.push(Waiting { due: i, observed: observed(t) }),
+            Heard::Interval => {
+                waiting.push(Waiting { due: i, observed: observed((seconds * 60.0).ceil() / 60.0) });
+            }
             Heard::Late(frames) => waiting.push(Waiting { due: i + frames, observed: observed(seconds) }),
             Heard::Nothing => {}
         }
@@ -196,7 +211,7 @@ impl Wrong {
 /// Plays a scene of this file; `None` for other scenes. `soak` is the number of frames of the long run.
 pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
-    let (frames, spikes) = (400, 0.005);
+    let (frames, spikes) = (400, Some(0.005));
     let go = |shot: &mut dyn FnMut(usize, &mut Noise) -> Shot, limits: Limits| {
         let seen = seen_of(method, &mut Script { shot, frames, sigma: 0.03, spikes }, scene as u64);
         Some(judge(scene, method, &seen, limits, Vec::new()))
@@ -278,51 +293,16 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
             strict(0.05, 3, 0.8),
         ),
         20 => {
-            // Observed times are whole display intervals.
-            let mut seen = Vec::new();
-            let mut noise = Noise::new(20);
-            let mut c = new(method);
-            let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
-            for i in 0..frames {
-                let shot = Shot { wrong: wrong.next(i == 0, &mut noise), ..Shot::PLAIN };
-                let mut cost = |step: f32| {
-                    CostTerms::whole(
-                        (shot.wrong * (shot.fixed + shot.work * f64::from(step).powf(-EXPONENT))) as f32,
-                        0.0,
-                        Source::Analytic,
-                    )
-                };
-                let changes = Changes { first: i == 0, ..Changes::default() };
-                let d = c.plan(&mut PlanRequest { target: 25e-3, limits, changes, cost: &mut cost });
-                let clean = shot.fixed + shot.work * f64::from(d.step).powf(-EXPONENT);
-                let seconds = clean * (0.03 * noise.normal()).exp();
-                let shown = (seconds * 60.0).ceil() / 60.0;
-                let oracle = (shot.work / (25e-3 - shot.fixed)).powf(1.0 / EXPONENT);
-                seen.push(Seen {
-                    target: 25e-3,
-                    seconds,
-                    clean,
-                    step: f64::from(d.step),
-                    oracle,
-                    feasible: true,
-                    upper: f64::NAN,
-                    predicted: f64::from(d.seconds),
-                    first: false,
-                    excused: i < 10,
-                    part: 0,
-                });
-                let (terms, scene) = (cost(d.step), c.scene());
-                c.observe(&Observed {
-                    seconds: shown as f32,
-                    step: d.step,
-                    target: 25e-3,
-                    changes,
-                    terms,
-                    scene,
-                    unusual: false,
-                });
-            }
-            Some(judge(20, method, &seen, strict(0.05, usize::MAX, 0.35), Vec::new()))
+            let mut shot = |i: usize, n: &mut Noise| Shot {
+                heard: Heard::Interval,
+                whole: true,
+                wrong: wrong.next(i == 0, n),
+                excused: i < 10,
+                ..Shot::PLAIN
+            };
+            let mut script = Script { shot: &mut shot, frames, sigma: 0.03, spikes: None };
+            let limits = Limits { quality: 0.35, ..Limits::missed(0.05) };
+            Some(judge(20, method, &seen_of(method, &mut script, 20), limits, Vec::new()))
         }
         21 => go(
             &mut |i, n| {
@@ -390,7 +370,7 @@ fn clamps(method: ControllerKind) -> Verdict {
         },
         ..Shot::PLAIN
     };
-    let mut script = Script { shot: &mut shot, frames: 400, sigma: 0.01, spikes: 0.0 };
+    let mut script = Script { shot: &mut shot, frames: 400, sigma: 0.01, spikes: Some(0.0) };
     let mut unsaid = 0;
     play_script(&mut *c, &mut script, 22, |_, reason, s| {
         unsaid += usize::from(s.part == 1 && reason != Reason::TargetUnreachable);
@@ -400,21 +380,13 @@ fn clamps(method: ControllerKind) -> Verdict {
         range.filter(|i| wrong(&seen[*i])).count()
     };
     let away = at(80..260, &|s| s.step < 0.99 * f64::from(COARSEST));
-    if away > 0 {
-        broken.push(format!("not at the coarsest step in {away} of 180 frames"));
-    }
+    broken.extend((away > 0).then(|| format!("not at the coarsest step in {away} of 180 frames")));
     let over = at(263..320, &|s| s.seconds > 1.1 * s.target);
-    if over > 0 {
-        broken.push(format!("{over} frames over 1.1 T after"));
-    }
+    broken.extend((over > 0).then(|| format!("{over} frames over 1.1 T after")));
     let under = at(275..320, &|s| s.seconds < 0.75 * s.target);
-    if under > 0 {
-        broken.push(format!("integral windup: {under} frames under 0.75 T after"));
-    }
+    broken.extend((under > 0).then(|| format!("integral windup: {under} frames under 0.75 T after")));
     let coarse = at(340..400, &|s| s.step > 1.05);
-    if coarse > 0 {
-        broken.push(format!("not at the finest step in {coarse} of 60 slack frames"));
-    }
+    broken.extend((coarse > 0).then(|| format!("not at the finest step in {coarse} of 60 slack frames")));
     if method == ControllerKind::Hybrid && unsaid > 0 {
         broken.push(format!("did not report an unreachable target in {unsaid} frames"));
     }
@@ -428,7 +400,7 @@ fn resonance(method: ControllerKind) -> Verdict {
     for period in [2usize, 3, 4, 6, 10] {
         let factor = |i: usize| 1.0 + 0.15 * (std::f64::consts::TAU * i as f64 / period as f64 + 0.4).sin();
         let mut shot = |i: usize, _: &mut Noise| Shot { speed: factor(i), ..Shot::PLAIN };
-        let mut script = Script { shot: &mut shot, frames: 300, sigma: 0.01, spikes: 0.0 };
+        let mut script = Script { shot: &mut shot, frames: 300, sigma: 0.01, spikes: Some(0.0) };
         let seen = seen_of(method, &mut script, 24 + period as u64);
         let spread = |values: Vec<f64>| {
             let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -451,7 +423,7 @@ fn paging(method: ControllerKind) -> Verdict {
         let slow = burst && n.uniform() < 0.33;
         Shot { speed: if slow { 4.0 } else { 1.0 }, part: usize::from(burst), ..Shot::PLAIN }
     };
-    let mut script = Script { shot: &mut shot, frames: 500, sigma: 0.03, spikes: 0.0 };
+    let mut script = Script { shot: &mut shot, frames: 500, sigma: 0.03, spikes: Some(0.0) };
     let seen = seen_of(method, &mut script, 26);
     let mut broken = Vec::new();
     let share = |part: usize, skip: usize, f: &dyn Fn(&Seen) -> bool| {
@@ -462,21 +434,15 @@ fn paging(method: ControllerKind) -> Verdict {
     // A frame over 1.1 T counts as missed even if only the coarsest step would have met the target.
     let over = |s: &Seen| s.seconds > 1.1 * s.target;
     let (inside, outside) = (share(1, 0, &over), share(0, 0, &over));
-    if inside > 0.45 {
-        broken.push(format!("{:.0} % of a burst's frames over 1.1 T", 100.0 * inside));
-    }
-    if outside > 0.05 {
-        broken.push(format!("{:.1} % over 1.1 T outside of bursts", 100.0 * outside));
-    }
+    broken.extend((inside > 0.45).then(|| format!("{:.0} % of a burst's frames over 1.1 T", 100.0 * inside)));
+    broken.extend((outside > 0.05).then(|| format!("{:.1} % over 1.1 T outside of bursts", 100.0 * outside)));
     if method == ControllerKind::Hybrid {
         let wide = share(1, 200, &|s| s.upper > 2.0 * s.predicted);
         if wide < 0.5 {
             broken.push(format!("the bound is wide in only {:.0} % of a burst's frames", 100.0 * wide));
         }
         let narrow = seen[100..150].iter().filter(|s| s.upper < 1.6 * s.predicted).count();
-        if narrow < 45 {
-            broken.push("the bound is wide where times are steady".into());
-        }
+        broken.extend((narrow < 45).then(|| "the bound is wide where times are steady".to_owned()));
     }
     judge(26, method, &seen, Limits::missed(1.0), broken)
 }
@@ -511,7 +477,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     let mut broken = Vec::new();
     let mut seen = Vec::new();
     let mut strange = 0u64;
-    let mut script = Script { shot: &mut shot, frames: total, sigma: 0.03, spikes: 0.005 };
+    let mut script = Script { shot: &mut shot, frames: total, sigma: 0.03, spikes: Some(0.005) };
     play_script(&mut *c, &mut script, 27, |i, _, s| {
         let expects = !s.upper.is_nan();
         let sound = (f64::from(FINEST)..=f64::from(COARSEST)).contains(&s.step)
@@ -529,9 +495,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     }
     let mut state = Vec::new();
     c.save(&mut state);
-    if state.len() > 4096 {
-        broken.push(format!("the state has {} bytes", state.len()));
-    }
+    broken.extend((state.len() > 4096).then(|| format!("the state has {} bytes", state.len())));
     if method == ControllerKind::Hybrid && new(method).load(&state).is_err() {
         broken.push("the state is out of bounds".into());
     }
@@ -549,7 +513,7 @@ fn bursts(method: ControllerKind) -> Verdict {
         slow.extend(std::iter::repeat_n(false, 4 * burst));
     }
     let mut shot = |i: usize, _: &mut Noise| Shot { speed: if slow[i] { 2.0 } else { 1.0 }, ..Shot::PLAIN };
-    let mut script = Script { shot: &mut shot, frames: slow.len(), sigma: 0.03, spikes: 0.0 };
+    let mut script = Script { shot: &mut shot, frames: slow.len(), sigma: 0.03, spikes: Some(0.0) };
     let seen = seen_of(method, &mut script, 29);
     let ends: Vec<usize> = (1..seen.len() - 2).filter(|&i| slow[i - 1] && !slow[i]).collect();
     let begun = |end: usize| (0..end).rev().take_while(|&i| slow[i]).last().unwrap_or(end);
@@ -567,16 +531,14 @@ fn bursts(method: ControllerKind) -> Verdict {
 /// Scene 30: single slow frames.
 fn stalls(method: ControllerKind) -> Verdict {
     let mut shot = |_: usize, _: &mut Noise| Shot::PLAIN;
-    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.03, spikes: 0.01 };
+    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.03, spikes: Some(0.01) };
     let seen = seen_of(method, &mut script, 30);
     let coarser = (30..seen.len() - 5)
         .filter(|&i| seen[i].seconds > 2.0 * seen[i].clean)
         .filter(|&i| seen[i + 1..=i + 5].iter().any(|s| s.step > 1.1 * seen[i].step))
         .count();
     let mut broken = Vec::new();
-    if coarser > 0 {
-        broken.push(format!("coarser after {coarser} stalls"));
-    }
+    broken.extend((coarser > 0).then(|| format!("coarser after {coarser} stalls")));
     judge(30, method, &seen, Limits { quality: 0.85, ..Limits::missed(1.0) }, broken)
 }
 
@@ -592,12 +554,10 @@ fn halved(method: ControllerKind) -> Verdict {
             ..Shot::PLAIN
         }
     };
-    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.02, spikes: 0.0 };
+    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.02, spikes: Some(0.0) };
     let seen = seen_of(method, &mut script, 31);
     let late = seen[103..130].iter().filter(|s| s.seconds > 1.1 * s.target).count();
     let mut broken = Vec::new();
-    if late > 0 {
-        broken.push(format!("{late} frames over 1.1 T from the 4th on"));
-    }
+    broken.extend((late > 0).then(|| format!("{late} frames over 1.1 T from the 4th on")));
     judge(31, method, &seen, Limits { inside: 0.9, ..Limits::missed(0.03) }, broken)
 }

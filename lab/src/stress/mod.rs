@@ -15,179 +15,125 @@ use entire_io::dataset::Clock;
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::Serialize;
 
-/// A stress scene.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct Scene {
-    /// Number in the list of scenes.
-    pub(crate) number: usize,
-    /// Description of the scene.
-    pub(crate) title: &'static str,
-    /// Rule for passing.
-    pub(crate) rule: &'static str,
-}
-
-/// The scenes. The rules are the same for every method, except for parts that need an upper bound.
-pub(crate) const SCENES: [Scene; 31] = [
-    Scene {
-        number: 1,
-        title: "abrupt transfer-function switches, then one in every frame",
-        rule: "at most 8 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound",
-    },
-    Scene {
-        number: 2,
-        title: "transfer-function drag, its map rebuilt in every frame",
-        rule: "at most 5 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.85",
-    },
-    Scene {
-        number: 3,
-        title: "camera flies into the volume and through it",
-        rule: "at most 10 % over 1.1 T, never 4 in a row; every number finite; quality 0.6",
-    },
-    Scene {
-        number: 4,
-        title: "extreme zoom: from one block filling the image to a few pixels",
-        rule: "at most 10 % over 1.1 T, never 4 in a row; every number finite; quality 0.6",
-    },
-    Scene {
-        number: 5,
-        title: "fully transparent transfer function, on and off",
-        rule: "at most 10 % over 1.1 T; every number finite and positive; quality 0.5",
-    },
-    Scene {
-        number: 6,
-        title: "fully opaque transfer function, on and off",
-        rule: "at most 10 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound; quality 0.6",
-    },
-    Scene {
-        number: 7,
-        title: "thin haze everywhere: no ray ends early, nothing is skipped",
-        rule: "at most 10 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound; quality 0.6",
-    },
-    Scene {
-        number: 8,
-        title: "noise volume: every block occupied, rays diverge",
-        rule: "at most 10 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.6",
-    },
-    Scene {
-        number: 9,
-        title: "constant volume, two values, a single bright voxel",
-        rule: "every number finite; at most 10 % over 1.1 T; quality 0.5",
-    },
-    Scene {
-        number: 10,
-        title: "NaN, infinite, signed and squeezed voxel values",
-        rule: "every number finite; at most 10 % over 1.1 T; quality 0.5",
-    },
-    Scene {
-        number: 11,
-        title: "flat, single-slice and needle volumes",
-        rule: "every number finite; at most 10 % over 1.1 T; quality 0.5",
-    },
-    Scene {
-        number: 12,
-        title: "images from 32 x 32 to 8192 x 8192, odd shapes",
-        rule: "every number finite; at most 15 % over 1.1 T; quality 0.5",
-    },
-    Scene {
-        number: 13,
-        title: "window resized mid path",
-        rule: "at most 10 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound; quality 0.6",
-    },
-    Scene {
-        number: 14,
-        title: "another volume in every frame (time series)",
-        rule: "at most 10 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.6",
-    },
-    Scene {
-        number: 15,
-        title: "volumes unlike anything the predictor saw, twice as expensive as it says",
-        rule: "at most 12 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.6",
-    },
-    Scene {
-        number: 16,
-        title: "pipeline built at the first frame and mid path, both flagged",
-        rule: "outside those frames at most 3 % over 1.1 T, never 4 in a row; quality 0.85",
-    },
-    Scene {
-        number: 17,
-        title: "background load comes and goes unannounced",
-        rule: "at most 5 % over 1.1 T, never 4 in a row; quality 0.85",
-    },
-    Scene {
-        number: 18,
-        title: "clock boost, then throttling ramps",
-        rule: "at most 5 % over 1.1 T, never 4 in a row; quality 0.85",
-    },
-    Scene {
-        number: 19,
-        title: "timer glitches: zero, negative, NaN, huge, missing, three frames late",
-        rule: "at most 5 % over 1.1 T, never 4 in a row; quality 0.8",
-    },
-    Scene {
-        number: 20,
-        title: "only wall times rounded up to the display's interval",
-        rule: "at most 5 % of true times over 1.1 T; quality 0.35",
-    },
-    Scene {
-        number: 21,
-        title: "shading toggled: 15 times the cost and back",
-        rule: "at most 5 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound",
-    },
-    Scene {
-        number: 22,
-        title: "impossible target, then a possible one, then a slack one",
-        rule: "coarsest while impossible, within 1.1 T from the 4th frame after, finest from the 20th while \
-            slack",
-    },
-    Scene {
-        number: 23,
-        title: "target from 33 ms to 16, 200, 11 and 33 ms",
-        rule: "at most 4 % over 1.1 T, never 3 in a row; quality 0.9",
-    },
-    Scene {
-        number: 24,
-        title: "cost oscillates with periods of 2, 3, 4, 6 and 10 frames",
-        rule: "spread of ln(t / T) at most 1.35 times that of the cost itself",
-    },
-    Scene {
-        number: 25,
-        title: "clipping, cropping and occluders that the prediction does not include",
-        rule: "at most 6 % over 1.1 T, never 4 in a row; quality 0.85",
-    },
-    Scene {
-        number: 26,
-        title: "memory pressure: bursts in which a third of the frames take 4 times as long",
-        rule: "no more than 45 % of a burst's frames over 1.1 T; outside of them at most 5 %; the bound over \
-            twice the expectation in bursts",
-    },
-    Scene {
-        number: 27,
-        title: "a long run with all of these",
-        rule: "every number finite, state bounded, on target at the end",
-    },
-    Scene {
-        number: 28,
-        title: "damaged and foreign model files and states",
-        rule: "refused by name, or predictions that are finite",
-    },
-    Scene {
-        number: 29,
-        title: "a neighbor takes half of the machine in bursts of 2 to 20 frames, a fifth of the time",
-        rule: "at most 8 % over 1.1 T; after 90 % of bursts the step is within 10 % of the one before at the 2nd \
-            frame; quality 0.85",
-    },
-    Scene {
-        number: 30,
-        title: "single frames of 3 times the time",
-        rule: "none of the 5 frames after has a step over 1.1 times the one before; quality 0.85",
-    },
-    Scene {
-        number: 31,
-        title: "the clock speed is halved for good, and the transfer function switched later",
-        rule: "target met from the 4th frame after the halving on; at most 3 % over 1.1 T; 90 % of first \
-               frames inside the bound",
-    },
+/// The stress scenes in the order of their numbers, from 1 on: description, and rule for passing. The rules
+/// are the same for every method, except for parts that need an upper bound.
+const SCENES: [(&str, &str); 31] = [
+    (
+        "abrupt transfer-function switches, then one in every frame",
+        "at most 8 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound",
+    ),
+    (
+        "transfer-function drag, its map rebuilt in every frame",
+        "at most 5 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.85",
+    ),
+    (
+        "camera flies into the volume and through it",
+        "at most 10 % over 1.1 T, never 4 in a row; every number finite; quality 0.6",
+    ),
+    (
+        "extreme zoom: from one block filling the image to a few pixels",
+        "at most 10 % over 1.1 T, never 4 in a row; every number finite; quality 0.6",
+    ),
+    (
+        "fully transparent transfer function, on and off",
+        "at most 10 % over 1.1 T; every number finite and positive; quality 0.5",
+    ),
+    (
+        "fully opaque transfer function, on and off",
+        "at most 10 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound; quality 0.6",
+    ),
+    (
+        "thin haze everywhere: no ray ends early, nothing is skipped",
+        "at most 10 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound; quality 0.6",
+    ),
+    (
+        "noise volume: every block occupied, rays diverge",
+        "at most 10 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.6",
+    ),
+    (
+        "constant volume, two values, a single bright voxel",
+        "every number finite; at most 10 % over 1.1 T; quality 0.5",
+    ),
+    (
+        "NaN, infinite, signed and squeezed voxel values",
+        "every number finite; at most 10 % over 1.1 T; quality 0.5",
+    ),
+    ("flat, single-slice and needle volumes", "every number finite; at most 10 % over 1.1 T; quality 0.5"),
+    (
+        "images from 32 x 32 to 8192 x 8192, odd shapes",
+        "every number finite; at most 15 % over 1.1 T; quality 0.5",
+    ),
+    (
+        "window resized mid path",
+        "at most 10 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound; quality 0.6",
+    ),
+    (
+        "another volume in every frame (time series)",
+        "at most 10 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.6",
+    ),
+    (
+        "volumes unlike anything the predictor saw, twice as expensive as it says",
+        "at most 12 % over 1.1 T, never 4 in a row; 90 % of first frames inside the bound; quality 0.6",
+    ),
+    (
+        "pipeline built at the first frame and mid path, both flagged",
+        "outside those frames at most 3 % over 1.1 T, never 4 in a row; quality 0.85",
+    ),
+    ("background load comes and goes unannounced", "at most 5 % over 1.1 T, never 4 in a row; quality 0.85"),
+    ("clock boost, then throttling ramps", "at most 5 % over 1.1 T, never 4 in a row; quality 0.85"),
+    (
+        "timer glitches: zero, negative, NaN, huge, missing, three frames late",
+        "at most 5 % over 1.1 T, never 4 in a row; quality 0.8",
+    ),
+    (
+        "only wall times rounded up to the display's interval",
+        "at most 5 % of true times over 1.1 T; quality 0.35",
+    ),
+    (
+        "shading toggled: 15 times the cost and back",
+        "at most 5 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound",
+    ),
+    (
+        "impossible target, then a possible one, then a slack one",
+        "coarsest while impossible, within 1.1 T from the 4th frame after, finest from the 20th while \
+         slack",
+    ),
+    ("target from 33 ms to 16, 200, 11 and 33 ms", "at most 4 % over 1.1 T, never 3 in a row; quality 0.9"),
+    (
+        "cost oscillates with periods of 2, 3, 4, 6 and 10 frames",
+        "spread of ln(t / T) at most 1.35 times that of the cost itself",
+    ),
+    (
+        "clipping, cropping and occluders that the prediction does not include",
+        "at most 6 % over 1.1 T, never 4 in a row; quality 0.85",
+    ),
+    (
+        "memory pressure: bursts in which a third of the frames take 4 times as long",
+        "no more than 45 % of a burst's frames over 1.1 T; outside of them at most 5 %; the bound over \
+         twice the expectation in bursts",
+    ),
+    ("a long run with all of these", "every number finite, state bounded, on target at the end"),
+    ("damaged and foreign model files and states", "refused by name, or predictions that are finite"),
+    (
+        "a neighbor takes half of the machine in bursts of 2 to 20 frames, a fifth of the time",
+        "at most 8 % over 1.1 T; after 90 % of bursts the step is within 10 % of the one before at the 2nd \
+         frame; quality 0.85",
+    ),
+    (
+        "single frames of 3 times the time",
+        "none of the 5 frames after has a step over 1.1 times the one before; quality 0.85",
+    ),
+    (
+        "the clock speed is halved for good, and the transfer function switched later",
+        "target met from the 4th frame after the halving on; at most 3 % over 1.1 T; 90 % of first \
+         frames inside the bound",
+    ),
 ];
+
+/// Number, description and rule for passing of every scene.
+pub(crate) fn scenes() -> impl Iterator<Item = (usize, &'static str, &'static str)> {
+    (1..).zip(SCENES).map(|(number, (title, rule))| (number, title, rule))
+}
 
 /// A frame as played, with the data that rules use.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -292,15 +238,9 @@ pub(crate) fn judge(
         counted.iter().map(|f| (f.oracle / f.step).min(1.0)).sum::<f64>() / counted.len().max(1) as f64;
     let firsts: Vec<&&Seen> = counted.iter().filter(|f| f.first && !f.upper.is_nan()).collect();
     let inside = firsts.iter().filter(|f| f.seconds <= f.upper).count() as f64 / firsts.len().max(1) as f64;
-    if missed > limits.missed {
-        broken.push(format!("{:.1} % over 1.1 T", 100.0 * missed));
-    }
-    if longest > limits.run {
-        broken.push(format!("{longest} in a row"));
-    }
-    if quality < limits.quality {
-        broken.push(format!("quality {quality:.2}"));
-    }
+    broken.extend((missed > limits.missed).then(|| format!("{:.1} % over 1.1 T", 100.0 * missed)));
+    broken.extend((longest > limits.run).then(|| format!("{longest} in a row")));
+    broken.extend((quality < limits.quality).then(|| format!("quality {quality:.2}")));
     if !firsts.is_empty() && inside < limits.inside {
         broken.push(format!("{:.0} % of first frames inside the bound", 100.0 * inside));
     }
@@ -330,6 +270,24 @@ impl Noise {
     }
 }
 
+/// Plays scenes under methods, each by `play`.
+fn verdicts(
+    scenes: &[usize],
+    methods: &[ControllerKind],
+    progress: &indicatif::ProgressBar,
+    mut play: impl FnMut(usize, ControllerKind) -> anyhow::Result<Verdict>,
+) -> anyhow::Result<Vec<Verdict>> {
+    let mut out = Vec::with_capacity(scenes.len() * methods.len());
+    progress.set_length(scenes.len() as u64);
+    for &number in scenes {
+        for &method in methods {
+            out.push(play(number, method)?);
+        }
+        progress.inc(1);
+    }
+    Ok(out)
+}
+
 /// Plays scenes under methods on a scripted clock. `soak` is the number of frames of the long run.
 ///
 /// # Errors
@@ -340,21 +298,10 @@ pub(crate) fn run(
     soak: u64,
     progress: &indicatif::ProgressBar,
 ) -> anyhow::Result<Vec<Verdict>> {
-    let mut out = Vec::with_capacity(scenes.len() * methods.len());
-    progress.set_length(scenes.len() as u64);
-    for &number in scenes {
-        for &method in methods {
-            let verdict = match law::play(number, method, soak) {
-                Some(verdict) => verdict,
-                None => {
-                    world::play(number, method, &mut world::Machine::Scripted(Box::new(CpuRaycaster::new())))?
-                }
-            };
-            out.push(verdict);
-        }
-        progress.inc(1);
-    }
-    Ok(out)
+    verdicts(scenes, methods, progress, |number, method| match law::play(number, method, soak) {
+        Some(verdict) => Ok(verdict),
+        None => world::play(number, method, &mut world::Machine::Scripted(Box::new(CpuRaycaster::new()))),
+    })
 }
 
 /// Plays those of the scenes that can be played on a real renderer with a real clock.
@@ -369,15 +316,9 @@ pub(crate) fn run_real(
     progress: &indicatif::ProgressBar,
 ) -> anyhow::Result<Vec<Verdict>> {
     let scenes: Vec<usize> = scenes.iter().copied().filter(|n| world::REAL.contains(n)).collect();
-    let mut out = Vec::with_capacity(scenes.len() * methods.len());
-    progress.set_length(scenes.len() as u64);
-    for number in scenes {
-        for &method in methods {
-            out.push(world::play(number, method, &mut world::Machine::Real(&mut *renderer, clock))?);
-        }
-        progress.inc(1);
-    }
-    Ok(out)
+    verdicts(&scenes, methods, progress, |number, method| {
+        world::play(number, method, &mut world::Machine::Real(&mut *renderer, clock))
+    })
 }
 
 /// Bar on the number of scenes that entire's controller passed; a scene that was not played was not passed.
@@ -408,7 +349,7 @@ pub(crate) fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
 /// Returns the scenes that no method other than entire's fails.
 pub(crate) fn harmless(verdicts: &[Verdict]) -> Vec<usize> {
     let fails = |scene: usize| verdicts.iter().any(|v| v.scene == scene && !v.is_ours() && !v.passed());
-    SCENES.iter().map(|s| s.number).filter(|n| !fails(*n)).collect()
+    scenes().map(|s| s.0).filter(|n| !fails(*n)).collect()
 }
 
 #[cfg(test)]
@@ -417,7 +358,7 @@ mod tests {
 
     #[test]
     fn ours_passes_every_scene() {
-        let all: Vec<usize> = SCENES.iter().map(|s| s.number).collect();
+        let all: Vec<usize> = scenes().map(|s| s.0).collect();
         assert_eq!(all, (1..=31).collect::<Vec<_>>());
         let bar = indicatif::ProgressBar::hidden();
         let verdicts = run(&all, &[ControllerKind::Hybrid], 50_000, &bar).unwrap();
@@ -449,41 +390,18 @@ mod tests {
     fn every_scene_but_one_fails_for_a_rival() {
         use ControllerKind::{Algorithm1, Filament, Olp, Pid, VtkFixedPoint, VtkGpu, VtkJs};
         let progress = indicatif::ProgressBar::hidden();
-        let rivals = [
-            (1, Olp),
-            (2, Pid),
-            (3, Olp),
-            (4, Olp),
-            (5, Pid),
-            (6, Olp),
-            (7, Pid),
-            (8, Filament),
-            (9, Olp),
-            (10, Olp),
-            (11, VtkGpu),
-            (12, Olp),
-            (13, Olp),
-            (14, Pid),
-            (15, Pid),
-            (16, Algorithm1),
-            (17, Algorithm1),
-            (18, Pid),
-            (19, Pid),
-            (20, VtkGpu),
-            (21, Olp),
-            (22, Pid),
-            (23, Pid),
-            (24, VtkFixedPoint),
-            (25, Pid),
-            (26, VtkJs),
-            (27, Algorithm1),
-            (29, Olp),
-            (30, Olp),
-            (31, Algorithm1),
+        let rivals: [(ControllerKind, &[usize]); 7] = [
+            (Olp, &[1, 3, 4, 6, 9, 10, 12, 13, 21, 29, 30]),
+            (Pid, &[2, 5, 7, 14, 15, 18, 19, 22, 23, 25]),
+            (Filament, &[8]),
+            (VtkGpu, &[11, 20]),
+            (Algorithm1, &[16, 17, 27, 31]),
+            (VtkFixedPoint, &[24]),
+            (VtkJs, &[26]),
         ];
         let verdicts: Vec<Verdict> = rivals
             .iter()
-            .flat_map(|(scene, rival)| run(&[*scene], &[*rival], 1000, &progress).unwrap())
+            .flat_map(|(rival, scenes)| run(scenes, &[*rival], 1000, &progress).unwrap())
             .collect();
         // Scene 28 is about files and states. All methods read them with the same code, and none is known to fail
         // the scene.

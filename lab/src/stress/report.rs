@@ -1,6 +1,6 @@
 //! The report: a matrix of scenes and methods, charts, rules, and all failures.
 
-use super::{SCENES, Verdict};
+use super::{Verdict, scenes};
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::report::color;
 use entire_io::machine::Provenance;
@@ -10,15 +10,20 @@ fn of(verdicts: &[Verdict], scene: usize, method: ControllerKind) -> Option<&Ver
     verdicts.iter().find(|v| v.scene == scene && v.method == method.name())
 }
 
+/// Number, description and rule of the scenes that were played.
+fn played(verdicts: &[Verdict]) -> impl Iterator<Item = (usize, &'static str, &'static str)> {
+    scenes().filter(move |s| verdicts.iter().any(|v| v.scene == s.0))
+}
+
 /// Table with a row per scene and a column per method: `ok`, or the first failure.
 pub(crate) fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
     let mut columns = vec![Column::number("#"), Column::text("scene")];
     columns.extend(methods.iter().map(|m| Column::text(m.name())));
     let mut table = Table::new(columns);
-    for scene in SCENES.iter().filter(|s| verdicts.iter().any(|v| v.scene == s.number)) {
-        let mut row = vec![scene.number.to_string().into(), scene.title.into()];
+    for (number, title, _) in played(verdicts) {
+        let mut row = vec![number.to_string().into(), title.into()];
         for method in methods {
-            let text = match of(verdicts, scene.number, *method) {
+            let text = match of(verdicts, number, *method) {
                 Some(v) if v.passed() => "ok".to_owned(),
                 Some(v) => v.failures[0].clone(),
                 None => "-".to_owned(),
@@ -55,11 +60,7 @@ pub(crate) fn page(
         "First failure of each method in each scene, or ok without a failure. T is the target; shares are of the \
          frames in which the coarsest step meets it.",
     );
-    let names: Vec<String> = SCENES
-        .iter()
-        .filter(|s| verdicts.iter().any(|v| v.scene == s.number))
-        .map(|s| s.number.to_string())
-        .collect();
+    let names: Vec<String> = played(verdicts).map(|s| s.0.to_string()).collect();
     let mut chart =
         Chart::new("Worst frame", Axis::categories("scene", names.clone()), Axis::log("largest t / T"))
             .size(900.0, 340.0)
@@ -105,9 +106,9 @@ pub(crate) fn page(
         );
     }
     page.heading("Rules");
-    let mut rules = Table::new(vec![Column::number("#"), Column::text("scene"), Column::text("passes when")]);
-    for s in SCENES {
-        rules.row(vec![s.number.to_string().into(), s.title.into(), s.rule.into()]);
+    let mut rules = Table::headed("## | scene | passes when");
+    for (number, title, rule) in scenes() {
+        rules.row(vec![number.to_string().into(), title.into(), rule.into()]);
     }
     page.table(
         &rules,
@@ -116,7 +117,7 @@ pub(crate) fn page(
          the oracle's step to the chosen step.",
     );
     page.heading("All failures");
-    let mut failed = Table::new(vec![Column::number("#"), Column::text("method"), Column::text("failures")]);
+    let mut failed = Table::headed("## | method | failures");
     for v in verdicts.iter().filter(|v| !v.passed()) {
         failed.row(vec![v.scene.to_string().into(), v.method.into(), v.failures.join("; ").into()]);
     }

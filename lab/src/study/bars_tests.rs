@@ -32,6 +32,21 @@ fn result(split: &str, predictor: &str, off: f64) -> SplitResult {
     }
 }
 
+/// A cross-validated fit, whose errors in cross-validation are those of a factor `off`.
+fn fit(name: &str, off: f64, numbers: usize) -> Fit {
+    Fit {
+        set: "a set".into(),
+        predictor: name.into(),
+        seen: result("member", name, 1.0).metrics,
+        seen_intervals: None,
+        crossed: Some(result("member", name, off).metrics),
+        crossed_intervals: None,
+        folds: 5,
+        numbers,
+        probe_side: 11,
+    }
+}
+
 const ALL: &str = r#"{ "rmse_over_sd": 0.5, "constant_over_paper": 4, "proxy_over_paper": 3, "modality": true,
     "latency": true }"#;
 
@@ -100,19 +115,7 @@ fn the_rule_takes_the_smallest_of_the_good_ones_and_looks_at_no_test_frame() {
         for (name, off, numbers) in
             [("large", 1.10, 900), ("good", good, 19), ("small", 1.30, 2), ("t", 1.01, 1)]
         {
-            let crossed = Some(result("member", name, off).metrics);
-            let seen = result("member", name, 1.0).metrics;
-            found.fits.push(Fit {
-                set: "a set".into(),
-                predictor: name.into(),
-                seen,
-                seen_intervals: None,
-                crossed,
-                crossed_intervals: None,
-                folds: 5,
-                numbers,
-                probe_side: 11,
-            });
+            found.fits.push(fit(name, off, numbers));
             found.results.push(result("member", name, 2.5 - off));
         }
         let table = fits_table(&study, &found, "a set", "member").to_text();
@@ -125,17 +128,6 @@ fn the_rule_takes_the_smallest_of_the_good_ones_and_looks_at_no_test_frame() {
 
 #[test]
 fn bars_are_about_the_selected_predictor_where_the_rule_selects_one() {
-    let fit = |name: &str, off: f64, numbers: usize| Fit {
-        set: "a set".into(),
-        predictor: name.into(),
-        seen: result("member", name, 1.0).metrics,
-        seen_intervals: None,
-        crossed: Some(result("member", name, off).metrics),
-        crossed_intervals: None,
-        folds: 5,
-        numbers,
-        probe_side: 11,
-    };
     let found = Findings {
         results: vec![
             result("member", "small", 1.04),

@@ -45,7 +45,7 @@ pub(super) fn calibrated(
     let (mut predicted, mut measured) = (Vec::new(), Vec::new());
     for (half, judged) in halves.iter().zip(halves.iter().rev()) {
         let (few, _) = half.sample(CALIBRATION_FRAMES.min(half.frames.len()), FRAMES_SEED);
-        let here = calibrate_to_frames(file, context, few.timed())?;
+        let here = calibrate_to_frames(std::slice::from_ref(file), context, few.timed())?;
         predicted.extend(predict(&here.to_model()?, context, &judged.frames)?);
         measured.extend_from_slice(&judged.seconds);
     }

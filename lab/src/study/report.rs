@@ -7,7 +7,7 @@ use anyhow::Result;
 use entire_io::files::{make_folder, write_json, write_whole};
 use entire_io::machine;
 use entire_io::metrics::BoundMetrics;
-use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, bias_table};
+use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table, bias_table};
 use std::path::Path;
 
 /// Definition of the intervals, for captions.
@@ -18,22 +18,11 @@ pub(super) const INTERVALS: &str = "Each interval holds the errors of 90 % of 20
 /// Table of the errors, bounds and latencies of every predictor on a split. If `panel` is given, only of the predictors
 /// listed there and of the baselines.
 pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("predictor"),
-        Column::number("RMSE, ms"),
-        Column::number("RMSE/SD"),
-        Column::number("90 % interval"),
-        Column::number("median error, %"),
-        Column::number("90 % interval"),
-        Column::number("p95, %"),
-        Column::number("p99, %"),
-        Column::number("R² in log"),
-        Column::number("below the upper bound, %"),
-        Column::number("slowest tenth"),
-        Column::number("pinball"),
-        Column::number("cold µs"),
-        Column::number("per transfer function"),
-    ]);
+    let mut table = Table::headed(
+        "predictor | #RMSE, ms | #RMSE/SD | #90 % interval | #median error, % | #90 % interval | #p95, % | \
+         #p99, % | #R² in log | #below the upper bound, % | #slowest tenth | #pinball | #cold µs | \
+         #per transfer function",
+    );
     let rows: Vec<&SplitResult> = found
         .results
         .iter()
@@ -75,18 +64,11 @@ pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option
 /// Table of the errors on training frames, in cross-validation, and on the main split, each with its interval over
 /// volumes.
 pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
-    let mut table = Table::new(vec![
-        Column::text("predictor"),
-        Column::number("RMSE/SD (90 %), training frames"),
-        Column::number("… cross-validated"),
-        Column::number("… test"),
-        Column::number("median error % (90 %), training frames"),
-        Column::number("… cross-validated"),
-        Column::number("… test"),
-        Column::number("fitted parameters"),
-        Column::number("cold µs"),
-        Column::text("rule"),
-    ]);
+    let mut table = Table::headed(
+        "predictor | #RMSE/SD (90 %), training frames | #… cross-validated | #… test | \
+         #median error % (90 %), training frames | #… cross-validated | #… test | #fitted parameters | \
+         #cold µs | rule",
+    );
     let rule = by_rule(study, found, set).map(|p| p.name.as_str());
     for f in found.fits.iter().filter(|f| f.set == set) {
         let shown = |r: &&SplitResult| r.panel == "main";
@@ -152,13 +134,9 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             chart = chart.rule(Rule::Horizontal(r.metrics.rmse_over_sd, short.into()));
         }
     }
-    let mut knee = Table::new(vec![
-        Column::text("on the frontier"),
-        Column::number("cold µs"),
-        Column::number("RMSE/SD"),
-        Column::number("median error, %"),
-        Column::number("RMSE/SD gained per additional µs"),
-    ]);
+    let mut knee = Table::headed(
+        "on the frontier | #cold µs | #RMSE/SD | #median error, % | #RMSE/SD gained per additional µs",
+    );
     let mut before: Option<&(f64, f64, f64, String)> = None;
     for p in front {
         let gain = before.map(|b| format!("{:.4}", (b.2 - p.2) / (p.0 - b.0).max(1e-9)));
@@ -182,9 +160,8 @@ fn parts_table(found: &Findings, set: &str, split: &str) -> Table {
             names.push(name);
         }
     }
-    let mut columns = vec![Column::text("predictor")];
-    columns.extend(names.iter().map(|n| Column::number(format!("median error %, {n}"))));
-    let mut table = Table::new(columns);
+    let columns: String = names.iter().map(|n| format!(" | #median error %, {n}")).collect();
+    let mut table = Table::headed(&format!("predictor{columns}"));
     for r in rows {
         let mut row = vec![r.predictor.clone().into()];
         for name in &names {
@@ -294,12 +271,7 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
         let calibrated: Vec<_> = found.calibrated.iter().filter(|c| c.set == set.name).collect();
         if !calibrated.is_empty() {
             page.heading(&format!("{}: calibrated to {CALIBRATION_FRAMES} frames of other data", set.name));
-            let mut table = Table::new(vec![
-                Column::text("predictor"),
-                Column::text("data"),
-                Column::number("RMSE/SD"),
-                Column::number("median error, %"),
-            ]);
+            let mut table = Table::headed("predictor | data | #RMSE/SD | #median error, %");
             for c in calibrated {
                 table.row(vec![
                     c.predictor.clone().into(),

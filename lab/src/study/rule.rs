@@ -91,7 +91,7 @@ pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
     if let Ok(Some(analytic)) = AnalyticModel::from_model(model) {
         return of_costs(&analytic.costs());
     }
-    let layers = model.prednet().map_or(&[][..], |p| &p.layers);
+    let layers = model.prednet.as_ref().map_or(&[][..], |p| &p.layers);
     let counted = |values: &[f32]| values.iter().filter(|v| **v != 0.0).count();
     let weights: usize = layers.iter().map(|l| counted(&l.weight) + counted(&l.bias)).sum();
     let costs = InputLayout::of_model(model).ok().and_then(|l| l.unit_costs);

@@ -27,7 +27,7 @@ fn description(to: &Path) {
     ]);
     d["yt"]["script"] = absolute("examples/yt/collect_yt.py");
     d["encoders"]["script"] = absolute("lab/volumenet/train_volumenet.py");
-    d["encoders"]["shipped"] = json!([absolute("models/volumenet-64f2.safetensors")]);
+    d["encoders"]["shipped"] = json!([absolute("models/volumenet-128f2.safetensors")]);
     d["runs"] = json!(2);
     d["network"]["preset"] = json!("0C32");
     d["network"]["epochs"] = json!(2);

@@ -4,14 +4,14 @@ use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use std::ops::Range;
 
 /// Scale of an axis.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scale {
     /// Linear.
     Linear,
     /// Logarithmic; values that are not positive are left out.
     Log,
-    /// One slot per name. The value is the slot's index: slot i reaches from i − ½ to i + ½.
-    Categories(Vec<String>),
+    /// One slot per name, with a tick. The value is the slot's index: slot i reaches from i − ½ to i + ½.
+    Slots,
 }
 
 /// An axis: its label with unit, its scale and, if it is not fitted to the data, its range.
@@ -19,6 +19,8 @@ pub(super) enum Scale {
 pub struct Axis {
     pub(super) label: String,
     pub(super) scale: Scale,
+    /// The names of the slots; `None` for other scales.
+    pub(super) names: Option<Vec<String>>,
     pub(super) low: Option<f64>,
     pub(super) high: Option<f64>,
 }
@@ -26,7 +28,7 @@ pub struct Axis {
 impl Axis {
     /// A linear axis fitted to the data. The label names the unit.
     pub fn linear(label: impl Into<String>) -> Self {
-        Self { label: label.into(), scale: Scale::Linear, low: None, high: None }
+        Self { label: label.into(), scale: Scale::Linear, names: None, low: None, high: None }
     }
 
     /// A logarithmic axis fitted to the data. The label names the unit.
@@ -36,7 +38,7 @@ impl Axis {
 
     /// An axis of named slots.
     pub fn categories(label: impl Into<String>, names: Vec<String>) -> Self {
-        Self { scale: Scale::Categories(names), ..Self::linear(label) }
+        Self { scale: Scale::Slots, names: Some(names), ..Self::linear(label) }
     }
 
     /// Fixes the lower end.
@@ -49,11 +51,6 @@ impl Axis {
     pub fn to(mut self, high: f64) -> Self {
         self.high = Some(high);
         self
-    }
-
-    /// The names of the slots, if the axis has some.
-    pub(super) fn names(&self) -> Option<&[String]> {
-        if let Scale::Categories(names) = &self.scale { Some(names) } else { None }
     }
 }
 
@@ -70,23 +67,14 @@ const LARGEST: f64 = 1e300;
 pub(super) struct Span {
     pub(super) low: f64,
     pub(super) high: f64,
-    pub(super) scale: Kind,
-}
-
-/// The arithmetic of a [`Span`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    Linear,
-    Log,
-    /// Ticks at whole numbers.
-    Slots,
+    pub(super) scale: Scale,
 }
 
 impl Span {
     /// Fits the range to the values, with some margin; fixed ends of the axis are kept.
     pub(super) fn fit(axis: &Axis, values: impl Iterator<Item = f64>) -> Self {
-        if let Some(names) = axis.names() {
-            return Self { low: -0.5, high: names.len().max(1) as f64 - 0.5, scale: Kind::Slots };
+        if let Some(names) = &axis.names {
+            return Self { low: -0.5, high: names.len().max(1) as f64 - 0.5, scale: Scale::Slots };
         }
         let log = axis.scale == Scale::Log;
         let mut low = f64::INFINITY;
@@ -106,19 +94,19 @@ impl Span {
             let air = (high / low).powf(0.04).min(10.0);
             let low = axis.low.filter(|v| *v > 0.0).unwrap_or(low / air).max(1.0 / LARGEST);
             let high = axis.high.filter(|v| *v > low).unwrap_or((high * air).max(low * 1.01));
-            Self { low, high, scale: Kind::Log }
+            Self { low, high, scale: Scale::Log }
         } else {
             let air = if high > low { (high - low) * 0.04 } else { low.abs().max(1.0) * 0.1 };
             let low = axis.low.unwrap_or(low - air).clamp(-LARGEST, LARGEST);
             let high =
                 axis.high.filter(|v| *v > low).unwrap_or((high + air).max(low + air.max(low.abs() * 1e-6)));
-            Self { low, high, scale: Kind::Linear }
+            Self { low, high, scale: Scale::Linear }
         }
     }
 
     /// True if the scale can place the value on the axis or beyond its ends.
     pub(super) fn takes(&self, value: f64) -> bool {
-        value.is_finite() && (self.scale != Kind::Log || value > 0.0)
+        value.is_finite() && (self.scale != Scale::Log || value > 0.0)
     }
 
     /// True if the value lies between the ends.
@@ -128,7 +116,7 @@ impl Span {
 
     /// Returns the position of a value on the axis: 0 at the lower end, 1 at the upper end.
     pub(super) fn place(&self, value: f64) -> f64 {
-        let place = if self.scale == Kind::Log {
+        let place = if self.scale == Scale::Log {
             (value.log10() - self.low.log10()) / (self.high.log10() - self.low.log10())
         } else {
             (value - self.low) / (self.high - self.low)
@@ -138,7 +126,7 @@ impl Span {
 
     /// Returns the value at a position: the inverse of [`Span::place`].
     pub(super) fn value(&self, place: f64) -> f64 {
-        if self.scale == Kind::Log {
+        if self.scale == Scale::Log {
             let (low, high) = (self.low.log10(), self.high.log10());
             10f64.powf(low + place * (high - low))
         } else {
@@ -149,9 +137,9 @@ impl Span {
     /// Returns about `most` round values between the ends, or fewer.
     pub(super) fn ticks(&self, most: usize) -> Vec<f64> {
         match self.scale {
-            Kind::Slots => (0..self.high.ceil() as usize).map(|slot| slot as f64).collect(),
-            Kind::Log => self.log_ticks(most.max(2)),
-            Kind::Linear => self.linear_ticks(most.max(2)),
+            Scale::Slots => (0..self.high.ceil() as usize).map(|slot| slot as f64).collect(),
+            Scale::Log => self.log_ticks(most.max(2)),
+            Scale::Linear => self.linear_ticks(most.max(2)),
         }
     }
 
@@ -202,7 +190,7 @@ impl Span {
     /// Returns the label of a tick, which differs from the labels of neighboring ticks.
     pub(super) fn label(&self, value: f64, ticks: &[f64]) -> String {
         let step = match (self.scale, ticks) {
-            (Kind::Log, _) => 10f64.powf(value.abs().log10().floor()),
+            (Scale::Log, _) => 10f64.powf(value.abs().log10().floor()),
             (_, [first, second, ..]) => second - first,
             _ => 1.0,
         };
@@ -259,16 +247,16 @@ mod tests {
     #[test]
     fn ticks_are_round_few_and_inside() {
         for (low, high) in [(0.0, 119.0), (-3.0, 7.0), (0.00012, 0.00019), (1e5, 9e7)] {
-            let ticks = Span { low, high, scale: Kind::Linear }.ticks(8);
+            let ticks = Span { low, high, scale: Scale::Linear }.ticks(8);
             assert!((2..=10).contains(&ticks.len()), "{low} {high} {ticks:?}");
             assert!(ticks.iter().all(|t| *t >= low - 1e-12 && *t <= high * (1.0 + 1e-9)), "{ticks:?}");
         }
         for (low, high) in [(0.9, 1100.0), (11.0, 48.0), (0.7, 0.74), (1e-9, 1e12), (2.1, 2.2)] {
-            let ticks = Span { low, high, scale: Kind::Log }.ticks(6);
+            let ticks = Span { low, high, scale: Scale::Log }.ticks(6);
             assert!((2..=9).contains(&ticks.len()), "{low} {high} {ticks:?}");
             assert!(ticks.iter().all(|t| (low * 0.999..=high * 1.001).contains(t)), "{ticks:?}");
         }
-        assert_eq!(Span { low: -0.5, high: 2.5, scale: Kind::Slots }.ticks(9), [0.0, 1.0, 2.0]);
+        assert_eq!(Span { low: -0.5, high: 2.5, scale: Scale::Slots }.ticks(9), [0.0, 1.0, 2.0]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The drawing of a chart.
 
-use super::axis::{Kind, Span};
+use super::axis::{Scale, Span};
 use super::clip::clip;
 use super::labels::{Place, Rect, place};
 use super::palette::{DASHES, DIM, FRAME, GRID, INK, PALETTE, light, pairs};
@@ -53,6 +53,9 @@ struct Layout {
     name_rows: usize,
     x_ticks: usize,
     y_ticks: usize,
+    /// Ranges of the axes.
+    x: Span,
+    y: Span,
 }
 
 const MARGIN: f64 = 12.0;
@@ -104,13 +107,13 @@ fn draw_line(plot: &mut Plot<'_>, parts: &[Vec<(f64, f64)>], style: ShapeStyle) 
 
 impl Chart {
     pub(super) fn draw(&self, standalone: bool) -> String {
-        let (x, y) = self.spans();
-        let layout = self.layout(&x, &y);
+        let layout = self.layout();
+        let (x, y) = (&layout.x, &layout.y);
         let size = (units(self.width) as u32, units(self.height) as u32);
 
         let mut state = None;
         let ground = sheet(size, |area| {
-            state = Some(self.draw_ground(area, &layout, &x, &y)?);
+            state = Some(self.draw_ground(area, &layout)?);
             Ok(())
         });
         let state: State = state.expect("the ground was drawn");
@@ -127,12 +130,12 @@ impl Chart {
                 Rule::Diagonal(_) => [x.low.min(y.low), x.high.max(y.high)].map(|v| (v, v)),
             };
             let svg = sheet(size, |area| {
-                draw_line(&mut state.clone().restore(area), &clip(&ends, &x, &y), stroke(color, wide))
+                draw_line(&mut state.clone().restore(area), &clip(&ends, x, y), stroke(color, wide))
             });
             layers.push(Layer { class: "rule", dash: dash_of(dash), svg });
         }
         for (i, series) in self.series.iter().enumerate() {
-            let svg = sheet(size, |area| self.draw_mark(i, state.clone().restore(area), &layout, &x, &y));
+            let svg = sheet(size, |area| self.draw_mark(i, state.clone().restore(area), &layout));
             let (class, dash) = match series.mark {
                 Mark::Line(_) => ("line", dash_of(DASHES[self.color_of(i)])),
                 Mark::Steps(_) => ("steps", dash_of(DASHES[self.color_of(i)])),
@@ -150,8 +153,8 @@ impl Chart {
             let corners = [(h.start, v.start), (h.end, v.start), (h.end, v.end), (h.start, v.end)];
             let frame: Vec<_> = corners.into_iter().cycle().take(5).collect();
             area.draw(&PathElement::new(frame, stroke(FRAME, 1.0)))?;
-            self.draw_point_texts(area, &chart, &layout, &x, &y)?;
-            self.draw_rule_texts(area, &chart, &layout, &x, &y)
+            self.draw_point_texts(area, &chart, &layout)?;
+            self.draw_rule_texts(area, &chart, &layout)
         });
 
         let used =
@@ -173,7 +176,8 @@ impl Chart {
         page.render().expect("writing into memory does not fail")
     }
 
-    fn layout(&self, x: &Span, y: &Span) -> Layout {
+    fn layout(&self) -> Layout {
+        let (x, y) = self.spans();
         // The legend: rows of swatch and name between title and plot.
         let mut legend = Vec::new();
         let (mut at, mut row) = (MARGIN, 0);
@@ -190,14 +194,14 @@ impl Chart {
         let labeled = self.rules.iter().any(|r| matches!(r, Rule::Vertical(_, t) if !t.is_empty()));
         let top = title_height + legend_height + if labeled { 18.0 } else { 8.0 };
         // Names wider than their slot are staggered over several rows.
-        let name_rows = self.x.names().map_or(1, |names| {
+        let name_rows = self.x.names.as_ref().map_or(1, |names| {
             let slot = (self.width - 130.0) / names.len().max(1) as f64;
             let widest = names.iter().map(|n| text_width(n, 12.0)).fold(0.0, f64::max);
             ((widest + 8.0) / slot).ceil().clamp(1.0, 4.0) as usize
         });
         let bottom = (self.height - 46.0 - 14.0 * (name_rows - 1) as f64).max(top + 20.0);
         let y_ticks = ((bottom - top) / 44.0) as usize;
-        let widest = match self.y.names() {
+        let widest = match &self.y.names {
             Some(names) => names.iter().map(|n| text_width(n, 12.0)).fold(0.0, f64::max),
             None => {
                 let ticks = y.ticks(y_ticks);
@@ -212,18 +216,13 @@ impl Chart {
             .fold(0.0, f64::max);
         let right = self.width - if beside > 0.0 { beside + 12.0 } else { 16.0 };
         let right = right.max(left + 40.0);
-        let x_ticks = if x.scale == Kind::Slots { 0 } else { ((right - left) / 72.0) as usize };
-        Layout { left, right, top, bottom, title_height, legend, name_rows, x_ticks, y_ticks }
+        let x_ticks = if x.scale == Scale::Slots { 0 } else { ((right - left) / 72.0) as usize };
+        Layout { left, right, top, bottom, title_height, legend, name_rows, x_ticks, y_ticks, x, y }
     }
 
     /// Draws title, legend, axes and grid.
-    fn draw_ground(
-        &self,
-        area: &Area<'_>,
-        layout: &Layout,
-        x: &Span,
-        y: &Span,
-    ) -> Result<State, Box<dyn std::error::Error>> {
+    fn draw_ground(&self, area: &Area<'_>, layout: &Layout) -> Result<State, Box<dyn std::error::Error>> {
+        let (x, y) = (&layout.x, &layout.y);
         let title = ("sans-serif", 15.0 * UNITS * 1.24, FontStyle::Bold).into_font().color(&light(INK));
         if !self.title.is_empty() {
             area.draw_text(&self.title, &title, (units(MARGIN), units(6.0)))?;
@@ -244,7 +243,7 @@ impl Chart {
             .set_label_area_size(LabelAreaPosition::Bottom, units(self.height - 6.0 - layout.bottom))
             .build_cartesian_2d(x.clone(), y.clone())?;
         let (x_ticks, y_ticks) = (x.ticks(layout.x_ticks), y.ticks(layout.y_ticks));
-        let y_label = |v: &f64| match self.y.names() {
+        let y_label = |v: &f64| match &self.y.names {
             Some(names) => names.get(*v as usize).cloned().unwrap_or_default(),
             None => y.label(*v, &y_ticks),
         };
@@ -262,13 +261,13 @@ impl Chart {
             .set_all_tick_mark_size(units(3.5))
             .bold_line_style(stroke(GRID, 1.0))
             .light_line_style(TRANSPARENT);
-        if self.y.names().is_some() {
+        if self.y.names.is_some() {
             mesh.disable_y_mesh();
         }
         mesh.draw()?;
 
         let style = text_style(12.0, DIM, HPos::Center, VPos::Center);
-        for (i, name) in self.x.names().unwrap_or_default().iter().enumerate() {
+        for (i, name) in self.x.names.iter().flatten().enumerate() {
             let (at, _) = plot.plotting_area().map_coordinate(&(i as f64, y.low));
             let down = 12.0 + 14.0 * (i % layout.name_rows) as f64;
             area.draw_text(name, &style, (at, units(layout.bottom + down)))?;
@@ -309,7 +308,8 @@ impl Chart {
         Ok(())
     }
 
-    fn draw_mark(&self, i: usize, mut plot: Plot<'_>, layout: &Layout, x: &Span, y: &Span) -> Drawn {
+    fn draw_mark(&self, i: usize, mut plot: Plot<'_>, layout: &Layout) -> Drawn {
+        let (x, y) = (&layout.x, &layout.y);
         let series = &self.series[i];
         let color = PALETTE[self.color_of(i)];
         let fill = |opacity: f64| light(color).mix(opacity).filled();
@@ -370,14 +370,8 @@ impl Chart {
     }
 
     /// Draws the texts of points over all marks, each beside its point where there is space.
-    fn draw_point_texts(
-        &self,
-        area: &Area<'_>,
-        plot: &Plot<'_>,
-        layout: &Layout,
-        x: &Span,
-        y: &Span,
-    ) -> Drawn {
+    fn draw_point_texts(&self, area: &Area<'_>, plot: &Plot<'_>, layout: &Layout) -> Drawn {
+        let (x, y) = (&layout.x, &layout.y);
         let frame = Rect { left: layout.left, top: layout.top, right: layout.right, bottom: layout.bottom };
         let pixels = |at: &(f64, f64)| {
             let (h, v) = plot.plotting_area().map_coordinate(at);
@@ -421,14 +415,8 @@ impl Chart {
         Ok(())
     }
 
-    fn draw_rule_texts(
-        &self,
-        area: &Area<'_>,
-        plot: &Plot<'_>,
-        layout: &Layout,
-        x: &Span,
-        y: &Span,
-    ) -> Drawn {
+    fn draw_rule_texts(&self, area: &Area<'_>, plot: &Plot<'_>, layout: &Layout) -> Drawn {
+        let (x, y) = (&layout.x, &layout.y);
         let style = |side: HPos| text_style(12.0, DIM, side, VPos::Center);
         for rule in &self.rules {
             match rule {

@@ -61,7 +61,7 @@ pub struct FittedModel {
 /// # Errors
 /// When the model holds no PredNet, or its output for a row is not finite.
 pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
-    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
     rows_by_network(model, &PredNet::new(parts)?, rows, width)
 }
 
@@ -106,7 +106,7 @@ pub fn predict_stored(
     frames: &[&TimedFrame],
 ) -> Result<Vec<f64>> {
     let (rows, width) = rows_of(model, context, frames)?;
-    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
     rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, &rows, width)
 }
 

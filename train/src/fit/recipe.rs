@@ -173,6 +173,21 @@ pub fn parse_loss(text: &str) -> Result<Loss> {
     }
 }
 
+/// Inputs of the training frames and of the validation frames.
+fn rows(
+    layout: &Layout,
+    context: &FitContext<'_>,
+    [training, validation]: [Timed<'_>; 2],
+) -> Result<[Vec<f32>; 2]> {
+    let of = |part: Timed<'_>| layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden());
+    Ok([of(training)?, of(validation)?])
+}
+
+/// Returns numbers joined by hyphens.
+fn joined(widths: &[usize]) -> String {
+    widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
+}
+
 /// Measured seconds divided by estimated seconds, for each frame.
 fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
@@ -276,14 +291,17 @@ impl Recipe {
         if matches!(self.kind, Kind::Analytic | Kind::Residual) {
             return Ok(true);
         }
-        let groups = self
-            .inputs
-            .iter()
-            .map(|n| n.trim().parse::<GroupKind>())
-            .collect::<Result<Vec<_>, entire_core::Error>>()?;
-        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
+        let (groups, features) = self.groups()?;
         // The numbers of lobes and volume features do not affect the result; both are set to 1.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
+    }
+
+    /// The input groups, and the scene features if they are one of the groups.
+    fn groups(&self) -> Result<(Vec<GroupKind>, Vec<SceneFeature>)> {
+        let groups: Vec<GroupKind> =
+            self.inputs.iter().map(|n| Ok(n.trim().parse::<GroupKind>()?)).collect::<Result<_>>()?;
+        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
+        Ok((groups, features))
     }
 
     fn side(&self) -> usize {
@@ -295,22 +313,22 @@ impl Recipe {
     /// # Errors
     /// When the name of a group or feature is not known, or the VolumeNet's file cannot be read.
     pub fn layout(&self, training: Timed<'_>) -> Result<(ModelFile, Layout)> {
-        let groups: Vec<GroupKind> =
-            self.inputs.iter().map(|n| Ok(n.trim().parse::<GroupKind>()?)).collect::<Result<_>>()?;
+        let (groups, features) = self.groups()?;
         let (file, encoder) = match &self.volumenet {
             Some(path) => {
                 let (mut file, model) = read_model_file(path)?;
                 // Other entries describe the file's own predictor, which is replaced.
                 let taken = [Key::Format.name(), Key::VolumeNet.name()];
                 file.metadata.retain(|key, _| taken.contains(&key.as_str()));
-                let parts =
-                    model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+                let parts = model
+                    .volumenet
+                    .as_ref()
+                    .with_context(|| format!("{} holds no VolumeNet", path.display()))?;
                 (file, Some(Encoder::new(parts)?))
             }
             None => (ModelFile::default(), None),
         };
         let lobes = training.frames.first().map_or(0, |f| f.scene.lobes.len());
-        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
         let layout = Layout::new(&groups, features, lobes, encoder)?
             .with_probe_side(self.side())
             .with_sorted_lobes(self.sorted_lobes);
@@ -318,22 +336,22 @@ impl Recipe {
     }
 
     fn settings(&self) -> Result<Settings> {
-        let mut settings = Settings::default();
-        settings.epochs = self.epochs;
-        settings.batch = self.batch;
-        settings.learning_rate = self
-            .learning_rate
-            .unwrap_or(if self.preset.is_some() || self.fine_tune.is_some() { 1e-4 } else { 1e-3 });
-        settings.final_learning_rate = self.final_learning_rate.unwrap_or(settings.learning_rate / 100.0);
-        settings.clip_norm = self.clip;
-        settings.patience = self.patience;
-        settings.loss = parse_loss(&self.loss)?;
-        settings.seed = self.seed;
-        settings.target = match self.target {
-            TargetChoice::Seconds => Target::Seconds,
-            TargetChoice::LogSeconds => Target::LogSeconds,
-        };
-        Ok(settings)
+        let usual = if self.preset.is_some() || self.fine_tune.is_some() { 1e-4 } else { 1e-3 };
+        let learning_rate = self.learning_rate.unwrap_or(usual);
+        Ok(Settings {
+            epochs: self.epochs,
+            batch: self.batch,
+            learning_rate,
+            final_learning_rate: self.final_learning_rate.unwrap_or(learning_rate / 100.0),
+            clip_norm: self.clip,
+            patience: self.patience,
+            loss: parse_loss(&self.loss)?,
+            seed: self.seed,
+            target: match self.target {
+                TargetChoice::Seconds => Target::Seconds,
+                TargetChoice::LogSeconds => Target::LogSeconds,
+            },
+        })
     }
 
     /// Returns the recipe for a model file. It refers to other files by name only, since folders differ
@@ -372,12 +390,9 @@ impl Recipe {
         let estimated = estimates(context, training, &costs, self.side())?;
         let ratios = ratios_of(training.seconds, &estimated);
         let judged = ratios_of(validation.seconds, &estimates(context, validation, &costs, self.side())?);
-        let mut settings = self.settings()?;
-        settings.target = Target::LogSeconds;
+        let settings = Settings { target: Target::LogSeconds, ..self.settings()? };
         let widths = self.widths(layout.width());
-        let hidden = ProgressBar::hidden();
-        let x = layout.rows(context.tables, training.frames, context.pool, &hidden)?;
-        let vx = layout.rows(context.tables, validation.frames, context.pool, &hidden)?;
+        let [x, vx] = rows(&layout, context, [training, validation])?;
         let (parts, history, outcome) = self.ensemble(
             context,
             &widths,
@@ -402,7 +417,7 @@ impl Recipe {
             file,
             what: format!(
                 "Analytic cost model times a learned factor, {} hidden units{}",
-                self.layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-"),
+                joined(&self.layers),
                 if self.ensemble > 1 {
                     format!(", mean of {} networks stored as one", self.ensemble)
                 } else {
@@ -431,9 +446,7 @@ impl Recipe {
             Some(preset) => preset_widths(preset, layout.width())?,
             None => self.widths(layout.width()),
         };
-        let bar = ProgressBar::hidden();
-        let x = layout.rows(context.tables, training.frames, context.pool, &bar)?;
-        let vx = layout.rows(context.tables, validation.frames, context.pool, &bar)?;
+        let [x, vx] = rows(&layout, context, [training, validation])?;
         let (parts, history, outcome) = self.ensemble(
             context,
             &widths,
@@ -446,10 +459,7 @@ impl Recipe {
         self.store(&mut file, parts, &layout)?;
         Ok(FittedModel {
             file,
-            what: format!(
-                "PredNet, widths {}",
-                widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
-            ),
+            what: format!("PredNet, widths {}", joined(&widths)),
             settings: json!({ "recipe": self.portable(), "widths": widths, "optimizer": "Adam(0.9, \
                 0.999)", "schedule": "cosine, per step" }),
             history,
@@ -471,8 +481,7 @@ impl Recipe {
         let mut first = None;
         for seed in (self.seed..).take(self.ensemble) {
             let network = Network::random(widths, seed)?;
-            let mut settings = *settings;
-            settings.seed = seed;
+            let settings = Settings { seed, ..*settings };
             let (parts, history, outcome) = run_training(context, network, None, samples, &settings)?;
             // An interrupted network would worsen the mean of those that are trained to the end.
             if (context.stop)() && !members.is_empty() {
@@ -500,12 +509,9 @@ impl Recipe {
         ensure!(self.kind != Kind::Analytic, "an analytic model cannot be fine-tuned; leave out --fine-tune");
         let (mut file, model) = read_model_file(path)?;
         let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
-        let parts = model.prednet().context("the model file holds no PredNet")?;
-        let mut settings = self.settings()?;
-        settings.target = parts.target;
-        let bar = ProgressBar::hidden();
-        let x = layout.rows(context.tables, training.frames, context.pool, &bar)?;
-        let vx = layout.rows(context.tables, validation.frames, context.pool, &bar)?;
+        let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
+        let settings = Settings { target: parts.target, ..self.settings()? };
+        let [x, vx] = rows(&layout, context, [training, validation])?;
         let (parts, history, outcome) = run_training(
             context,
             Network::from_parts(parts)?,

@@ -71,14 +71,7 @@ fn tables_of_no_volume(count: u64) -> Vec<TimedFrame> {
 
 fn in_context<T>(run: impl FnOnce(&FitContext<'_>) -> T) -> T {
     let pool = thread_pool(Some(1)).unwrap();
-    let tables = [Table {
-        path: "t.csv".into(),
-        manifest: None,
-        frames: Vec::new(),
-        hash: 0,
-        features: None,
-        root: None,
-    }];
+    let tables = [Table { path: "t.csv".into(), ..Table::default() }];
     run(&FitContext { tables: &tables, pool: &pool, bar: &ProgressBar::hidden(), stop: &|| false })
 }
 
@@ -197,16 +190,11 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
     let frames = tables_of_no_volume(6);
     let frames: Vec<&TimedFrame> = frames.iter().collect();
     let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
-    let made = |ensemble: usize| {
-        let recipe = Recipe {
-            inputs: vec!["camera".into()],
-            layers: vec![4],
-            epochs: 2,
-            ensemble,
-            ..Recipe::default()
-        };
-        in_context(|context| recipe.make(context, part, part).unwrap())
+    let recipe = |ensemble: usize| {
+        let (inputs, layers) = (vec!["camera".into()], vec![4]);
+        Recipe { inputs, layers, epochs: 2, ensemble, ..Recipe::default() }
     };
+    let made = |ensemble| in_context(|context| recipe(ensemble).make(context, part, part).unwrap());
     assert!(made(1).outcome.starts_with("all 2 epochs done, "));
     let two = made(2);
     let each: Vec<&str> = two.outcome.split("; ").collect();
@@ -222,14 +210,7 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
                 asked.set(asked.get() + 1);
                 asked.get() > seen
             };
-            let recipe = Recipe {
-                inputs: vec!["camera".into()],
-                layers: vec![4],
-                epochs: 2,
-                ensemble: 3,
-                ..Recipe::default()
-            };
-            recipe.make(&FitContext { stop: &stop, ..*context }, part, part).unwrap()
+            recipe(3).make(&FitContext { stop: &stop, ..*context }, part, part).unwrap()
         });
         assert!(!interrupted.outcome.contains("network 3: all"), "{}", interrupted.outcome);
         if interrupted.outcome.contains("the mean of 1 networks")

@@ -68,7 +68,6 @@ impl Samples<'_> {
 /// Settings of a run. The defaults are those of the paper, except the batch size 256 and the patience 50,
 /// which the paper does not state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub struct Settings {
     /// Maximum number of passes over the training frames.
     pub epochs: usize,
@@ -262,15 +261,11 @@ pub struct EpochRecord {
     pub training_loss: f64,
     /// Loss of the validation frames after the epoch; the training loss if there are no such frames.
     pub validation_loss: f64,
-    /// Learning rate of the epoch's last step.
-    pub learning_rate: f64,
 }
 
 /// State of the training, given to the callback after every step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Epoch in progress, from 1.
-    pub epoch: usize,
     /// Maximum number of epochs.
     pub epochs: usize,
     /// Number of training steps done in all epochs.
@@ -458,7 +453,7 @@ pub fn train<T: Real>(
             }
             let last = at + 1 == steps_per_epoch;
             let mut told =
-                Progress { epoch, epochs: settings.epochs, steps, total_steps, ended: None, best: best_loss };
+                Progress { epochs: settings.epochs, steps, total_steps, ended: None, best: best_loss };
             if !last {
                 if progress(&told).is_break() {
                     stop = Stop::Interrupted;
@@ -473,7 +468,7 @@ pub fn train<T: Real>(
             }
             let training_loss = total / frames as f64;
             let validation_loss = validate(pool, &trainer, &judged).unwrap_or(training_loss);
-            let record = EpochRecord { epoch, training_loss, validation_loss, learning_rate: rate };
+            let record = EpochRecord { epoch, training_loss, validation_loss };
             history.push(record);
             if !validation_loss.is_finite() {
                 stop = Stop::Diverged;

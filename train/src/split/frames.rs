@@ -63,23 +63,13 @@ impl<'a> TimedFrames<'a> {
     }
 
     fn divided(&self, first: impl Fn(usize) -> bool) -> (Self, Self) {
-        let pick = |want: bool| Self {
-            frames: self
-                .frames
-                .iter()
-                .enumerate()
-                .filter(|(i, _)| first(*i) == want)
-                .map(|(_, f)| *f)
-                .collect(),
-            seconds: self
-                .seconds
-                .iter()
-                .enumerate()
-                .filter(|(i, _)| first(*i) == want)
-                .map(|(_, t)| *t)
-                .collect(),
-        };
-        (pick(true), pick(false))
+        let (mut chosen, mut rest) = (Self::default(), Self::default());
+        for (i, (&frame, &seconds)) in self.frames.iter().zip(&self.seconds).enumerate() {
+            let part = if first(i) { &mut chosen } else { &mut rest };
+            part.frames.push(frame);
+            part.seconds.push(seconds);
+        }
+        (chosen, rest)
     }
 
     /// Returns the kind of groups that a split keeps together: ensemble members, or volumes if there are
@@ -95,7 +85,7 @@ impl<'a> TimedFrames<'a> {
         let of_frame: Vec<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
         let groups: BTreeSet<String> = of_frame.iter().cloned().collect();
         if groups.len() < 3 {
-            return (Self { frames: vec![], seconds: vec![] }, self.divided(|_| true).0);
+            return (Self::default(), self.clone());
         }
         let (order, tenth) = shuffled(&groups, seed);
         self.divided(|i| order[..tenth].contains(&&of_frame[i]))
@@ -123,7 +113,7 @@ mod tests {
             ..TimedFrame::of_no_volume(volume, member)
         };
         let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v, m)).collect();
-        Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
+        Table { path: "t.csv".into(), frames, hash: 7, ..Table::default() }
     }
 
     #[test]

@@ -14,9 +14,7 @@ use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
-use entire_train::evaluation::{
-    PROBE_SHARE, WarmLatency, by_kind, in_session, noise_by_kind, probe_means, warm_latency,
-};
+use entire_train::evaluation::{PROBE_SHARE, by_kind, in_session, noise_by_kind, probe_means, warm_latency};
 use entire_train::fit::{predict_rows, rows_by_network};
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Split};
@@ -154,6 +152,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let noise = noise_floor(refs.iter().copied(), clock, passes);
     let noise_by_kind = noise_by_kind(&refs, clock, passes);
 
+    let assess = |name: String, predicted: Vec<f64>, upper| {
+        assess(name, predicted, (&refs, &measured, &groups), upper)
+    };
+    let frames_seen = |m: &Loaded| refs.iter().filter(|f| m.has_seen(f)).count();
     let mut predictors = Vec::new();
     for m in &models {
         let bar = templated_bar(INPUTS_BAR);
@@ -167,40 +169,25 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 None
             }
         };
-        let seen = refs.iter().filter(|f| m.has_seen(f)).count();
-        predictors.push(assess(
-            m.name.clone(),
-            Some(m.hash.clone()),
-            predicted,
-            &measured,
-            &groups,
-            &refs,
+        predictors.push(Predictor {
+            fnv1a: Some(m.hash.clone()),
             latency,
-            seen,
-            bound::of(&m.model),
-        )?);
+            frames_seen: frames_seen(m),
+            ..assess(m.name.clone(), predicted, bound::of(&m.model))?
+        });
     }
     for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
         let rows = m.layout.rows(&tables, &refs, &pool, &ProgressBar::hidden())?;
-        let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
+        let parts = m.model.prednet.as_ref().with_context(|| format!("{} holds no PredNet", m.name))?;
         let net = PredNet::with(parts, Level::detect(), storage)?;
         let predicted = rows_by_network(&m.model, &net, &rows, m.layout.width())?;
-        predictors.push(assess(
-            format!("{}, {} weights", m.name, storage),
-            None,
-            predicted,
-            &measured,
-            &groups,
-            &refs,
-            None,
-            refs.iter().filter(|f| m.has_seen(f)).count(),
-            bound::of(&m.model),
-        )?);
+        let name = format!("{}, {} weights", m.name, storage);
+        let stored = assess(name, predicted, bound::of(&m.model))?;
+        predictors.push(Predictor { frames_seen: frames_seen(m), ..stored });
     }
     let constant = probe_means(&refs, &measured, options.seed);
     let name = format!("mean time of {:.0} % of each volume's frames", 100.0 * PROBE_SHARE);
-    let constant = assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?;
-    predictors.push(Predictor { constant: true, ..constant });
+    predictors.push(Predictor { constant: true, ..assess(name, constant, None)? });
 
     let mut sessions = BTreeMap::new();
     if let Some(heard) = options.observed {
@@ -258,16 +245,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-#[allow(clippy::too_many_arguments, reason = "one call site per kind of predictor")]
+/// Returns the errors of a predictor without a file, which has seen no frame.
 fn assess(
     name: String,
-    fnv1a: Option<String>,
     predicted: Vec<f64>,
-    measured: &[f64],
-    groups: &[String],
-    frames: &[&TimedFrame],
-    latency: Option<WarmLatency>,
-    frames_seen: usize,
+    (frames, measured, groups): (&[&TimedFrame], &[f64], &[String]),
     upper: Option<UpperBound>,
 ) -> Result<Predictor> {
     let metrics = Metrics::new(&predicted, measured).context("there are no frames to compare")?;
@@ -288,11 +270,11 @@ fn assess(
     let by_kind = by_kind(frames, &predicted, measured);
     Ok(Predictor {
         name,
-        fnv1a,
+        fnv1a: None,
         metrics,
         by_group,
-        latency,
-        frames_seen,
+        latency: None,
+        frames_seen: 0,
         bound_coverage,
         bound,
         rmse_over_sd_interval,

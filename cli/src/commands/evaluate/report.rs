@@ -67,22 +67,11 @@ pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
 
 pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table, Table) {
     let percent = |v: f64| format!("{:.2}", 100.0 * v);
-    let mut overall = Table::new(vec![
-        Column::text("predictor"),
-        Column::number("frames"),
-        Column::number("in training or validation"),
-        Column::number("RMSE, s"),
-        Column::number("RMSE/SD"),
-        Column::number("MAE, s"),
-        Column::number("median error, %"),
-        Column::number("p95, %"),
-        Column::number("p99, %"),
-        Column::number("R² in log"),
-        Column::number("within upper bound, %"),
-        Column::number("µs per prediction"),
-        Column::number("µs per prediction in the network"),
-        Column::number("µs per transfer function"),
-    ]);
+    let mut overall = Table::headed(
+        "predictor | #frames | #in training or validation | #RMSE, s | #RMSE/SD | #MAE, s | #median error, % | \
+         #p95, % | #p99, % | #R² in log | #within upper bound, % | #µs per prediction | \
+         #µs per prediction in the network | #µs per transfer function",
+    );
     for p in predictors {
         let m = &p.metrics;
         let micro = |f: fn(&WarmLatency) -> f64| p.latency.as_ref().map(|l| format!("{:.2}", 1e6 * f(l)));

@@ -1,4 +1,4 @@
-//! Algorithm 1 of the paper, and the paper's baselines OLP and PID.
+//! Algorithm 1 of the paper, and its baselines: a fixed step, OLP and PID.
 
 use super::StepResponse;
 use entire_steer::control::Verdict;
@@ -6,6 +6,35 @@ use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason}
 
 fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decision {
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }
+}
+
+/// No steering: always the same step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Fixed {
+    step: f32,
+}
+
+impl Fixed {
+    /// Draws every frame with `step`, clamped to the limits.
+    pub(crate) fn new(step: f32) -> Self {
+        Self { step }
+    }
+}
+
+impl Controller for Fixed {
+    fn name(&self) -> &'static str {
+        "fixed"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        decision(request.limits.clamp(self.step), f32::NAN, f32::NAN, Reason::Off)
+    }
+
+    fn observe(&mut self, _: &Observed) -> Verdict {
+        Verdict::Ignored
+    }
+
+    fn reset(&mut self) {}
 }
 
 /// Algorithm 1: the ray step is δ = δ_ref · G⁻¹(t_target / t_predict), with the reference step δ_ref, the

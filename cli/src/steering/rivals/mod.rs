@@ -3,13 +3,11 @@
 //! and are offered by `entire steer` and `entire explore`. The C library does not contain them.
 
 mod algorithm1;
-mod fixed;
 mod reactive;
 mod response;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use algorithm1::{Algorithm1, Olp, Pid};
-pub(crate) use fixed::Fixed;
+pub(crate) use algorithm1::{Algorithm1, Fixed, Olp, Pid};
 pub(crate) use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 pub use response::StepResponse;

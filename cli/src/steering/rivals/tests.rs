@@ -2,7 +2,9 @@
 //! controller.
 
 use super::*;
-use entire_steer::control::{Controller, Hybrid, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
+use crate::steering::contenders::{ControllerKind, controller};
+use clap::ValueEnum;
+use entire_steer::control::{Controller, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
 use entire_steer::features::Changes;
 use entire_steer::predict::{CostTerms, Source, TERMS};
 
@@ -23,21 +25,8 @@ impl Noise {
 #[test]
 fn every_controller_survives_any_observation() {
     let g = StepResponse::inverse_step(0.1);
-    let controllers: Vec<Box<dyn Controller>> = vec![
-        Box::new(Fixed::new(2.0)),
-        Box::new(Olp::new(g.clone())),
-        Box::new(Olp::last(g.clone())),
-        Box::new(Olp::larger_of_two(g.clone())),
-        Box::new(Pid::new(Pid::PAPER_GAINS)),
-        Box::new(Algorithm1::new(g)),
-        Box::new(VtkGpu::new()),
-        Box::new(VtkFixedPoint::new()),
-        Box::new(VtkJs::new()),
-        Box::new(Unreal::new()),
-        Box::new(Filament::new()),
-        Box::new(Hybrid::new(HybridOptions::default())),
-    ];
-    for mut controller in controllers {
+    for kind in ControllerKind::value_variants() {
+        let mut controller = controller(*kind, 2.0, &g, HybridOptions::default().prior);
         let mut noise = Noise(3);
         for i in 0..3000 {
             let target = [1e-3, 0.03, 5.0][i / 7 % 3];
@@ -46,7 +35,7 @@ fn every_controller_survives_any_observation() {
             let changes = Changes { transfer: i % 50 == 0, first: i == 0, ..Changes::default() };
             let limits = StepLimits { finest: 0.5, coarsest: 20.0 };
             let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
-            assert!((0.5..=20.0).contains(&decision.step), "{} {i} {decision:?}", controller.name());
+            assert!((0.5..=20.0).contains(&decision.step), "{kind} {i} {decision:?}");
             let seconds = match i % 11 {
                 3 => 1e-9,
                 7 => 9_999.0,
@@ -181,10 +170,10 @@ fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64
     out
 }
 
-fn mean_of(plant: &Plant, seeds: u64, frames: usize, make: &dyn Fn() -> Box<dyn Controller>) -> Outcome {
+fn mean_of(plant: &Plant, seeds: u64, frames: usize, kind: ControllerKind) -> Outcome {
     let mut sum = Outcome::default();
     for seed in 0..seeds {
-        let o = play(&mut *make(), plant, frames, 1 + 77 * seed);
+        let o = play(&mut *made(kind), plant, frames, 1 + 77 * seed);
         let n = seeds as f64;
         sum.miss += o.miss / n;
         sum.above_bound += o.above_bound / n;
@@ -220,33 +209,34 @@ fn plants() -> Vec<(&'static str, Plant)> {
     ]
 }
 
-fn all(prior: Prior) -> Vec<Box<dyn Fn() -> Box<dyn Controller>>> {
+/// The controllers that are compared; the hybrid is the last one.
+const COMPARED: [ControllerKind; 10] = [
+    ControllerKind::Fixed,
+    ControllerKind::Olp,
+    ControllerKind::Pid,
+    ControllerKind::Algorithm1,
+    ControllerKind::VtkGpu,
+    ControllerKind::VtkFixedPoint,
+    ControllerKind::VtkJs,
+    ControllerKind::Unreal,
+    ControllerKind::Filament,
+    ControllerKind::Hybrid,
+];
+
+fn made(kind: ControllerKind) -> Box<dyn Controller + Send> {
     let samples: Vec<(f32, f32)> =
         (0..12).map(|i| 1.4f32.powi(i)).map(|s| (s, (2.0 + 60.0 * s.powf(-0.9)) / 62.0)).collect();
     let g = StepResponse::from_samples(&samples).unwrap();
-    let (a, b) = (g.clone(), g);
-    vec![
-        Box::new(|| Box::new(Fixed::new(1.0))),
-        Box::new(move || Box::new(Olp::new(a.clone()))),
-        Box::new(|| Box::new(Pid::new(Pid::PAPER_GAINS))),
-        Box::new(move || Box::new(Algorithm1::new(b.clone()))),
-        Box::new(|| Box::new(VtkGpu::new())),
-        Box::new(|| Box::new(VtkFixedPoint::new())),
-        Box::new(|| Box::new(VtkJs::new())),
-        Box::new(|| Box::new(Unreal::new())),
-        Box::new(|| Box::new(Filament::new())),
-        Box::new(move || Box::new(Hybrid::new(HybridOptions { prior, ..HybridOptions::default() }))),
-    ]
+    controller(kind, 1.0, &g, Prior::Fitted { log_sd: 0.2 })
 }
 
 #[test]
 fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
-    let controllers = all(Prior::Fitted { log_sd: 0.2 });
-    let (ours, others) = controllers.split_last().unwrap();
+    let (ours, others) = COMPARED.split_last().unwrap();
     let mut wrong = Vec::new();
     let mut sum = (0.0, 0.0);
     for (name, plant) in plants().into_iter().filter(|(name, _)| *name != "impossible") {
-        let o = mean_of(&plant, 4, 400, &**ours);
+        let o = mean_of(&plant, 4, 400, *ours);
         eprintln!("{name:12} ours {o:.3?}");
         let mut expect = |holds: bool, what: String| {
             if !holds {
@@ -257,16 +247,15 @@ fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
         expect(o.deviation <= 0.08, "deviation".into());
         expect(o.quality >= 0.92, "quality".into());
         expect(o.above_bound <= 0.1, "bound at switches".into());
-        for make in others {
-            let other = mean_of(&plant, 4, 400, &**make);
-            let rival = make().name();
-            eprintln!("{:12} {rival:16} {other:.3?}", "");
+        for rival in others {
+            let other = mean_of(&plant, 4, 400, *rival);
+            eprintln!("{:12} {:16} {other:.3?}", "", rival.name());
             // No other controller has both fewer misses and more quality than the hybrid.
             expect(
                 o.miss <= other.miss + 0.004 || o.quality >= other.quality - 0.02,
                 format!("{rival} has fewer misses and more quality: {other:?}"),
             );
-            if rival == "olp" {
+            if *rival == ControllerKind::Olp {
                 sum.0 += o.jumps;
                 sum.1 += other.jumps;
                 expect(o.deviation <= other.deviation + 0.004, format!("deviation of OLP: {other:?}"));
@@ -289,12 +278,12 @@ fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
 fn closed_loop_table() {
     for (name, plant) in plants() {
         println!("{name}");
-        for make in all(Prior::Fitted { log_sd: 0.2 }) {
-            let o = mean_of(&plant, 10, 600, &*make);
+        for kind in COMPARED {
+            let o = mean_of(&plant, 10, 600, kind);
             println!(
                 "  {:16} miss {:5.1} %  longest {:3}  |t-T|/T {:6.3}  quality {:5.3}  jumps {:5.1} %  switch \
                  above bound {:5.1} %",
-                make().name(),
+                kind.name(),
                 100.0 * o.miss,
                 o.longest,
                 o.deviation,

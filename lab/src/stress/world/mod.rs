@@ -65,6 +65,19 @@ impl Machine<'_> {
         matches!(self, Self::Real(..))
     }
 
+    /// Shows the volume and the transfer function of a frame of a script.
+    fn show(&mut self, shot: &Shot, views: &[VolumeView<'_>]) -> Result<()> {
+        self.renderer().set_volume(&views[shot.volume])?;
+        self.renderer().set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
+        Ok(())
+    }
+
+    /// A frame of a script, in the size of this machine.
+    fn frame(&self, shot: &Shot) -> Result<Frame> {
+        let camera = Camera::from_arcball(shot.camera)?;
+        Ok(Frame::new(camera, self.grown() * shot.size.0, self.grown() * shot.size.1)?)
+    }
+
     /// Draws a frame and returns its seconds.
     fn seconds(&mut self, frame: &Frame) -> Result<f64> {
         let rendered = self.renderer().render(frame)?;
@@ -155,7 +168,6 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         l.quality -= 0.1;
         l.inside = l.inside.min(0.8);
     }
-    let grown = machine.grown();
     let model = fitted(machine)?;
     let response = StepResponse::inverse_step(0.1);
     let mut who: Contender =
@@ -188,7 +200,7 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         if shot.camera_cut {
             who.session.mark(Changes { camera: true, ..Changes::default() });
         }
-        let frame = Frame::new(Camera::from_arcball(shot.camera)?, grown * shot.size.0, grown * shot.size.1)?;
+        let frame = machine.frame(&shot)?;
         if machine.is_real() && edited {
             // Uploads and the first use of a volume or transfer function are not part of frame times.
             truth(machine, &shot, &frame, FINEST)?;
@@ -204,10 +216,7 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
                 * grid[0].1
                 * if i == 0 && number != 12 { typical(machine, &world, &views)? / grid[0].1 } else { 1.0 };
             if number != 12 {
-                machine.renderer().set_volume(&views[shot.volume])?;
-                machine
-                    .renderer()
-                    .set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
+                machine.show(&shot, &views)?;
             }
         }
         let first = i > 0 && (edited || sized != shot.size);
@@ -256,13 +265,8 @@ fn typical(machine: &mut Machine<'_>, world: &World, views: &[VolumeView<'_>]) -
     let mut times = Vec::new();
     for i in (0..world.frames).step_by(4) {
         let shot = (world.shot)(i);
-        machine.renderer().set_volume(&views[shot.volume])?;
-        machine.renderer().set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
-        let frame = Frame::new(
-            Camera::from_arcball(shot.camera)?,
-            machine.grown() * shot.size.0,
-            machine.grown() * shot.size.1,
-        )?;
+        machine.show(&shot, views)?;
+        let frame = machine.frame(&shot)?;
         times.push(truth(machine, &shot, &frame, FINEST)?);
     }
     entire_io::metrics::median(&mut times).context("a scene without frames")
