@@ -14,7 +14,7 @@ bench: ## Time every network, SIMD level and weight type, and compare with the m
 
 .PHONY: peer-server
 peer-server:
-	$(CARGO) build --release --package entire-core --example peer_server
+	$(CARGO) build --release --package entire-core --features rayon --example peer_server
 
 $(BENCH_OUT)/models/inputs.safetensors:
 	@test -e $(PEERS)/gen.py || { echo "no peer scripts at $(PEERS): say where with PEERS=folder" >&2; exit 1; }

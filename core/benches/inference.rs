@@ -20,8 +20,8 @@
 //! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
 #![allow(clippy::incompatible_msrv, reason = "needs the newest compiler, unlike the library")]
 
+use entire_core::kernels::Level;
 use entire_core::kernels::{Executor, Storage};
-use entire_core::kernels::{Isa, Level};
 use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Normalization, PredNet, PredNetParts, Resampler, Target, VolumeNet,
     VolumeNetParts,
@@ -198,7 +198,7 @@ fn floor(
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code, reason = "peak rates can only be measured with the instructions themselves")]
 mod limits {
-    use super::{Instant, Isa, black_box};
+    use super::{Instant, black_box};
     use std::arch::x86_64::*;
 
     macro_rules! probes {
@@ -298,12 +298,12 @@ mod limits {
         match level.isa() {
             // SAFETY: a level exists only if the CPU has its instructions, and the name shows that VNNI is
             // among them.
-            Isa::Avx512 if int8 && level.to_string().contains("vnni") => best(&|| unsafe { dot512(100_000) }),
+            "avx512" if int8 && level.to_string().contains("vnni") => best(&|| unsafe { dot512(100_000) }),
             _ if int8 => None,
             // SAFETY: an AVX-512 level exists only if the CPU has AVX-512.
-            Isa::Avx512 => best(&|| unsafe { fma512(100_000) }),
+            "avx512" => best(&|| unsafe { fma512(100_000) }),
             // SAFETY: an AVX2 level exists only if the CPU has AVX2 and FMA.
-            Isa::Avx2 => best(&|| unsafe { fma256(100_000) }),
+            "avx2" => best(&|| unsafe { fma256(100_000) }),
             _ => None,
         }
     }
@@ -317,9 +317,9 @@ mod limits {
         let rounds = (1 << 22) / bytes + 1;
         let read: &dyn Fn() = match level.isa() {
             // SAFETY: an AVX-512 level exists only if the CPU has AVX-512.
-            Isa::Avx512 => &|| unsafe { sum512(black_box(data)) },
+            "avx512" => &|| unsafe { sum512(black_box(data)) },
             // SAFETY: an AVX2 level exists only if the CPU has AVX2.
-            Isa::Avx2 => &|| unsafe { sum256(black_box(data)) },
+            "avx2" => &|| unsafe { sum256(black_box(data)) },
             _ => return None,
         };
         let time = |_| {

@@ -16,7 +16,7 @@
 //! - `resample/N` resamples N³ bytes to 128³; `read` in its result is the time of reading the bytes once.
 
 use entire_core::kernels::Level;
-use entire_core::kernels::{Executor, Helper, SELU_ALPHA, SELU_SCALE, Storage};
+use entire_core::kernels::{Executor, SELU_ALPHA, SELU_SCALE, Storage};
 use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Normalization, PredNet, PredNetParts, Resampler, Target, VolumeNet,
     VolumeNetParts,
@@ -34,7 +34,14 @@ struct Options {
     models: PathBuf,
     storage: Storage,
     level: Level,
-    threads: usize,
+    /// Two threads; `None` for one.
+    pool: Option<rayon::ThreadPool>,
+}
+
+impl Options {
+    fn executor(&self) -> Executor<'_> {
+        self.pool.as_ref().map_or(Executor::Serial, Executor::Rayon)
+    }
 }
 
 fn options() -> Result<Options, Problem> {
@@ -49,18 +56,21 @@ fn options() -> Result<Options, Problem> {
                     Storage::ALL.into_iter().find(|s| s.to_string() == name).ok_or("unknown storage")?;
             }
             "--level" => {
-                let isa = value()?.parse()?;
+                let isa = value()?;
                 level = Level::available().find(|l| l.isa() == isa).ok_or("this CPU lacks the level")?;
             }
             _ => models = Some(PathBuf::from(argument)),
         }
     }
-    let threads = std::env::var("PEER_THREADS").ok().and_then(|t| t.parse().ok()).unwrap_or(1);
+    let pool = match std::env::var("PEER_THREADS").as_deref() {
+        Ok("2") => Some(rayon::ThreadPoolBuilder::new().num_threads(2).build()?),
+        _ => None,
+    };
     Ok(Options {
         models: models.ok_or("usage: peer_server [--storage S] [--level L] MODELS")?,
         storage,
         level,
-        threads,
+        pool,
     })
 }
 
@@ -94,23 +104,21 @@ fn inputs(models: &Path, rows: usize) -> Result<Vec<f32>, Problem> {
 /// A prepared case: each call runs one inference and returns the sum of the outputs.
 type Case<'a> = Box<dyn FnMut() -> f64 + 'a>;
 
-fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -> Result<Case<'a>, Problem> {
+fn case<'a>(options: &'a Options, name: &str, rows: usize) -> Result<Case<'a>, Problem> {
     if name.starts_with("vol") {
-        return encoding(options, helper, name);
+        return encoding(options, name);
     }
     let parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
     let net = PredNet::with(&parts, options.level, options.storage)?;
     let x = inputs(&options.models, rows)?;
-    let executor = if options.threads > 1 { Executor::Helper(helper) } else { Executor::Serial };
     if rows == 1 {
         let mut scratch = net.scratch(1)?;
-        return Ok(match options.threads {
-            1 => Box::new(move || f64::from(net.predict(&x, &mut scratch))),
-            _ => Box::new(move || f64::from(net.predict_on(executor, &x, &mut scratch))),
-        });
+        return Ok(Box::new(move || f64::from(net.predict(&x, &mut scratch))));
     }
-    let scratch = || net.scratch(rows.div_ceil(options.threads));
-    let mut scratches = (0..options.threads).map(|_| scratch()).collect::<Result<Vec<_>, _>>()?;
+    let executor = options.executor();
+    let threads = executor.threads();
+    let scratch = || net.scratch(rows.div_ceil(threads));
+    let mut scratches = (0..threads).map(|_| scratch()).collect::<Result<Vec<_>, _>>()?;
     let mut y = vec![0.0; rows];
     Ok(Box::new(move || {
         net.predict_batch(executor, &x, &mut y, &mut scratches).expect("sizes that fit");
@@ -155,14 +163,14 @@ fn volumenet(path: &Path) -> Result<VolumeNetParts, Problem> {
     Ok(VolumeNetParts { input: 128, blocks, fc })
 }
 
-fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<Case<'a>, Problem> {
+fn encoding<'a>(options: &'a Options, name: &str) -> Result<Case<'a>, Problem> {
     let (name, from_floats) = name.strip_suffix(":f32").map_or((name, false), |name| (name, true));
     let parts = volumenet(&options.models.join(format!("{name}.safetensors")))?;
     let net = VolumeNet::with(&parts, options.level)?;
     let file = std::fs::read(options.models.join("inputs.safetensors"))?;
     let (_, volume) = floats(&SafeTensors::deserialize(&file)?, "vol")?;
     let bytes: Vec<u8> = volume.iter().map(|v| (v * 255.0).round() as u8).collect();
-    let executor = if options.threads > 1 { Executor::Helper(helper) } else { Executor::Serial };
+    let executor = options.executor();
     let (mut scratch, mut features) = (net.scratch(), vec![0.0; net.feature_len()]);
     Ok(Box::new(move || {
         let view = if from_floats {
@@ -184,15 +192,15 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
 
 /// Returns, as JSON, the times of resampling `n`³ bytes to 128³, and the minimum time in which the same
 /// threads read the bytes once.
-fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Result<String, Problem> {
+fn resampling(options: &Options, n: usize, seconds: f64) -> Result<String, Problem> {
     let bytes: Vec<u8> = (0..n * n * n).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&bytes), [n; 3])?;
-    let executor = if options.threads > 1 { Executor::Helper(helper) } else { Executor::Serial };
+    let executor = options.executor();
     let (mut resampler, mut out) = (Resampler::new(options.level), vec![0.0; 128 * 128 * 128]);
     let (mut times, mut read) = (Vec::new(), f64::INFINITY);
     let end = Instant::now() + Duration::from_secs_f64(seconds);
     while Instant::now() < end || times.len() < 5 {
-        read = read.min(reading(&bytes, executor, options.threads));
+        read = read.min(reading(&bytes, executor));
         let begin = Instant::now();
         resampler.resample(&view, 128, &mut out, executor)?;
         times.push(begin.elapsed().as_nanos() as f64);
@@ -203,9 +211,9 @@ fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Res
 }
 
 /// Time in nanoseconds in which the executor's threads read all bytes once.
-fn reading(bytes: &[u8], executor: Executor<'_>, threads: usize) -> f64 {
+fn reading(bytes: &[u8], executor: Executor<'_>) -> f64 {
     let begin = Instant::now();
-    if threads > 1 {
+    if executor.threads() > 1 {
         let (left, right) = bytes.split_at(bytes.len() / 2);
         let read = |piece| move || _ = std::hint::black_box(mixed(piece));
         executor.join(read(left), read(right));
@@ -335,40 +343,41 @@ fn measure(case: &mut Case<'_>, seconds: f64) -> String {
     format!(r#"{{"min":{min},"med":{median},"n":{},"check":{check}}}"#, times.len() * group as usize)
 }
 
+/// Answers each line of the input.
+fn serve(options: &Options) {
+    let mut cases: HashMap<(String, usize), Case<'_>> = HashMap::new();
+    let mut answer = |line: &str| -> Result<String, Problem> {
+        let mut words = line.split_whitespace();
+        let mut word = || words.next().ok_or("expected: NAME BATCH SECONDS");
+        let (name, rows, seconds) = (word()?.to_owned(), word()?.parse()?, word()?.parse()?);
+        if let Some(name) = name.strip_prefix("accuracy/") {
+            return Ok(format!(r#"{{"error":{}}}"#, accuracy(options, name, rows)?));
+        }
+        if let Some(kind) = name.strip_prefix("small/") {
+            return small(options, kind == "cold", seconds);
+        }
+        if let Some(edge) = name.strip_prefix("resample/") {
+            return resampling(options, edge.parse()?, seconds);
+        }
+        let key = (name, rows);
+        if !cases.contains_key(&key) {
+            let case = case(options, &key.0, rows)?;
+            cases.insert(key.clone(), case);
+        }
+        Ok(measure(cases.get_mut(&key).expect("it was put there"), seconds))
+    };
+    for line in std::io::stdin().lock().lines() {
+        let result = line.map_err(Problem::from).and_then(|line| answer(&line));
+        println!("@@{}", result.unwrap_or_else(|e| format!(r#"{{"err":{:?}}}"#, e.to_string())));
+        let _ = std::io::stdout().flush();
+    }
+}
+
 fn main() -> Result<(), Problem> {
     let options = options()?;
-    let helper = Helper::new();
-    std::thread::scope(|scope| {
-        if options.threads > 1 {
-            scope.spawn(|| helper.serve());
-        }
-        let mut cases: HashMap<(String, usize), Case<'_>> = HashMap::new();
-        let mut answer = |line: &str| -> Result<String, Problem> {
-            let mut words = line.split_whitespace();
-            let mut word = || words.next().ok_or("expected: NAME BATCH SECONDS");
-            let (name, rows, seconds) = (word()?.to_owned(), word()?.parse()?, word()?.parse()?);
-            if let Some(name) = name.strip_prefix("accuracy/") {
-                return Ok(format!(r#"{{"error":{}}}"#, accuracy(&options, name, rows)?));
-            }
-            if let Some(kind) = name.strip_prefix("small/") {
-                return small(&options, kind == "cold", seconds);
-            }
-            if let Some(edge) = name.strip_prefix("resample/") {
-                return resampling(&options, &helper, edge.parse()?, seconds);
-            }
-            let key = (name, rows);
-            if !cases.contains_key(&key) {
-                let case = case(&options, &helper, &key.0, rows)?;
-                cases.insert(key.clone(), case);
-            }
-            Ok(measure(cases.get_mut(&key).expect("it was put there"), seconds))
-        };
-        for line in std::io::stdin().lock().lines() {
-            let result = line.map_err(Problem::from).and_then(|line| answer(&line));
-            println!("@@{}", result.unwrap_or_else(|e| format!(r#"{{"err":{:?}}}"#, e.to_string())));
-            let _ = std::io::stdout().flush();
-        }
-        helper.stop();
-    });
+    match &options.pool {
+        Some(pool) => pool.install(|| serve(&options)),
+        None => serve(&options),
+    }
     Ok(())
 }

@@ -32,7 +32,7 @@
 //! let bytes = file.to_bytes()?;
 //!
 //! let model = Model::from_bytes(&bytes)?;
-//! let net = PredNet::new(model.prednet().expect("the file has a PredNet"))?;
+//! let net = PredNet::new(model.prednet.as_ref().expect("the file has a PredNet"))?;
 //! let mut scratch = net.scratch(1)?;
 //! let seconds = net.predict(&[2.0, 4.0], &mut scratch);
 //! assert!((seconds - (-4.0f32).exp()).abs() < 1e-6);

@@ -53,13 +53,6 @@ pub(crate) fn resize<T: Clone>(vector: &mut Vec<T>, len: usize, value: T) -> Res
     Ok(())
 }
 
-/// A copy of a slice.
-pub fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>> {
-    let mut out = room(slice.len())?;
-    out.extend_from_slice(slice);
-    Ok(out)
-}
-
 /// Collects the elements of an iterator of known length.
 pub fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>> {
     let mut out = room(elements.len())?;
@@ -92,7 +85,6 @@ mod tests {
     #[test]
     fn what_can_be_had_is_exact() {
         assert_eq!(filled(3, 7u8).unwrap(), [7, 7, 7]);
-        assert_eq!(copied(&[1.5f32, 2.5]).unwrap(), [1.5, 2.5]);
         assert_eq!(collected([3u8, 4].into_iter()).unwrap(), [3, 4]);
         let mut kept = vec![1u8, 2, 3];
         resize(&mut kept, 5, 9).unwrap();

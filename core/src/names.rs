@@ -1,10 +1,14 @@
 //! The macro `names!`.
 
-/// Implements `name`, `Display` and the conversion to `&'static str` for an enum, from a table of names.
+/// Implements `ALL`, `name`, `Display` and the conversion to `&'static str` for an enum, from a table of names.
 #[macro_export]
 macro_rules! names {
     ($type:ty: $($variant:ident $name:literal,)*) => {
         impl $type {
+            /// Every variant, in the order of the table of names.
+            #[allow(dead_code, reason = "not every enum's variants are listed")]
+            pub const ALL: [Self; [$($name),*].len()] = [$(Self::$variant),*];
+
             /// The name.
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name,)* }

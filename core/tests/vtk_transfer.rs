@@ -1,6 +1,6 @@
 //! Compares node transfer functions with tables computed by VTK (`golden/vtk_transfer/make.py`).
 
-use entire_core::scene::{ColorNode, Nodes, OpacityNode, TABLE_LEN, TransferFunction};
+use entire_core::scene::{Node, Nodes, TABLE_LEN, TransferFunction};
 use serde_json::Value;
 
 /// Upper bound of the difference between a color or opacity and VTK's value.
@@ -22,9 +22,9 @@ fn tables_equal_those_of_vtk() {
             .as_array()
             .unwrap()
             .iter()
-            .map(|n| OpacityNode {
+            .map(|n| Node {
                 position: number(&n[0]),
-                opacity: number(&n[1]),
+                value: number(&n[1]),
                 midpoint: number(&n[2]),
                 sharpness: number(&n[3]),
             })
@@ -34,9 +34,9 @@ fn tables_equal_those_of_vtk() {
             .as_array()
             .unwrap()
             .iter()
-            .map(|n| ColorNode {
+            .map(|n| Node {
                 position: number(&n[0]),
-                color: [0, 1, 2].map(|c| number(&n[1][c])),
+                value: [0, 1, 2].map(|c| number(&n[1][c])),
                 midpoint: number(&n[2]),
                 sharpness: number(&n[3]),
             })

@@ -1,15 +1,15 @@
 //! Runs a kernel in the version that is compiled for a level. Only this module names every instruction set.
 
-#[cfg(target_arch = "x86_64")]
-use super::Isa;
 use super::Level;
+#[cfg(target_arch = "x86_64")]
+use super::level::Isa;
 use super::simd::Kernel;
 
 impl Level {
     /// Runs a kernel with this level's instructions.
     #[inline]
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
-        match self.isa() {
+        match self.isa {
             #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 => {
                 // SAFETY: this level exists only if the CPU has AVX-512 F, BW, DQ and VL.
@@ -28,7 +28,7 @@ impl Level {
     /// without VNNI, AVX-512 is not faster than AVX2 here.
     #[inline]
     pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
-        match self.isa() {
+        match self.isa {
             #[cfg(all(target_arch = "x86_64", entire_avx512))]
             Isa::Avx512 if self.has_vnni() => {
                 // SAFETY: this level exists only if the CPU has AVX-512 F, BW, DQ and VL, and `has_vnni` is

@@ -1,8 +1,5 @@
 //! Executors of parallel work: the calling thread alone, or threads that the caller owns.
 
-use super::Helper;
-use super::helper::Join;
-
 /// Threads on which encoding and resampling run: the calling thread alone, or threads that the caller
 /// provides.
 ///
@@ -17,9 +14,10 @@ pub enum Executor<'a> {
     /// The work is split over the threads of a pool; the caller waits.
     #[cfg(feature = "rayon")]
     Rayon(&'a rayon::ThreadPool),
-    /// The work is split between the caller and the thread that serves the helper, without locks or system
-    /// calls.
-    Helper(&'a Helper),
+    /// Cannot be made; it uses the lifetime where there are no pools.
+    #[cfg(not(feature = "rayon"))]
+    #[doc(hidden)]
+    Never(core::convert::Infallible, core::marker::PhantomData<&'a ()>),
 }
 
 impl Executor<'_> {
@@ -29,7 +27,8 @@ impl Executor<'_> {
             Self::Serial => 1,
             #[cfg(feature = "rayon")]
             Self::Rayon(pool) => pool.current_num_threads().max(1),
-            Self::Helper(helper) => 1 + usize::from(helper.is_served()),
+            #[cfg(not(feature = "rayon"))]
+            Self::Never(never, _) => match *never {},
         }
     }
 
@@ -44,13 +43,8 @@ impl Executor<'_> {
             Self::Rayon(pool) => {
                 pool.join(a, b);
             }
-            Self::Helper(helper) => helper.join(a, b),
+            #[cfg(not(feature = "rayon"))]
+            Self::Never(never, _) => match *never {},
         }
-    }
-}
-
-impl Join for Executor<'_> {
-    fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B) {
-        Executor::join(self, a, b);
     }
 }

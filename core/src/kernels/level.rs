@@ -1,10 +1,9 @@
 //! Detection at run time of the instructions that kernels may use.
 
 use crate::Result;
+#[cfg(any(feature = "std", test))]
 use crate::error::bail;
-use crate::names::names;
 use core::fmt;
-use core::str::FromStr;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
@@ -12,12 +11,12 @@ use core::sync::atomic::{AtomicU32, Ordering};
 /// The variable is read only with the feature `std`, and only once: at the first [`Level::detect`] or
 /// [`Level::check_override`] of the process. It can lower the level, but never raise it above the highest
 /// level of the CPU.
+#[cfg(any(feature = "std", test))]
 pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 /// Instruction sets that kernels are written for, in rising order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[non_exhaustive]
-pub enum Isa {
+pub(crate) enum Isa {
     /// Portable Rust, vectorized by the compiler; the reference in the tests of the other instruction sets.
     Scalar,
     /// x86-64 with AVX2, FMA, F16C and POPCNT.
@@ -28,24 +27,19 @@ pub enum Isa {
 
 impl Isa {
     /// Every instruction set with kernels, lowest first.
-    pub const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
-}
+    const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
 
-names! { Isa:
-    Scalar "scalar",
-    Avx2 "avx2",
-    Avx512 "avx512",
-}
+    const fn name(self) -> &'static str {
+        match self {
+            Isa::Scalar => "scalar",
+            Isa::Avx2 => "avx2",
+            Isa::Avx512 => "avx512",
+        }
+    }
 
-impl FromStr for Isa {
-    type Err = crate::Error;
-
-    /// Parses a name as `Display` writes it.
-    ///
-    /// # Errors
-    ///
-    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) when the text is none of the three names.
-    fn from_str(text: &str) -> Result<Self> {
+    /// Returns the instruction set with this name.
+    #[cfg(any(feature = "std", test))]
+    fn named(text: &str) -> Result<Self> {
         match Self::ALL.iter().find(|isa| isa.name() == text) {
             Some(&isa) => Ok(isa),
             None => bail!(
@@ -62,12 +56,12 @@ const HAS_AVX512: u32 = 1 << 2;
 const HAS_VNNI: u32 = 1 << 3;
 const PROBED: u32 = 1 << 31;
 
-/// Proof that the CPU has the instructions of one [`Isa`].
+/// Proof that the CPU has the instructions of one instruction set: scalar, AVX2 or AVX-512.
 ///
 /// Results are bit-identical for the same model, inputs and level, with and without the feature `std`.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Level {
-    isa: Isa,
+    pub(super) isa: Isa,
     /// True if the level includes AVX512_VNNI (8-bit integer dot products).
     vnni: bool,
 }
@@ -122,7 +116,8 @@ impl Level {
         if let Some(isa) = Self::override_isa().clone()?.filter(|&isa| Self::exactly(isa).is_none()) {
             bail!(
                 Unsupported,
-                "{LEVEL_VARIABLE}={isa}, but this CPU's highest level is {}: unset the variable or lower its level",
+                "{LEVEL_VARIABLE}={}, but this CPU's highest level is {}: unset the variable or lower its level",
+                isa.name(),
                 Self::at_most(Isa::Avx512)
             );
         }
@@ -136,15 +131,15 @@ impl Level {
         static SAID: std::sync::OnceLock<Result<Option<Isa>>> = std::sync::OnceLock::new();
         SAID.get_or_init(|| match std::env::var(LEVEL_VARIABLE) {
             Ok(text) if text.is_empty() => Ok(None),
-            Ok(text) => text.parse().map(Some),
+            Ok(text) => Isa::named(&text).map(Some),
             Err(std::env::VarError::NotPresent) => Ok(None),
-            Err(std::env::VarError::NotUnicode(text)) => text.to_string_lossy().parse().map(Some),
+            Err(std::env::VarError::NotUnicode(text)) => Isa::named(&text.to_string_lossy()).map(Some),
         })
     }
 
-    /// The instruction set.
-    pub const fn isa(self) -> Isa {
-        self.isa
+    /// Name of the instruction set: `scalar`, `avx2` or `avx512`, as in `ENTIRE_LEVEL`.
+    pub const fn isa(self) -> &'static str {
+        self.isa.name()
     }
 
     /// True if the level includes AVX512_VNNI (8-bit integer dot products).
@@ -161,7 +156,7 @@ impl fmt::Debug for Level {
 
 impl fmt::Display for Level {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.isa.name())?;
+        f.write_str(self.isa())?;
         f.write_str(if self.has_vnni() { "+vnni" } else { "" })
     }
 }
@@ -243,9 +238,9 @@ mod tests {
     #[test]
     fn names_are_read_back_and_others_refused() {
         for isa in Isa::ALL {
-            assert_eq!(isa.name().parse::<Isa>().unwrap(), isa);
+            assert_eq!(Isa::named(isa.name()).unwrap(), isa);
         }
-        let error = "AVX-512".parse::<Isa>().unwrap_err();
+        let error = Isa::named("AVX-512").unwrap_err();
         assert_eq!(error.kind(), ErrorKind::InvalidArgument);
         assert!(error.to_string().contains("avx512"), "{error}");
     }
@@ -254,14 +249,14 @@ mod tests {
     fn levels_rise_and_start_with_scalar() {
         let levels: Vec<_> = Level::available().collect();
         assert_eq!(levels[0], Level::SCALAR);
-        assert!(levels.windows(2).all(|pair| pair[0].isa() < pair[1].isa()));
+        assert!(levels.windows(2).all(|pair| pair[0].isa < pair[1].isa));
         assert_eq!(Level::at_most(Isa::Avx512), *levels.last().unwrap());
     }
 
     #[test]
     fn a_cap_is_never_exceeded() {
         for cap in Isa::ALL {
-            assert!(Level::at_most(cap).isa() <= cap);
+            assert!(Level::at_most(cap).isa <= cap);
         }
     }
 

@@ -10,7 +10,6 @@ mod activation;
 pub(crate) mod conv;
 mod dispatch;
 mod executor;
-pub(crate) mod helper;
 mod level;
 pub(crate) mod mlp;
 pub(crate) mod resample;
@@ -21,7 +20,6 @@ mod x86_64;
 
 pub use activation::selu;
 pub use executor::Executor;
-pub use helper::Helper;
-pub use level::{Isa, Level};
+pub use level::Level;
 pub use mlp::Storage;
 pub use simd::{Kernel, SELU_ALPHA, SELU_SCALE, Simd};

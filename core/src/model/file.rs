@@ -9,7 +9,7 @@ use crate::nn::{Dtype, Normalization, PredNetParts};
 use alloc::borrow::{Cow, ToOwned};
 use alloc::collections::BTreeMap;
 use alloc::format;
-use alloc::string::{String, ToString};
+use alloc::string::String;
 use alloc::vec::Vec;
 use safetensors::Dtype as Stored;
 use serde::ser::{Serialize, SerializeMap, Serializer};
@@ -194,14 +194,6 @@ impl ModelFile {
         }
         self.metadata.insert(Key::Target.into(), net.target.name().into());
         self.metadata.insert(Key::Inputs.into(), json(inputs)?);
-        Ok(self)
-    }
-
-    /// Sets the names of the scene features, in order.
-    pub fn set_scene_features<S: ToString>(&mut self, names: &[S]) -> Result<&mut Self> {
-        let names: Vec<String> = names.iter().map(ToString::to_string).collect();
-        let text = json(&names)?;
-        self.metadata.insert(Key::SceneFeatures.into(), text);
         Ok(self)
     }
 

@@ -45,7 +45,7 @@ pub enum Key {
     UnitCosts,
     /// `entire.cached_voxels`: number of voxels that the caches hold, for the file's scene features and unit
     /// costs, as a decimal number. In a frame that touches this many voxels, half of the reads that no
-    /// neighboring ray shares wait for memory. Without this entry, the number is `UnitCosts::CACHED_VOXELS`
+    /// neighboring ray shares wait for memory. Without this entry, the number is that of `UnitCosts::new`
     /// of `entire-steer`.
     CachedVoxels,
     /// `entire.probe_side`: number of rays along each side of the probe that measured the scene features, as
@@ -105,15 +105,6 @@ pub enum GroupKind {
 }
 
 impl GroupKind {
-    const ALL: [Self; 6] = [
-        Self::VolumeFeatures,
-        Self::Camera,
-        Self::Resolution,
-        Self::TransferFunction,
-        Self::StepSize,
-        Self::SceneFeatures,
-    ];
-
     /// Returns the group with this name, or `None` if this version has no such group.
     pub(crate) fn find(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|g| g.name() == name)

@@ -35,12 +35,19 @@ pub struct InputGroup {
 
 /// A checked model file: every tensor that its networks need is present, has the right shape and is finite.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Model {
-    inputs: Vec<InputGroup>,
-    scene_features: Vec<String>,
-    prednet: Option<PredNetParts>,
-    volumenet: Option<VolumeNetParts>,
-    metadata: BTreeMap<String, String>,
+    /// The input groups in order; empty where the file has no PredNet.
+    pub inputs: Vec<InputGroup>,
+    /// Names of the scene features in order; empty where the model has no such group.
+    pub scene_features: Vec<String>,
+    /// PredNet's weights; `None` if the file has none.
+    pub prednet: Option<PredNetParts>,
+    /// VolumeNet's weights, with batch normalization folded into the convolutions; `None` if the file has
+    /// none.
+    pub volumenet: Option<VolumeNetParts>,
+    /// All entries of `__metadata__`, known ([`Key`]) or not.
+    pub metadata: BTreeMap<String, String>,
 }
 
 impl Model {
@@ -58,35 +65,9 @@ impl Model {
         source.model()
     }
 
-    /// The input groups in order; empty where the file has no PredNet.
-    pub fn inputs(&self) -> &[InputGroup] {
-        &self.inputs
-    }
-
     /// Size of an input group; `None` if the model has no such group.
     pub fn input_size(&self, group: GroupKind) -> Option<usize> {
         self.inputs.iter().find(|own| own.name == group.name()).map(|group| group.size)
-    }
-
-    /// PredNet's weights; `None` if the file has none.
-    pub fn prednet(&self) -> Option<&PredNetParts> {
-        self.prednet.as_ref()
-    }
-
-    /// VolumeNet's weights, with batch normalization folded into the convolutions; `None` if the file has
-    /// none.
-    pub fn volumenet(&self) -> Option<&VolumeNetParts> {
-        self.volumenet.as_ref()
-    }
-
-    /// Names of the scene features in order; empty where the model has no such group.
-    pub fn scene_features(&self) -> &[String] {
-        &self.scene_features
-    }
-
-    /// All entries of `__metadata__`, known ([`Key`]) or not.
-    pub fn metadata(&self) -> &BTreeMap<String, String> {
-        &self.metadata
     }
 }
 

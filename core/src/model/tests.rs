@@ -86,12 +86,12 @@ fn what_is_written_is_read_back() {
         file.metadata.insert(Key::Device.into(), "a device".into());
         file.metadata.insert("notes".into(), "kept".into());
         let model = Model::from_bytes(&file.to_bytes().unwrap()).unwrap();
-        assert_eq!(model.prednet(), Some(&prednet(dtype)));
-        assert_eq!(model.inputs(), groups());
-        assert_eq!(model.metadata()[Key::Device.name()], "a device");
-        assert_eq!(model.metadata()["notes"], "kept");
-        assert!(model.volumenet().is_none());
-        assert_eq!(PredNet::new(model.prednet().unwrap()).unwrap().inputs(), 6);
+        assert_eq!(model.prednet, Some(prednet(dtype)));
+        assert_eq!(model.inputs, groups());
+        assert_eq!(model.metadata[Key::Device.name()], "a device");
+        assert_eq!(model.metadata["notes"], "kept");
+        assert!(model.volumenet.is_none());
+        assert_eq!(PredNet::new(model.prednet.as_ref().unwrap()).unwrap().inputs(), 6);
     }
 }
 
@@ -120,13 +120,13 @@ fn unknown_tensors_and_metadata_survive_fine_tuning() {
         assert!(tuned.tensor_names().any(|n| n == *name), "{name} was lost");
     }
     assert_eq!(tuned.metadata, before.metadata);
-    assert_eq!(tuned.to_model().unwrap().volumenet(), before.to_model().unwrap().volumenet());
+    assert_eq!(tuned.to_model().unwrap().volumenet, before.to_model().unwrap().volumenet);
 }
 
 #[test]
 fn volumenet_shapes_are_followed_and_batch_normalization_is_folded() {
     let model = with_volumenet().to_model().unwrap();
-    let net = model.volumenet().unwrap();
+    let net = model.volumenet.as_ref().unwrap();
     assert_eq!((net.input, net.features(), net.blocks.len()), (8, 4, 2));
     assert_eq!((net.blocks[0].output_edge, net.blocks[1].output_edge), (4, 2));
     // gamma / sqrt(var + eps) with gamma = var = 0.5, applied to a weight of 0.5.
@@ -237,8 +237,8 @@ fn metadata_is_checked() {
         fails(&f, invalid, &[says]);
     }
     let mut f = set(Key::Inputs, scene);
-    f.set_scene_features(&["a", "b", "c", "d", "e", "f"]).unwrap();
-    assert_eq!(f.to_model().unwrap().scene_features(), ["a", "b", "c", "d", "e", "f"].map(String::from));
+    f.metadata.insert(Key::SceneFeatures.into(), r#"["a","b","c","d","e","f"]"#.into());
+    assert_eq!(f.to_model().unwrap().scene_features, ["a", "b", "c", "d", "e", "f"].map(String::from));
     let one = r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#;
     fails(&set(Key::VolumeNet, one), invalid, &["1 blocks", "2"]);
     fails(&set(Key::VolumeNet, &one.replace('8', "0")), invalid, &["input is 0"]);
@@ -286,7 +286,7 @@ fn a_stride_beyond_the_padded_input_is_refused() {
         fails(&encoder_file(3, &[(1, 3, stride, 1)], 1), ErrorKind::InvalidModel, &[&says, "1 to 5"]);
     }
     let widest = encoder_file(3, &[(1, 3, 5, 1)], 1).to_model().unwrap();
-    assert_eq!(widest.volumenet().unwrap().blocks[0].output_edge, 1);
+    assert_eq!(widest.volumenet.as_ref().unwrap().blocks[0].output_edge, 1);
 }
 
 #[test]
@@ -322,7 +322,7 @@ fn the_number_of_groups_and_their_check_are_bounded() {
     net.input = None;
     file.set_prednet(&net, &[InputGroup { name: "x".to_string(), size: MAX_INPUT_GROUPS }]).unwrap();
     file.metadata.insert(Key::Inputs.into(), groups(MAX_INPUT_GROUPS));
-    assert_eq!(file.to_model().unwrap().inputs().len(), MAX_INPUT_GROUPS);
+    assert_eq!(file.to_model().unwrap().inputs.len(), MAX_INPUT_GROUPS);
     for n in [MAX_INPUT_GROUPS + 1, 100_000] {
         file.metadata.insert(Key::Inputs.into(), groups(n));
         fails(&file, ErrorKind::InvalidModel, &[&format!("{n} groups"), "1024"]);

@@ -143,17 +143,6 @@ impl PredNet {
         }
     }
 
-    /// As [`predict`](Self::predict), with each large layer split between the caller and one more thread. The
-    /// result has the same bits. The split saves time only if the weights exceed one core's cache and the
-    /// executor is a [`Helper`](crate::kernels::Helper): handing work to a thread pool takes longer than the
-    /// split saves. A helper adds no allocation, lock or system call.
-    pub fn predict_on(&self, executor: Executor<'_>, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
-        match self.mlp.forward_split(&executor, inputs, &mut scratch.mlp) {
-            Some(y) => self.seconds(y),
-            None => f32::NAN,
-        }
-    }
-
     /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) values per element of
     /// `seconds`. Results equal those of [`predict`](Self::predict) up to the order of summation. The rows
     /// are split into as many parts as there are `scratches`. A row's result does not depend on the other
@@ -305,9 +294,7 @@ mod tests {
                     let mut batch = vec![0.0; rows];
                     net.predict_batch(Executor::Serial, &inputs, &mut batch, std::slice::from_mut(&mut net.scratch(rows).unwrap())).unwrap();
                     for (i, row) in inputs.chunks(sizes[0]).enumerate() {
-                        let split = net.predict_on(Executor::Serial, row, &mut scratch);
                         let single = net.predict(row, &mut scratch);
-                        prop_assert_eq!(single.to_bits(), split.to_bits());
                         for found in [single, batch[i]] {
                             // Errors of rounded weights are relative to the last layer's output: the
                             // logarithm of the seconds, normalized.
@@ -365,19 +352,13 @@ mod tests {
     }
 
     #[test]
-    fn a_helper_changes_no_bit() {
+    fn parts_of_a_batch_change_no_bit() {
         let parts = parts(&[16, 256, 256, 320, 192, 128, 1], Target::Seconds, 5);
         let x: Vec<f32> = (0..16 * 50).map(|i| (i % 31) as f32 * 0.1 - 1.5).collect();
-        let helper = crate::kernels::Helper::new();
-        let run = || {
+        let run = |executor: Executor<'_>| {
             for level in Level::available() {
                 for storage in Storage::ALL {
                     let net = PredNet::with(&parts, level, storage).unwrap();
-                    let (mut one, mut two) = (net.scratch(1).unwrap(), net.scratch(1).unwrap());
-                    for row in x.chunks_exact(16).take(5) {
-                        let split = net.predict_on(Executor::Helper(&helper), row, &mut two);
-                        assert_eq!(net.predict(row, &mut one).to_bits(), split.to_bits(), "{level}");
-                    }
                     let (mut whole, mut parted) = ([0.0; 50], [0.0; 50]);
                     net.predict_batch(
                         Executor::Serial,
@@ -388,27 +369,14 @@ mod tests {
                     .unwrap();
                     let mut scratches =
                         [net.scratch(9).unwrap(), net.scratch(9).unwrap(), net.scratch(9).unwrap()];
-                    net.predict_batch(Executor::Helper(&helper), &x, &mut parted, &mut scratches).unwrap();
+                    net.predict_batch(executor, &x, &mut parted, &mut scratches).unwrap();
                     assert_eq!(whole, parted, "{level}");
                 }
             }
         };
-        run();
-        #[cfg(feature = "std")]
-        std::thread::scope(|scope| {
-            struct Stop<'a>(&'a crate::kernels::Helper);
-            impl Drop for Stop<'_> {
-                fn drop(&mut self) {
-                    self.0.stop();
-                }
-            }
-            let _stop = Stop(&helper);
-            scope.spawn(|| helper.serve());
-            while !helper.is_served() {
-                std::thread::yield_now();
-            }
-            run();
-        });
+        run(Executor::Serial);
+        #[cfg(feature = "rayon")]
+        run(Executor::Rayon(&rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap()));
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //!   `(i + ½)·m/n − ½` in voxel coordinates, clamped to the first and last voxel.
 //! - An axis with `m = n` is copied.
 //!
-//! Voxels are first mapped to [0, 1] by the view's range ([`VolumeView::normalize`]), so values outside the
+//! Voxels are first mapped to [0, 1] by the view's range ([`normalize`]), so values outside the
 //! range, NaN and infinities never enter an average.
 
 use crate::Result;
@@ -16,7 +16,7 @@ use crate::error::bail;
 use crate::kernels::resample::{self as kernel, Affine, Map, Span};
 use crate::kernels::{Executor, Level};
 use crate::memory::{reserve, resize};
-use crate::scene::{Scalars, VolumeView};
+use crate::scene::{Scalars, VolumeView, normalize};
 use alloc::vec::Vec;
 
 #[cfg(test)]
@@ -133,7 +133,7 @@ pub(super) struct Exact<'a>(pub(super) &'a VolumeView<'a>);
 impl<T: kernel::Scalar> Map<T> for Exact<'_> {
     #[inline(always)]
     fn value(&self, stored: f32) -> f32 {
-        self.0.normalize(stored)
+        normalize(self.0.range(), stored)
     }
 }
 

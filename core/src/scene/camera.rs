@@ -157,11 +157,6 @@ impl Camera {
         }
     }
 
-    /// True for parallel rays.
-    pub fn is_parallel(&self) -> bool {
-        matches!(self.lens, Lens::Parallel { .. })
-    }
-
     /// Visible height at a depth, both in bounding-sphere radii.
     pub fn height_at(&self, depth: f32) -> f32 {
         match self.lens {
@@ -198,16 +193,6 @@ impl Camera {
         let rx = libm::asinf((from.y / dz).clamp(-1.0, 1.0)).to_degrees();
         let ry = libm::atan2f(from.x, from.z).to_degrees();
         Arcball { rx, ry, dz }
-    }
-
-    /// Returns the origin and the unit direction, in scene space, of the ray through the position (`px`,
-    /// `py`) of a `width` × `height` image. The first pixel's center is at (0.5, 0.5); y points down.
-    pub fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
-        let (origin, direction) = self.ray_basis(width, height);
-        let u = 2.0 * px / width as f32 - 1.0;
-        let v = 1.0 - 2.0 * py / height as f32;
-        let at = |basis: [Vec3; 3]| basis[0] + u * basis[1] + v * basis[2];
-        (at(origin), at(direction).normalize())
     }
 
     /// The basis of primary rays, for renderers, as `(origin, direction)`. The ray at (u, v) of the image,
@@ -251,6 +236,13 @@ mod tests {
         Camera::from_arcball(Arcball { rx, ry, dz }).unwrap()
     }
 
+    /// Origin and unit direction of the ray through a position of an image of 64 × 32 pixels.
+    fn ray(camera: &Camera, px: f32, py: f32) -> (Vec3, Vec3) {
+        let (origin, direction) = camera.ray_basis(64, 32);
+        let at = |basis: [Vec3; 3]| basis[0] + (px / 32.0 - 1.0) * basis[1] + (1.0 - py / 16.0) * basis[2];
+        (at(origin), at(direction).normalize())
+    }
+
     #[test]
     fn eye_stands_where_the_angles_say() {
         let close = |a: Vec3, b: Vec3| assert!((a - b).length() < 1e-5, "{a} {b}");
@@ -278,9 +270,9 @@ mod tests {
     #[test]
     fn central_ray_looks_at_the_center() {
         let camera = arc(25.0, 130.0, 2.5);
-        let (origin, direction) = camera.ray(32.0, 16.0, 64, 32);
+        let (origin, direction) = ray(&camera, 32.0, 16.0);
         assert!((origin + direction * 2.5).length() < 1e-4);
-        let (_, corner) = camera.ray(0.0, 0.0, 64, 32);
+        let (_, corner) = ray(&camera, 0.0, 0.0);
         assert!((corner.length() - 1.0).abs() < 1e-5);
     }
 
@@ -307,9 +299,9 @@ mod tests {
     fn parallel_rays_run_along_the_view_and_leave_its_plane() {
         for (rx, ry, dz) in [(0.0, 0.0, 1.5), (25.0, 130.0, 0.3), (-70.0, 10.0, 2e5)] {
             let camera = arc(rx, ry, dz).with_parallel_scale(0.8).unwrap();
-            let (_, forward) = camera.ray(32.0, 16.0, 64, 32);
+            let (_, forward) = ray(&camera, 32.0, 16.0);
             for (x, y) in [(0.0, 0.0), (64.0, 32.0), (10.5, 30.5)] {
-                let (origin, direction) = camera.ray(x, y, 64, 32);
+                let (origin, direction) = ray(&camera, x, y);
                 assert_eq!(direction, forward);
                 let eye = camera.view().transform_point3(origin);
                 let (u, v) = (x / 32.0 - 1.0, 1.0 - y / 16.0);

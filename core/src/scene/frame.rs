@@ -31,9 +31,6 @@ names! { Shading:
 }
 
 impl Shading {
-    /// All variants.
-    pub const ALL: [Self; 4] = [Self::None, Self::Local, Self::Scatter, Self::LocalScatter];
-
     /// True with local lighting.
     pub const fn is_lit(self) -> bool {
         matches!(self, Self::Local | Self::LocalScatter)
@@ -75,11 +72,6 @@ names! { Skipping:
     None "none",
     Blocks "blocks",
     Distance "distance",
-}
-
-impl Skipping {
-    /// All variants.
-    pub const ALL: [Self; 3] = [Self::None, Self::Blocks, Self::Distance];
 }
 
 impl FromStr for Skipping {

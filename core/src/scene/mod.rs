@@ -10,9 +10,8 @@ mod volume;
 
 pub use camera::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
 pub use frame::{Frame, MAX_IMAGE_SIDE, Shading, Skipping};
-pub use nodes::{ColorNode, Nodes, OpacityNode};
+pub use nodes::{Node, Nodes};
 pub use transfer::{COLOR_RAMP, ControlPoint, GaussianLobe, TABLE_LEN, TransferFunction, TransferTable};
 pub use volume::{
-    MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, Shape, VolumeOptions, VolumeView,
+    MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, Shape, VolumeOptions, VolumeView, normalize,
 };
-pub use volume::{normalize, ratios};

@@ -13,29 +13,16 @@ use crate::Result;
 use crate::error::bail;
 use alloc::vec::Vec;
 
-/// A node of an opacity function.
+/// A node of an opacity function (`V` is `f64`) or of a color function (`V` is `[f64; 3]`).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OpacityNode {
+pub struct Node<V> {
     /// Scalar value, in the unit of the function's range.
     pub position: f64,
-    /// Opacity in [0, 1] for one unit distance.
-    pub opacity: f64,
+    /// Opacity for one unit distance, or red, green, blue; in [0, 1].
+    pub value: V,
     /// Position between this node and the next at which the value is half way, in [0, 1]; 0.5 is the middle.
     pub midpoint: f64,
-    /// Steepness of the change, in [0, 1]: 0 linear, 1 nearly a step.
-    pub sharpness: f64,
-}
-
-/// A node of a color function.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ColorNode {
-    /// Scalar value, in the unit of the function's range.
-    pub position: f64,
-    /// Red, green, blue in [0, 1].
-    pub color: [f64; 3],
-    /// As in [`OpacityNode::midpoint`].
-    pub midpoint: f64,
-    /// As in [`OpacityNode::sharpness`]; above 0.99 a step.
+    /// Steepness of the change, in [0, 1]: 0 linear, 1 nearly a step. A color is a step above 0.99.
     pub sharpness: f64,
 }
 
@@ -48,9 +35,9 @@ pub struct ColorNode {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nodes {
     /// The opacity nodes, in ascending position.
-    pub opacity: Vec<OpacityNode>,
+    pub opacity: Vec<Node<f64>>,
     /// The color nodes, in ascending position.
-    pub color: Vec<ColorNode>,
+    pub color: Vec<Node<[f64; 3]>>,
     /// The scalar range that maps to [0, 1], normally the volume's: both ends finite, the low end at most the
     /// high one.
     pub range: (f64, f64),
@@ -68,11 +55,8 @@ impl Nodes {
                 "transfer function range is {low}…{high}; both ends must be finite and the low end not above the high one"
             );
         }
-        let (opacity, color) = (&self.opacity, &self.color);
-        let shapes = opacity.iter().map(|n| (n.position, n.midpoint, n.sharpness));
-        check_nodes("opacity", shapes, opacity.iter().map(|n| [n.opacity; 3]))?;
-        let shapes = color.iter().map(|n| (n.position, n.midpoint, n.sharpness));
-        check_nodes("color", shapes, color.iter().map(|n| n.color))
+        check_nodes("opacity", &self.opacity, |opacity| [opacity; 3])?;
+        check_nodes("color", &self.color, |color| color)
     }
 
     pub(super) fn to_table(&self) -> Result<TransferTable> {
@@ -88,14 +72,11 @@ impl Nodes {
             next_opacity += self.opacity[next_opacity..].iter().take_while(|n| x > n.position).count();
             next_color += self.color[next_color..].iter().take_while(|n| x > n.position).count();
 
-            let value = |n: &OpacityNode| [n.opacity; 3];
-            let shape = |n: &OpacityNode| (n.position, n.midpoint, n.sharpness);
-            let [alpha, ..] = evaluate(&self.opacity, next_opacity, x, self.clamp, false, value, shape);
+            let [alpha, ..] = evaluate(&self.opacity, next_opacity, x, self.clamp, false, |a| [a; 3]);
             let [r, g, b] = if self.color.is_empty() {
                 ramp(t as f32)
             } else {
-                let shape = |n: &ColorNode| (n.position, n.midpoint, n.sharpness);
-                evaluate(&self.color, next_color, x, self.clamp, true, |n| n.color, shape).map(|v| v as f32)
+                evaluate(&self.color, next_color, x, self.clamp, true, |color| color).map(|v| v as f32)
             };
             *entry = [r, g, b, alpha as f32];
         }
@@ -103,14 +84,11 @@ impl Nodes {
     }
 }
 
-fn check_nodes(
-    what: &str,
-    shapes: impl Iterator<Item = (f64, f64, f64)>,
-    values: impl Iterator<Item = [f64; 3]>,
-) -> Result<()> {
+fn check_nodes<V: Copy>(what: &str, nodes: &[Node<V>], channels: impl Fn(V) -> [f64; 3]) -> Result<()> {
     let unit = 0.0..=1.0;
     let mut previous = f64::NEG_INFINITY;
-    for (i, ((position, midpoint, sharpness), value)) in shapes.zip(values).enumerate() {
+    for (i, &Node { position, value, midpoint, sharpness }) in nodes.iter().enumerate() {
+        let value = channels(value);
         if !position.is_finite() {
             bail!(InvalidArgument, "{what} node {i}: position is {position}; it must be finite");
         }
@@ -136,23 +114,23 @@ fn check_nodes(
 
 /// Value of the function at `x`; `next` is the index of the first node at or after `x`. With `steps`, a
 /// sharpness above 0.99 is a step.
-fn evaluate<N>(
-    nodes: &[N],
+fn evaluate<V: Copy>(
+    nodes: &[Node<V>],
     next: usize,
     x: f64,
     clamp: bool,
     steps: bool,
-    value: impl Fn(&N) -> [f64; 3],
-    shape: impl Fn(&N) -> (f64, f64, f64),
+    channels: impl Fn(V) -> [f64; 3],
 ) -> [f64; 3] {
     let (Some(first), Some(last)) = (nodes.first(), nodes.last()) else { return [0.0; 3] };
     if next == 0 || next >= nodes.len() {
         let outside = if next == 0 { first } else { last };
-        return if clamp { value(outside) } else { [0.0; 3] };
+        return if clamp { channels(outside.value) } else { [0.0; 3] };
     }
     let (left, right) = (&nodes[next - 1], &nodes[next]);
-    let ((x0, midpoint, sharpness), (x1, ..)) = (shape(left), shape(right));
-    let (from, to) = (value(left), value(right));
+    let (x0, x1) = (left.position, right.position);
+    let (midpoint, sharpness) = (left.midpoint, left.sharpness);
+    let (from, to) = (channels(left.value), channels(right.value));
 
     // All terms are halved, so that the distance between the largest floats stays finite. The midpoint is
     // clamped away from the ends, which avoids a division by zero.
@@ -189,15 +167,20 @@ mod tests {
     use super::*;
     use alloc::vec;
 
-    fn node(position: f64, opacity: f64, midpoint: f64, sharpness: f64) -> OpacityNode {
-        OpacityNode { position, opacity, midpoint, sharpness }
+    fn node(position: f64, value: f64, midpoint: f64, sharpness: f64) -> Node<f64> {
+        Node { position, value, midpoint, sharpness }
     }
 
-    fn table(opacity: Vec<OpacityNode>, color: Vec<ColorNode>, low: f64, high: f64) -> Result<TransferTable> {
+    fn table(
+        opacity: Vec<Node<f64>>,
+        color: Vec<Node<[f64; 3]>>,
+        low: f64,
+        high: f64,
+    ) -> Result<TransferTable> {
         TransferFunction::Nodes(Nodes { opacity, color, range: (low, high), clamp: true }).to_table()
     }
 
-    fn opacities(nodes: Vec<OpacityNode>, low: f64, high: f64) -> Vec<f32> {
+    fn opacities(nodes: Vec<Node<f64>>, low: f64, high: f64) -> Vec<f32> {
         table(nodes, vec![], low, high).unwrap().rgba().iter().map(|e| e[3]).collect()
     }
 
@@ -231,7 +214,7 @@ mod tests {
 
     #[test]
     fn bad_nodes_are_refused_by_name() {
-        let refuse = |nodes: Vec<OpacityNode>, words: &str| {
+        let refuse = |nodes: Vec<Node<f64>>, words: &str| {
             let e = table(nodes, vec![], 0.0, 1.0).unwrap_err();
             assert_eq!(e.kind(), crate::ErrorKind::InvalidArgument);
             assert!(e.to_string().contains(words), "{e}");
@@ -242,7 +225,7 @@ mod tests {
         refuse(vec![node(0.0, f64::NAN, 0.5, 0.0)], "opacity node 0: value");
         refuse(vec![node(0.0, 0.5, -0.1, 0.0)], "midpoint");
         refuse(vec![node(0.0, 0.5, 0.5, f64::NAN)], "sharpness");
-        let color = ColorNode { position: 0.0, color: [0.0, 2.0, 0.0], midpoint: 0.5, sharpness: 0.0 };
+        let color = Node { position: 0.0, value: [0.0, 2.0, 0.0], midpoint: 0.5, sharpness: 0.0 };
         assert!(
             table(vec![], vec![color], 0.0, 1.0).unwrap_err().to_string().contains("color node 0: value")
         );

@@ -93,6 +93,9 @@ pub struct Shape {
     pub voxels: u64,
     /// Voxel spacing along x, y, z, in world units.
     pub spacing: Vec3,
+    /// `spacing`, scaled by the power of two that brings its largest component into 0.5…1. It has the same
+    /// bits in all units of length that differ by a power of two.
+    pub relative_spacing: Vec3,
     /// Radius of the volume's bounding sphere in world units: the unit of length of scene space. The sphere
     /// encloses the volume's box, which extends half a voxel beyond the outermost voxel centers.
     pub bounding_radius: f32,
@@ -122,6 +125,7 @@ impl Shape {
             dims,
             voxels: dims.iter().map(|&n| n as u64).product(),
             spacing,
+            relative_spacing: normalized(spacing).0,
             bounding_radius,
             half_extent: 0.5 * extent / bounding_radius,
             reference_step: spacing.min_element() / bounding_radius,
@@ -269,7 +273,7 @@ impl<'a> VolumeView<'a> {
 
     /// Element index of a voxel. Panics in debug builds if the voxel is out of bounds.
     #[inline]
-    pub fn index(&self, x: usize, y: usize, z: usize) -> usize {
+    pub(crate) fn index(&self, x: usize, y: usize, z: usize) -> usize {
         debug_assert!(x < self.dims[0] && y < self.dims[1] && z < self.dims[2]);
         x * self.strides[0] + y * self.strides[1] + z * self.strides[2]
     }
@@ -284,18 +288,12 @@ impl<'a> VolumeView<'a> {
     #[inline]
     #[cfg(test)]
     pub(crate) fn normalized(&self, x: usize, y: usize, z: usize) -> f32 {
-        self.normalize(self.value(x, y, z))
-    }
-
-    /// Maps a stored value to [0, 1] over the range: clamped; NaN gives 0; an empty range gives 0 for every
-    /// value.
-    #[inline]
-    pub fn normalize(&self, value: f32) -> f32 {
-        normalize(self.range, value)
+        normalize(self.range, self.value(x, y, z))
     }
 }
 
-/// As [`VolumeView::normalize`], for a given range.
+/// Maps a stored value to [0, 1] over a volume's range: clamped; NaN gives 0; an empty range gives 0 for
+/// every value.
 #[inline]
 pub fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
     let width = hi - lo;
@@ -366,12 +364,6 @@ fn normalized(v: Vec3) -> (Vec3, i32) {
 fn bounding_radius(extent: Vec3) -> f32 {
     let (scaled, exponent) = normalized(extent);
     libm::ldexpf(0.5 * scaled.length(), exponent)
-}
-
-/// Returns the spacing, scaled by the power of two that brings its largest component into 0.5…1. The result
-/// has the same bits in all units of length that differ by a power of two.
-pub fn ratios(spacing: Vec3) -> Vec3 {
-    normalized(spacing).0
 }
 
 #[cold]

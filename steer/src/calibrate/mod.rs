@@ -16,7 +16,7 @@ use crate::features::{
     Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary,
 };
 use crate::memory::mixed;
-use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
+use crate::predict::{COSTS, Inputs, LONGEST_FRAME, UpperBound};
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use core::ops::RangeInclusive;
@@ -214,7 +214,7 @@ impl Calibration {
         let mut row = core::mem::take(&mut self.row);
         let written = self.prior.write(inputs, &mut row);
         if written.is_ok() {
-            let Measurement { work, seconds } = Measurement::new(inputs.features, &inputs.setting, seconds);
+            let work = inputs.features.cost_work(&inputs.setting);
             self.add_written(&row, &work, shown, seconds);
         }
         self.row = row;

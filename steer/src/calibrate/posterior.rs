@@ -109,7 +109,7 @@ impl Factor {
         let layout = InputLayout::of_model(&model)?;
         let carried = layout.scene_features.last()
             == Some(&SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
-        let (Some(parts), Some(costs), true) = (model.prednet(), layout.unit_costs, carried) else {
+        let (Some(parts), Some(costs), true) = (model.prednet.as_ref(), layout.unit_costs, carried) else {
             bail!(Unsupported, "{NOT_A_PRIOR}");
         };
         let Some(last) = parts.layers.last().filter(|_| parts.target == Target::LogSeconds) else {
@@ -391,10 +391,9 @@ impl Chosen {
 
 /// Replaces the best fit so far, with its error, by one whose error is clearly smaller.
 fn take_better(best: &mut (f64, UnitCosts, Chosen), other: Result<(f64, UnitCosts, Chosen)>) {
-    if let Ok(other) = other
-        && other.0 < LESS_ERROR * best.0
-    {
-        *best = other;
+    match other {
+        Ok(other) if other.0 < LESS_ERROR * best.0 => *best = other,
+        _ => {}
     }
 }
 

@@ -236,7 +236,7 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
     }
     let model = chosen.file.to_model().unwrap();
     let costs = UnitCosts::of(&model).unwrap().unwrap().seconds;
-    let net = PredNet::new(model.prednet().unwrap()).unwrap();
+    let net = PredNet::new(model.prednet.as_ref().unwrap()).unwrap();
     let mut scratch = net.scratch(1).unwrap();
     for (i, f) in frames.iter().enumerate() {
         let p = f64::from(net.predict(&row(i, &costs), &mut scratch));
@@ -246,7 +246,7 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
 
 /// Returns the simulated seconds of a renderer with two unit costs: per frame and per pixel.
 fn seconds_of(features: &FrameFeatures, setting: &Setting) -> f64 {
-    let work = Measurement::new(features, setting, 1.0).work;
+    let work = features.cost_work(setting);
     let pixels = 1 + COST_QUANTITIES.iter().position(|q| q.to_string() == "pixels").unwrap();
     5e-4 + 9e-8 * work[pixels]
 }
@@ -326,7 +326,7 @@ fn a_frame_is_measured_with_the_probe_of_the_prior() {
     for side in [5, PROBE_SIDE] {
         let mut features = FrameFeatures::with_probe_side(side);
         features.measure(&volume, &mut transfer, &frame).unwrap();
-        let work = Measurement::new(&features, &Setting::from(&frame), 0.02).work;
+        let work = features.cost_work(&Setting::from(&frame));
         assert_eq!(added(side).kept[0].work, work, "{side}");
     }
     assert!(Calibration::new(None, 8).unwrap().add(&volume, &table, &frame, -1.0).is_err());

@@ -20,7 +20,7 @@ use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::vec::Vec;
 use entire_core::bail;
-use entire_core::memory::{copied, reserve};
+use entire_core::memory::{collected, reserve};
 use entire_core::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use entire_core::{Error, ErrorKind, Result};
 #[cfg(feature = "calibrate")]
@@ -233,7 +233,7 @@ impl Session {
         let mut fresh = None;
         match (&mut self.lobes, lobes) {
             (Some(kept), Some(new)) => reserve(kept, new.len())?,
-            (None, Some(new)) => fresh = Some(copied(new)?),
+            (None, Some(new)) => fresh = Some(collected(new.iter().copied())?),
             (_, None) => {}
         }
         match &mut self.transfer {
@@ -374,21 +374,20 @@ impl Session {
         self.measure(&widest)?;
         let changes = self.changes_for(frame);
         self.begin(changes, Setting::from(&widest))?;
-        let mut fastest: Option<(usize, CostTerms, Prediction)> = None;
-        let mut chosen = None;
+        let mut best: Option<(usize, CostTerms, Prediction)> = None;
+        let mut reason = Reason::TargetUnreachable;
         for (i, setting) in settings.iter().enumerate() {
             let terms = self.terms_at(changes, setting)?;
             let p = self.controller.correct(&terms, Changes::default());
             if self.controller.fits(&self.controller.judged(&terms, Changes::default()), target) {
-                chosen = Some((i, terms, p));
+                (best, reason) = (Some((i, terms, p)), Reason::Fits);
                 break;
             }
-            if fastest.is_none_or(|(_, _, f)| p.seconds < f.seconds) {
-                fastest = Some((i, terms, p));
+            if best.is_none_or(|(_, _, fastest)| p.seconds < fastest.seconds) {
+                best = Some((i, terms, p));
             }
         }
-        let reason = if chosen.is_some() { Reason::Fits } else { Reason::TargetUnreachable };
-        let Some((index, terms, p)) = chosen.or(fastest) else {
+        let Some((index, terms, p)) = best else {
             bail!(InvalidArgument, "no setting could be predicted");
         };
         let decision = Decision {

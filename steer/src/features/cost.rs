@@ -60,15 +60,15 @@ pub struct UnitCosts {
     /// Seconds per frame, then per unit of each of [`COST_QUANTITIES`].
     pub seconds: [f64; COSTS],
     /// Number of voxels that the caches hold. In a frame that touches this many voxels, half of the reads that
-    /// no neighboring ray shares wait for memory. The quantities are computed with
-    /// [`UnitCosts::CACHED_VOXELS`]; [`UnitCosts::time`] converts them to this number.
+    /// no neighboring ray shares wait for memory. The quantities are computed with the number of
+    /// [`UnitCosts::new`]; [`UnitCosts::time`] converts them to this number.
     pub cached_voxels: f64,
 }
 
 impl UnitCosts {
     /// Number of cached voxels with which the quantities of frames are computed. They take 32 MB in the
     /// reference renderer, which packs a voxel into four bytes.
-    pub const CACHED_VOXELS: f64 = 8.0e6;
+    pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
 
     /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs, as
     /// `lab/scripts/typical_costs.py` prints them. Only the ratios of the costs matter, since the first observed
@@ -111,8 +111,8 @@ impl UnitCosts {
         7.3e-7, 1.5e-6, 3.8e-8, 4.5e-7, 8.5e-6, 4.4e-7,
     ]);
 
-    /// Returns unit costs in seconds, per frame and then per unit of each of [`COST_QUANTITIES`], with
-    /// [`Self::CACHED_VOXELS`].
+    /// Returns unit costs in seconds, per frame and then per unit of each of [`COST_QUANTITIES`], with 8·10⁶
+    /// cached voxels.
     pub const fn new(seconds: [f64; COSTS]) -> Self {
         Self { seconds, cached_voxels: Self::CACHED_VOXELS }
     }

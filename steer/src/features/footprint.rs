@@ -30,8 +30,8 @@ impl Footprint {
     /// With parallel rays, the faces are also clipped to the half-space in front of the plane where the rays
     /// start. The region is not rounded to whole pixels.
     pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
-        let parallel = camera.is_parallel();
         let (origin, direction) = camera.ray_basis(width, height);
+        let parallel = origin[1] != Vec3::ZERO;
         let (eye, forward) = (origin[0], direction[0]);
         let [_, right, up] = if parallel { origin } else { direction };
         let (inv_u, inv_v) = (1.0 / right.length_squared(), 1.0 / up.length_squared());
@@ -162,6 +162,15 @@ impl Polygon {
     }
 }
 
+/// Origin and unit direction, in scene space, of the ray through a pixel's center in an image of `size` pixels.
+#[cfg(test)]
+pub(super) fn ray(camera: &Camera, pixel: [u32; 2], size: [u32; 2]) -> (Vec3, Vec3) {
+    let (origin, direction) = camera.ray_basis(size[0], size[1]);
+    let [u, v] = [0, 1].map(|k| 2.0 * (pixel[k] as f32 + 0.5) / size[k] as f32 - 1.0);
+    let at = |basis: [Vec3; 3]| basis[0] + u * basis[1] - v * basis[2];
+    (at(origin), at(direction).normalize())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -201,7 +210,7 @@ mod tests {
                     let mut count = 0;
                     for y in 0..height {
                         for x in 0..w {
-                            let (o, d) = camera.ray(x as f32 + 0.5, y as f32 + 0.5, w, height);
+                            let (o, d) = ray(&camera, [x, y], [w, height]);
                             if hits(h, o, d) {
                                 count += 1;
                                 let u = 2.0 * (x as f32 + 0.5) / w as f32 - 1.0;

@@ -6,7 +6,7 @@ use super::{
 };
 use entire_core::Result;
 use entire_core::kernels::Level;
-use entire_core::scene::{Arcball, Frame, Shading, Skipping, ratios};
+use entire_core::scene::{Arcball, Frame, Shading, Skipping};
 use glam::Vec3;
 
 /// Number of rays along each side of the footprint's rectangle over which [`along`] averages.
@@ -15,13 +15,12 @@ const ALONG_SIDE: usize = 3;
 /// Returns the shares of borders normal to x, to y and to z among the voxel borders that rays cross. They are
 /// means over [`ALONG_SIDE`]² rays through the footprint's rectangle, or the shares of the central ray where
 /// the box is not visible.
-fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
+fn along(frame: &Frame, relative_spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
     // Along each axis, a ray of direction d crosses |d| / spacing borders per unit of length. The shares do
     // not depend on the unit of length.
-    let spacing = ratios(spacing);
     let share = |direction: Vec3| {
-        let crossed = direction.abs() / spacing;
+        let crossed = direction.abs() / relative_spacing;
         crossed / crossed.element_sum()
     };
     if !(footprint.share > 0.0) {
@@ -221,7 +220,7 @@ impl FrameFeatures {
         self.mean_extinction = transfer.mean_extinction();
         self.voxels = volume.voxels() as f32;
         self.remapped = volume.remapped();
-        self.along = along(frame, volume.shape().spacing, self.probe.footprint());
+        self.along = along(frame, volume.shape().relative_spacing, self.probe.footprint());
         Ok(())
     }
 
@@ -235,7 +234,7 @@ impl FrameFeatures {
             return Ok(false);
         }
         self.pose = frame.camera.to_arcball();
-        self.along = along(frame, volume.shape().spacing, self.probe.footprint());
+        self.along = along(frame, volume.shape().relative_spacing, self.probe.footprint());
         Ok(true)
     }
 

@@ -1,6 +1,5 @@
 //! Names, units and order of scene features in model files (`entire.scene_features`).
 
-use alloc::string::String;
 use core::fmt;
 use core::str::FromStr;
 use entire_core::Result;
@@ -38,9 +37,6 @@ macro_rules! quantities {
         names! { SceneQuantity: $($variant $name,)* }
 
         impl SceneQuantity {
-            /// Every quantity, in the order of the table.
-            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
-
             /// Offset of the log variant, `floor` in ln(value + floor), in the quantity's unit.
             pub(crate) const fn log_floor(self) -> f64 {
                 match self { $(Self::$variant => $floor,)* }
@@ -187,16 +183,10 @@ impl FromStr for SceneFeature {
             Some(rest) => (rest, true),
             None => (name, false),
         };
-        match SceneQuantity::ALL.iter().find(|q| q.name() == bare) {
-            Some(&quantity) => Ok(Self { quantity, log }),
+        match SceneQuantity::ALL.into_iter().find(|q| q.name() == bare) {
+            Some(quantity) => Ok(Self { quantity, log }),
             None => {
-                let mut known = String::new();
-                for q in SceneQuantity::ALL {
-                    if !known.is_empty() {
-                        known.push_str(", ");
-                    }
-                    known.push_str(q.name());
-                }
+                let known = SceneQuantity::ALL.map(SceneQuantity::name).join(", ");
                 bail!(
                     Unsupported,
                     "scene feature {name:?} is unknown to this version; the known names are {known}, each \

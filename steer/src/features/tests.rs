@@ -161,7 +161,7 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         if high > low && scale > 0.0 && scale.is_finite() {
             if v.is_nan() { 0.0 } else { ((v - low) * scale).clamp(0.0, 255.0) }
         } else {
-            view.normalize(v) * 255.0
+            normalize(view.range(), v) * 255.0
         }
     };
     let dims = s.shape().dims;
@@ -390,7 +390,7 @@ fn thin_flat_and_tiny_volumes_give_finite_features() {
                     let features = measured(&s, &table(|i| i as f32 / 255.0), &f);
                     let setting = Setting::from(&f);
                     let work = features.work(&setting);
-                    for &q in SceneQuantity::ALL {
+                    for q in SceneQuantity::ALL {
                         let value = features.quantity_of(q, &setting, &work);
                         let what = format!("{q} is {value} for {dims:?} {:?} {size}", f.camera);
                         assert!((value as f32).is_finite() && q.log(value).is_finite(), "{what}");
@@ -403,7 +403,7 @@ fn thin_flat_and_tiny_volumes_give_finite_features() {
 
 #[test]
 fn names_round_trip_and_unknown_ones_are_refused() {
-    for &q in SceneQuantity::ALL {
+    for q in SceneQuantity::ALL {
         for feature in [false, true].map(|log| SceneFeature { quantity: q, log }) {
             assert_eq!(std::format!("{feature}").parse::<SceneFeature>().unwrap(), feature);
         }
@@ -614,7 +614,7 @@ fn shares_of_borders_are_those_that_rays_count() {
         let mut shares = [0.0f64; 3];
         let mut rays = 0;
         for (x, y) in (0..60).flat_map(|y| (0..60).map(move |x| (x, y))) {
-            let (o, d) = f.camera.ray(x as f32 + 0.5, y as f32 + 0.5, 60, 60);
+            let (o, d) = footprint::ray(&f.camera, [x, y], [60, 60]);
             let (a, b) = ((-half - o) / d, (half - o) / d);
             let (near, far) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
             if near >= far {

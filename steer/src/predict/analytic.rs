@@ -51,7 +51,7 @@ impl UnitCosts {
     /// [`crate::ErrorKind::InvalidModel`] for an unknown name, a cost that is negative or not finite, or if
     /// all costs are zero, and for a number of cached voxels that is not positive.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
-        let Some(text) = model.metadata().get(Key::UnitCosts.name()) else { return Ok(None) };
+        let Some(text) = model.metadata.get(Key::UnitCosts.name()) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
             Err(e) => bail!(InvalidModel, "{} is not an object of seconds by name: {e}", Key::UnitCosts),
@@ -281,8 +281,8 @@ impl AnalyticModel {
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] where the calibration is damaged.
     pub fn from_model(model: &Model) -> Result<Option<Self>> {
-        let names = model.scene_features();
-        let Some(net) = model.prednet() else { return Ok(None) };
+        let names = &model.scene_features;
+        let Some(net) = model.prednet.as_ref() else { return Ok(None) };
         let [layer] = &net.layers[..] else { return Ok(None) };
         // Names must be in ascending order without repetition; costs that the file does not name are zero.
         let mut places = Vec::with_capacity(names.len());
@@ -292,7 +292,7 @@ impl AnalyticModel {
                 _ => return Ok(None),
             }
         }
-        let fits = model.inputs().len() == 1
+        let fits = model.inputs.len() == 1
             && names.len() >= FEWEST_NAMES
             && net.input.is_none()
             && net.output.is_none()
@@ -502,7 +502,7 @@ mod tests {
         // The file names the quantities with nonzero costs, and reads back.
         for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COMMON_COSTS)] {
             let file = model.to_model_file().unwrap().to_model().unwrap();
-            assert_eq!(file.scene_features().len(), names);
+            assert_eq!(file.scene_features.len(), names);
             let back = AnalyticModel::from_model(&file).unwrap().unwrap();
             for (a, b) in back.costs().seconds.iter().zip(&model.costs().seconds) {
                 assert_eq!(*a, f64::from(*b as f32));

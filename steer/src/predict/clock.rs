@@ -24,12 +24,12 @@ names! { Clock:
 impl Clock {
     /// Returns the clock with this name: `cpu`, `wall` or `device`; `None` for any other text.
     pub(crate) fn named(name: &str) -> Option<Self> {
-        [Self::Cpu, Self::Wall, Self::Device].into_iter().find(|c| c.name() == name)
+        Self::ALL.into_iter().find(|c| c.name() == name)
     }
 
     /// Returns the clock whose seconds a model predicts, from [`Key::Clock`] of its file; `None` if the file
     /// states no clock.
     pub(crate) fn of(model: &Model) -> Option<Self> {
-        Self::named(model.metadata().get(Key::Clock.name())?)
+        Self::named(model.metadata.get(Key::Clock.name())?)
     }
 }

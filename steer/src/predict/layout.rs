@@ -140,11 +140,11 @@ impl InputLayout {
     /// side, or for unit costs or a number of cached voxels that are not valid.
     pub fn of_model(model: &Model) -> Result<Self> {
         let groups = model
-            .inputs()
+            .inputs
             .iter()
             .map(|group| Ok((group.name.parse::<GroupKind>()?, group.size)))
             .collect::<Result<Vec<_>>>()?;
-        let scene_features = model.scene_features().iter().map(|n| n.parse()).collect::<Result<Vec<_>>>()?;
+        let scene_features = model.scene_features.iter().map(|n| n.parse()).collect::<Result<Vec<_>>>()?;
         let probe_side = if need_probe(&scene_features) { stated_probe_side(model)? } else { 0 };
         Ok(Self {
             groups,
@@ -183,7 +183,8 @@ impl InputLayout {
             file.metadata.insert(Key::UnitCosts.into(), costs.to_json()?);
         }
         if !self.scene_features.is_empty() {
-            file.set_scene_features(&self.scene_features)?;
+            let names: Vec<_> = self.scene_features.iter().map(ToString::to_string).collect();
+            file.metadata.insert(Key::SceneFeatures.into(), serde_json::Value::from(names).to_string());
             if self.cached_voxels == UnitCosts::CACHED_VOXELS {
                 file.metadata.remove(Key::CachedVoxels.name());
             } else {
@@ -343,7 +344,7 @@ fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
 }
 
 fn stated_probe_side(model: &Model) -> Result<usize> {
-    let Some(text) = model.metadata().get(Key::ProbeSide.name()) else { return Ok(PROBE_SIDE) };
+    let Some(text) = model.metadata.get(Key::ProbeSide.name()) else { return Ok(PROBE_SIDE) };
     match text.parse::<usize>() {
         Ok(side) if (1..=MAX_PROBE_SIDE).contains(&side) => Ok(side),
         _ => bail!(
@@ -356,7 +357,7 @@ fn stated_probe_side(model: &Model) -> Result<usize> {
 
 /// Returns the number of cached voxels in a model file ([`Key::CachedVoxels`]).
 pub(super) fn stored_cached_voxels(model: &Model) -> Result<f64> {
-    let Some(text) = model.metadata().get(Key::CachedVoxels.name()) else {
+    let Some(text) = model.metadata.get(Key::CachedVoxels.name()) else {
         return Ok(UnitCosts::CACHED_VOXELS);
     };
     match text.parse::<f64>() {
@@ -368,7 +369,7 @@ pub(super) fn stored_cached_voxels(model: &Model) -> Result<f64> {
 }
 
 fn takes_sorted_lobes(model: &Model) -> Result<bool> {
-    match model.metadata().get(Key::LobeOrder.name()).map(|s| s.as_str()) {
+    match model.metadata.get(Key::LobeOrder.name()).map(|s| s.as_str()) {
         None => Ok(false),
         Some("center") => Ok(true),
         Some(other) => {
@@ -418,7 +419,7 @@ mod tests {
         let of = |groups: &[GroupKind], quantity| {
             InputLayout::new(groups, vec![SceneFeature { quantity, log: true }], 1, 1).unwrap().knows_step()
         };
-        for &quantity in SceneQuantity::ALL {
+        for quantity in SceneQuantity::ALL {
             assert_eq!(of(&[GroupKind::SceneFeatures], quantity), quantity.depends_on_step());
             assert!(of(&[GroupKind::SceneFeatures, GroupKind::StepSize], quantity));
         }

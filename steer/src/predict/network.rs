@@ -47,7 +47,7 @@ impl Stored {
     }
 
     pub(super) fn of(model: &Model) -> Result<Option<Self>> {
-        let Some(text) = model.metadata().get(Key::Calibration.name()) else { return Ok(None) };
+        let Some(text) = model.metadata.get(Key::Calibration.name()) else { return Ok(None) };
         match serde_json::from_str::<Self>(text) {
             Ok(stored) => Ok(Some(stored)),
             Err(e) => bail!(InvalidModel, "{} is not a calibration object: {e}", Key::Calibration),
@@ -109,7 +109,7 @@ impl ModelPredictor {
     /// an unknown scene feature, [`crate::ErrorKind::InvalidModel`] for a file without PredNet or with a
     /// damaged calibration.
     pub fn new(model: &Model) -> Result<Self> {
-        let Some(parts) = model.prednet() else {
+        let Some(parts) = model.prednet.as_ref() else {
             bail!(
                 InvalidModel,
                 "the file holds no PredNet (prednet.0.weight); a VolumeNet alone cannot predict times"
@@ -130,7 +130,7 @@ impl ModelPredictor {
             );
         }
         let mut spread = filled(width, (f32::NAN, 1.0))?;
-        if let Some(norm) = model.prednet().and_then(|p| p.input.as_ref()) {
+        if let Some(norm) = model.prednet.as_ref().and_then(|p| p.input.as_ref()) {
             let mut at = 0;
             for &(kind, size) in &layout.groups {
                 if kind != GroupKind::VolumeFeatures {
@@ -199,13 +199,13 @@ fn identity_of(model: &Model) -> u32 {
         }
     };
     let mut hash = crc32fast::Hasher::new();
-    for (key, value) in model.metadata() {
+    for (key, value) in &model.metadata {
         for text in [key, value] {
             hash.update(&(text.len() as u64).to_le_bytes());
             hash.update(text.as_bytes());
         }
     }
-    if let Some(net) = model.prednet() {
+    if let Some(net) = model.prednet.as_ref() {
         for layer in &net.layers {
             hash.update(&(layer.inputs as u64).to_le_bytes());
             numbers(&mut hash, &layer.weight);
@@ -216,7 +216,7 @@ fn identity_of(model: &Model) -> u32 {
             numbers(&mut hash, &norm.std);
         }
     }
-    if let Some(net) = model.volumenet() {
+    if let Some(net) = model.volumenet.as_ref() {
         for block in &net.blocks {
             numbers(&mut hash, &block.weight);
             numbers(&mut hash, &block.bias);
@@ -322,7 +322,8 @@ mod tests {
             groups.iter().map(|&(name, size)| InputGroup { name: name.into(), size }).collect();
         file.set_prednet(&parts, &inputs).unwrap();
         if !features.is_empty() {
-            file.set_scene_features(features).unwrap();
+            file.metadata
+                .insert(Key::SceneFeatures.into(), serde_json::Value::from(features.to_vec()).to_string());
         }
         file
     }
@@ -506,7 +507,8 @@ mod tests {
             let parts =
                 PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
             file.set_prednet(&parts, &[InputGroup { name: "scene_features".into(), size: n }]).unwrap();
-            file.set_scene_features(features).unwrap();
+            file.metadata
+                .insert(Key::SceneFeatures.into(), serde_json::Value::from(features.to_vec()).to_string());
             file.to_bytes().unwrap()
         }
         assert_eq!(of(&["step", "log_samples"], None).unwrap(), PROBE_SIDE);

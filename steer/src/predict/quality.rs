@@ -138,7 +138,7 @@ impl Quality {
     /// [`crate::ErrorKind::InvalidModel`] unless the entry is a JSON object with the four parameters within
     /// their bounds.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
-        let Some(text) = model.metadata().get(Key::Quality.name()) else { return Ok(None) };
+        let Some(text) = model.metadata.get(Key::Quality.name()) else { return Ok(None) };
         let quality: Self = match serde_json::from_str(text) {
             Ok(quality) => quality,
             Err(e) => bail!(InvalidModel, "{} is not a quality law of four numbers: {e}", Key::Quality),
@@ -169,7 +169,7 @@ pub(super) struct KnownQuality {
 
 impl KnownQuality {
     pub(super) fn of(model: &Model) -> Result<Option<Self>> {
-        let renderer = model.metadata().get(Key::Renderer.name()).map_or("", String::as_str).to_owned();
+        let renderer = model.metadata.get(Key::Renderer.name()).map_or("", String::as_str).to_owned();
         Ok(Quality::of(model)?.map(|quality| Self { quality, renderer }))
     }
 

@@ -28,7 +28,7 @@ mod tiles;
 
 use crate::Result;
 use crate::kernels::{Executor, Level};
-use crate::memory::{copied, filled, room};
+use crate::memory::{collected, filled, room};
 use alloc::vec::Vec;
 use channels_last::ChannelsLast;
 use core::ops::Range;
@@ -114,7 +114,7 @@ impl Encoder {
                 }
             }
         }
-        Ok(Self { level, first, rest, dense, dense_len, dense_bias: copied(fc.bias)? })
+        Ok(Self { level, first, rest, dense, dense_len, dense_bias: collected(fc.bias.iter().copied())? })
     }
 
     fn sizes(&self) -> impl Iterator<Item = usize> {

@@ -36,7 +36,6 @@ mod row;
 mod weights;
 
 use super::Level;
-use super::helper::Join;
 use crate::Result;
 use crate::memory::{filled, resize, room};
 use alloc::vec::Vec;
@@ -44,15 +43,11 @@ use batch::ForwardRows;
 pub use packing::Storage;
 pub(crate) use packing::{Dense, Line};
 use packing::{LINE_BYTES, Layer, pack};
-use row::{Forward, LastRow, LayerPart, LoadInputs};
+use row::Forward;
 
 /// Largest number of rows per batch: two buffers of this many rows and a layer's weights fit in a
 /// second-level cache.
 pub(crate) const BLOCK_ROWS: usize = 384;
-
-/// Smallest number of cache lines of weights (64 KiB in total) at which a layer is split over two threads.
-/// Smaller layers run faster on one thread.
-const SPLIT_LINES: usize = 1024;
 
 /// A network of dense layers with SELU after every layer but the last, which has one output.
 #[derive(Clone, Debug)]
@@ -186,57 +181,11 @@ impl Mlp {
         if inputs.len() != self.inputs || !self.fits(scratch) {
             return None;
         }
-        Some(self.run_row(inputs, scratch))
-    }
-
-    /// Runs one row whose sizes have been checked.
-    #[inline]
-    fn run_row(&self, inputs: &[f32], scratch: &mut MlpScratch) -> f32 {
-        if self.int8 {
+        Some(if self.int8 {
             self.level.run_dot4(Forward::<true> { net: self, inputs, scratch })
         } else {
             self.level.run(Forward::<false> { net: self, inputs, scratch })
-        }
-    }
-
-    /// As [`forward`](Self::forward), with the outputs of each large layer split over two threads. The result
-    /// has the same bits.
-    pub(crate) fn forward_split<J: Join>(
-        &self,
-        threads: &J,
-        inputs: &[f32],
-        scratch: &mut MlpScratch,
-    ) -> Option<f32> {
-        if inputs.len() != self.inputs || !self.fits(scratch) {
-            return None;
-        }
-        // Int8 is faster on one core: synchronization costs more than the second core saves.
-        if self.int8 || self.layers.iter().all(|layer| layer.lines() < SPLIT_LINES) {
-            return Some(self.run_row(inputs, scratch));
-        }
-        let MlpScratch { a, b, .. } = scratch;
-        let (mut x, mut y): (&mut [f32], &mut [f32]) =
-            (bytemuck::cast_slice_mut(a), bytemuck::cast_slice_mut(b));
-        self.level.run(LoadInputs { net: self, inputs, x });
-        for layer in &self.layers {
-            let whole = LayerPart { net: self, layer, from: 0, to: layer.width, x, y };
-            if layer.lines() < SPLIT_LINES || layer.width < 128 {
-                self.level.run(whole);
-            } else {
-                let half = layer.width / 128 * 64;
-                let (low, high) = y.split_at_mut(half);
-                let x = &*x;
-                threads.join(
-                    || self.level.run(LayerPart { net: self, layer, from: 0, to: half, x, y: low }),
-                    || {
-                        let to = layer.width;
-                        self.level.run(LayerPart { net: self, layer, from: half, to, x, y: high });
-                    },
-                );
-            }
-            core::mem::swap(&mut x, &mut y);
-        }
-        Some(self.level.run(LastRow { net: self, x }))
+        })
     }
 
     /// Writes the last layer's output for each row of `inputs` to `outputs`; returns `None` in the cases of

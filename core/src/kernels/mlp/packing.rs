@@ -22,11 +22,6 @@ pub enum Storage {
     Int8,
 }
 
-impl Storage {
-    /// Every format, widest first.
-    pub const ALL: [Storage; 4] = [Storage::F32, Storage::F16, Storage::Bf16, Storage::Int8];
-}
-
 names! { Storage:
     F32 "f32",
     F16 "f16",

@@ -93,76 +93,11 @@ impl<const INT8: bool> Kernel for Forward<'_, INT8> {
         unsafe {
             net.load_inputs(simd, inputs, x);
             for layer in &net.layers {
-                net.layer_row::<S, INT8>(simd, layer, 0, layer.width, x, q, y);
+                net.layer_row::<S, INT8>(simd, layer, x, q, y);
                 core::mem::swap(&mut x, &mut y);
             }
             net.last_row(simd, x)
         }
-    }
-}
-
-pub(super) struct LoadInputs<'a> {
-    pub(super) net: &'a Mlp,
-    pub(super) inputs: &'a [f32],
-    pub(super) x: &'a mut [f32],
-}
-
-impl Kernel for LoadInputs<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self, simd: S) {
-        // SAFETY: `fits` has checked the length of `x`, and `forward_split` has checked the length of
-        // `inputs`.
-        unsafe { self.net.load_inputs(simd, self.inputs, self.x.as_mut_ptr()) };
-    }
-}
-
-/// Kernel that computes outputs `from` to `to` of one layer and writes them to the start of `y`.
-pub(super) struct LayerPart<'a> {
-    pub(super) net: &'a Mlp,
-    pub(super) layer: &'a Layer,
-    pub(super) from: usize,
-    pub(super) to: usize,
-    pub(super) x: &'a [f32],
-    pub(super) y: &'a mut [f32],
-}
-
-impl Kernel for LayerPart<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self, simd: S) {
-        let Self { net, layer, from, to, x, y } = self;
-        assert!(x.len() >= layer.inputs.min(net.width) && y.len() >= to - from && to <= layer.width);
-        // SAFETY: the assertion has checked the lengths of `x` and `y`. `q` may be null, since only int8
-        // layers use it.
-        unsafe {
-            net.layer_row::<S, false>(
-                simd,
-                layer,
-                from,
-                to,
-                x.as_ptr(),
-                core::ptr::null_mut(),
-                y.as_mut_ptr(),
-            );
-        }
-    }
-}
-
-pub(super) struct LastRow<'a> {
-    pub(super) net: &'a Mlp,
-    pub(super) x: &'a [f32],
-}
-
-impl Kernel for LastRow<'_> {
-    type Output = f32;
-
-    #[inline(always)]
-    fn run<S: Simd>(self, simd: S) -> f32 {
-        // SAFETY: `fits` has checked that `x` holds the inputs of the last layer, padded to 16 floats.
-        unsafe { self.net.last_row(simd, self.x.as_ptr()) }
     }
 }
 
@@ -191,20 +126,16 @@ impl Mlp {
         }
     }
 
-    /// Computes outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row;
-    /// writes them to the start of `y`.
+    /// Computes one layer for one row.
     ///
     /// # Safety
-    /// `x` must hold the layer's padded inputs, `y` must hold `to` − `from` floats, and `q` (int8 only) must
-    /// hold one byte per padded input.
+    /// `x` must hold the layer's padded inputs, `y` its padded outputs, and `q` (int8 only) one byte per
+    /// padded input.
     #[inline(always)]
-    #[allow(clippy::too_many_arguments, reason = "one row's buffers")]
     unsafe fn layer_row<S: Simd, const INT8: bool>(
         &self,
         simd: S,
         layer: &Layer,
-        from: usize,
-        to: usize,
         x: *const f32,
         q: *mut u8,
         y: *mut f32,
@@ -214,20 +145,20 @@ impl Mlp {
                 // SAFETY: panels are contiguous in `data`; the caller guarantees the sizes of `x`, `y` and
                 // `q` for this layer.
                 unsafe {
-                    let mut panel = self.data.as_ptr().add(layer.start + from / 64 * layer.panel_lines(64)).cast::<f32>();
-                    let mut o = from;
-                    while to - o >= 64 {
-                        walk!(@ $panel, 64, panel, y.add(o - from), $($arg)*);
+                    let mut panel = self.data.as_ptr().add(layer.start).cast::<f32>();
+                    let mut o = 0;
+                    while layer.width - o >= 64 {
+                        walk!(@ $panel, 64, panel, y.add(o), $($arg)*);
                         panel = panel.add(layer.panel_lines(64) * 16);
                         o += 64;
                     }
-                    if to - o >= 32 {
-                        walk!(@ $panel, 32, panel, y.add(o - from), $($arg)*);
+                    if layer.width - o >= 32 {
+                        walk!(@ $panel, 32, panel, y.add(o), $($arg)*);
                         panel = panel.add(layer.panel_lines(32) * 16);
                         o += 32;
                     }
-                    if to - o >= 16 {
-                        walk!(@ $panel, 16, panel, y.add(o - from), $($arg)*);
+                    if layer.width - o >= 16 {
+                        walk!(@ $panel, 16, panel, y.add(o), $($arg)*);
                     }
                 }
             }};

@@ -1,7 +1,7 @@
 //! Averages of bytes at integer ratios: integer sums over rows, then over neighbors along the row.
 
 use super::{After, Geometry};
-use crate::kernels::Isa;
+use crate::kernels::level::Isa;
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;
 
@@ -38,7 +38,7 @@ pub(crate) fn bytes(
             bytes_body(self.0, self.1, self.2, self.3, self.4, self.5);
         }
     }
-    if g.dims[0] == 4 * g.n && g.strides[0] == 1 && g.level.isa() != Isa::Scalar {
+    if g.dims[0] == 4 * g.n && g.strides[0] == 1 && g.level.isa != Isa::Scalar {
         g.level.run_dot4(Quads { g, src, after, z0, planes });
     } else {
         g.level.run(Body(g, src, after, z0, planes, scratch));

@@ -3,7 +3,7 @@
 use super::{PENDING_PLANS, Session};
 use crate::calibrate::{Calibrated, Calibration, Picture, Shown, table_fingerprint};
 use crate::features::VolumeSummary;
-use crate::predict::{COSTS, Inputs, Measurement};
+use crate::predict::{COSTS, Inputs};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use entire_core::Result;
@@ -69,7 +69,7 @@ impl Recording {
             && prior.write(inputs, &mut self.rows[at * width..(at + 1) * width]).is_ok();
         self.planned[at].id = 0;
         if counts {
-            let Measurement { work, .. } = Measurement::new(inputs.features, &inputs.setting, 1.0);
+            let work = inputs.features.cost_work(&inputs.setting);
             self.planned[at] = Planned { id, work, shown: self.shown };
         }
     }
@@ -204,7 +204,7 @@ mod tests {
         (costs.seconds[1], costs.seconds[4], costs.seconds[5]) =
             (8.0 * costs.seconds[1], 3.0 * costs.seconds[4], 0.3 * costs.seconds[5]);
         let setting = Setting { step, ..Setting::from(frame) };
-        let work = Measurement::new(session.features(), &setting, 1.0).work;
+        let work = session.features().cost_work(&setting);
         2.0 * costs.seconds.iter().zip(work).map(|(c, w)| c * w).sum::<f64>() as f32
     }
 

@@ -20,7 +20,7 @@ impl Session {
     /// name that was not empty changes. Saved states contain both names, and [`Session::load_state`] refuses states
     /// with other names.
     ///
-    /// A clock named `cpu`, `wall` or `device` is compared with the model's clock ([`Session::model_clock`]).
+    /// A clock named `cpu`, `wall` or `device` is compared with the model's clock ([`Session::clocks`]).
     /// If they differ, the session keeps the model's ratios between scenes and learns a common factor from
     /// the first frames; state learned before is forgotten.
     ///
@@ -49,24 +49,18 @@ impl Session {
         Ok(())
     }
 
-    /// The clock of observed frames; `None` unless [`Session::set_timing_source`] named `cpu`, `wall` or
-    /// `device`.
+    /// The clock of observed frames, and the clock whose seconds the model predicts. The first is `None` unless
+    /// [`Session::set_timing_source`] named `cpu`, `wall` or `device`; the second is `None` where the model's
+    /// file does not state it.
     #[must_use]
-    pub fn clock(&self) -> Option<Clock> {
-        Clock::named(&self.timing[1])
-    }
-
-    /// The clock whose seconds the model predicts; `None` where its file does not state it.
-    #[must_use]
-    pub fn model_clock(&self) -> Option<Clock> {
-        self.predictor.clock()
+    pub fn clocks(&self) -> [Option<Clock>; 2] {
+        [Clock::named(&self.timing[1]), self.predictor.clock()]
     }
 
     /// Tells the controller if both clocks are known and differ. Returns true if this has changed; the caller
     /// then resets the session.
     pub(super) fn reconcile_clocks(&mut self) -> bool {
-        let converted =
-            matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
+        let converted = matches!(self.clocks(), [Some(own), Some(other)] if own != other);
         let new = converted != self.converted;
         if new {
             self.converted = converted;

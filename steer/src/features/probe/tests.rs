@@ -176,7 +176,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
                     features.measure(&s, &mut transfer, &frame).unwrap();
                     (Setting::from(&frame), features)
                 });
-                for &q in SceneQuantity::ALL {
+                for q in SceneQuantity::ALL {
                     let [a, b] = [&one, &other]
                         .map(|(setting, features)| features.quantity_of(q, setting, &features.work(setting)));
                     let shadows = matches!(

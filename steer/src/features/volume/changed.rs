@@ -8,7 +8,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
-use entire_core::memory::{chunks, copied, filled, reserve, room};
+use entire_core::memory::{chunks, collected, filled, reserve, room};
 
 /// One bit per cell of a row along x; a row has at most 128 cells.
 pub(super) type Mask = u128;
@@ -364,7 +364,7 @@ impl<T: Voxel> Part<'_, T> {
         // totals.
         let kept = &mut self.tallies[row];
         if kept.capacity() < self.row.len() {
-            *kept = copied(&self.row)?;
+            *kept = collected(self.row.iter().copied())?;
         } else {
             kept.clear();
             kept.extend_from_slice(&self.row);

@@ -36,7 +36,7 @@ impl Map {
     }
 
     /// Returns the position of a stored voxel value in the transfer function's table, 0 to 255 and not
-    /// rounded: 255 times the result of [`VolumeView::normalize`].
+    /// rounded: 255 times the result of [`normalize`](entire_core::scene::normalize).
     #[inline(always)]
     fn position(&self, value: f32) -> f32 {
         match self.scale {

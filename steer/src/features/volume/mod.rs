@@ -14,7 +14,7 @@ use super::classify::Blocks;
 use alloc::vec::Vec;
 use entire_core::bail;
 use entire_core::kernels::Executor;
-use entire_core::memory::{copied, filled};
+use entire_core::memory::{collected, filled};
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeView};
 use entire_core::{Error, ErrorKind, Result};
 use scan::Grid;
@@ -169,12 +169,12 @@ impl VolumeSummary {
     /// [`ErrorKind::OutOfMemory`] if memory does not suffice for the copy.
     pub fn try_clone(&self) -> Result<Self> {
         Ok(Self {
-            low: copied(&self.low)?,
-            high: copied(&self.high)?,
-            quantiles: copied(&self.quantiles)?,
-            block_low: copied(&self.block_low)?,
-            block_high: copied(&self.block_high)?,
-            first_block: copied(&self.first_block)?,
+            low: collected(self.low.iter().copied())?,
+            high: collected(self.high.iter().copied())?,
+            quantiles: collected(self.quantiles.iter().copied())?,
+            block_low: collected(self.block_low.iter().copied())?,
+            block_high: collected(self.block_high.iter().copied())?,
+            first_block: collected(self.first_block.iter().copied())?,
             ..*self
         })
     }

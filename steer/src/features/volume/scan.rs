@@ -146,10 +146,17 @@ pub(super) struct Source<'a, T> {
 }
 
 impl<T: Voxel> Source<'_, T> {
+    /// Element index of a voxel.
+    #[inline(always)]
+    fn index(&self, x: usize, y: usize, z: usize) -> usize {
+        let [along_x, along_y, along_z] = self.volume.strides();
+        x * along_x + y * along_y + z * along_z
+    }
+
     /// The voxels `xs` of a row as a slice, copied to `scratch` where they are not contiguous.
     #[inline(always)]
     pub(super) fn row<'s>(&'s self, scratch: &'s mut [T], xs: &Range<usize>, y: usize, z: usize) -> &'s [T] {
-        let (at, stride) = (self.volume.index(xs.start, y, z), self.volume.strides()[0]);
+        let (at, [stride, ..]) = (self.index(xs.start, y, z), self.volume.strides());
         if stride == 1 {
             return &self.voxels[at..at + xs.len()];
         }
@@ -168,7 +175,7 @@ impl<T: Voxel> Source<'_, T> {
         if self.volume.strides()[0] != 1 || y >= height || z >= planes {
             return;
         }
-        let row = &self.voxels[self.volume.index(xs.start, y, z)..][..xs.len()];
+        let row = &self.voxels[self.index(xs.start, y, z)..][..xs.len()];
         for line in row.chunks(64 / size_of::<T>()) {
             simd.prefetch_near(line.as_ptr().cast());
         }

@@ -3,7 +3,6 @@
 
 use super::*;
 use entire_core::ErrorKind;
-use entire_core::kernels::Helper;
 use entire_core::scene::Scalars;
 use entire_core::scene::VolumeOptions;
 use std::vec::Vec;
@@ -76,31 +75,17 @@ impl Volume {
 }
 
 #[test]
-fn threads_change_no_bit() {
-    let volume = Volume::new();
-    let helper = Helper::new();
-    std::thread::scope(|scope| {
-        scope.spawn(|| helper.serve());
-        for whole in volume.whole() {
-            for cells in [48, 3, 1] {
-                let [one, two] = [Executor::Serial, Executor::Helper(&helper)]
-                    .map(|executor| VolumeSummary::with_cells(&whole, cells, executor).unwrap());
-                assert_eq!(one, two);
-            }
-        }
-        helper.stop();
-    });
-}
-
-#[test]
 #[cfg(feature = "rayon")]
-fn pools_change_no_bit() {
+fn threads_change_no_bit() {
     let volume = Volume::new();
     for threads in [2, 3, 7] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         for whole in volume.whole() {
-            let found = VolumeSummary::new_on(&whole, Executor::Rayon(&pool)).unwrap();
-            assert_eq!(found, VolumeSummary::new(&whole).unwrap());
+            for cells in [48, 3, 1] {
+                let [one, several] = [Executor::Serial, Executor::Rayon(&pool)]
+                    .map(|executor| VolumeSummary::with_cells(&whole, cells, executor).unwrap());
+                assert_eq!(one, several);
+            }
         }
     }
 }
@@ -126,28 +111,29 @@ fn change(bytes: &mut [u8], random: &mut Random) -> [core::ops::Range<usize>; 3]
 
 #[test]
 fn a_series_gives_the_summary_of_every_time_step() {
-    let helper = Helper::new();
-    std::thread::scope(|scope| {
-        scope.spawn(|| helper.serve());
-        for (kind, cells) in (0..4).flat_map(|kind| [48, 3, 1].map(|cells| (kind, cells))) {
-            let mut random = Random(kind as u32);
-            let mut volume = Volume::new();
-            let mut series = SummarySeries::with_cells(&volume.whole()[kind], cells).unwrap();
-            assert_eq!(series.summary().unwrap_err().kind(), ErrorKind::NotReady);
-            for step in 0..if cfg!(miri) { 4 } else { 24 } {
-                let mut bytes = core::mem::take(&mut volume.bytes);
-                let within = change(&mut bytes, &mut random);
-                volume = Volume::of(bytes);
-                let whole = volume.whole()[kind];
-                let executor = [Executor::Serial, Executor::Helper(&helper)][random.below(2)];
-                let known = (random.below(2) == 0).then_some(within);
-                series.update(&whole, known, executor).unwrap();
-                let expected = VolumeSummary::with_cells(&whole, cells, Executor::Serial).unwrap();
-                assert!(*series.summary().unwrap() == expected, "{kind} {cells} {step}");
-            }
+    #[cfg(feature = "rayon")]
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    #[cfg(feature = "rayon")]
+    let executors = [Executor::Serial, Executor::Rayon(&pool)];
+    #[cfg(not(feature = "rayon"))]
+    let executors = [Executor::Serial; 2];
+    for (kind, cells) in (0..4).flat_map(|kind| [48, 3, 1].map(|cells| (kind, cells))) {
+        let mut random = Random(kind as u32);
+        let mut volume = Volume::new();
+        let mut series = SummarySeries::with_cells(&volume.whole()[kind], cells).unwrap();
+        assert_eq!(series.summary().unwrap_err().kind(), ErrorKind::NotReady);
+        for step in 0..if cfg!(miri) { 4 } else { 24 } {
+            let mut bytes = core::mem::take(&mut volume.bytes);
+            let within = change(&mut bytes, &mut random);
+            volume = Volume::of(bytes);
+            let whole = volume.whole()[kind];
+            let executor = executors[random.below(2)];
+            let known = (random.below(2) == 0).then_some(within);
+            series.update(&whole, known, executor).unwrap();
+            let expected = VolumeSummary::with_cells(&whole, cells, Executor::Serial).unwrap();
+            assert!(*series.summary().unwrap() == expected, "{kind} {cells} {step}");
         }
-        helper.stop();
-    });
+    }
 }
 
 #[test]
