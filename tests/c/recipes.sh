@@ -11,8 +11,8 @@ export CARGO_TARGET_DIR
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-files() { # files FOLDER: its files, links and their targets, sorted
-    (cd "$1" && find . -type l -printf '%p -> %l\n' -o -type f -print | sort)
+files() { # files PREFIX: installed files, links and their targets, sorted; the profile `sdk` builds in the same folder
+    (cd "$1" && find include lib share -type l -printf '%p -> %l\n' -o -type f -print | sort)
 }
 
 files "$stage" >"$work/expected"
