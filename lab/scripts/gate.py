@@ -50,6 +50,8 @@ RENAMED = {
         "bars_are_about_the_selected_predictor_where_the_rule_selects_one",
     "slabs_and_threads_change_no_bit": "threads_change_no_bit",
     "a_table_has_one_writer": "a_table_has_one_writer_at_a_time",
+    "a_helper_changes_no_bit": "parts_of_a_batch_change_no_bit",
+    "pools_change_no_bit": "threads_change_no_bit",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
