@@ -92,10 +92,10 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     heading("Render farms");
     let engines = "running `entire farm` on several machines";
     print("Slurm", &version_of("sbatch", &["--version"], engines, "apt-get install slurm-wlm"));
-    print(
-        "HyperQueue",
-        &version_of("hq", &["--version"], engines, "unpack a release of HyperQueue into a folder of PATH"),
-    );
+    // The farm runs HyperQueue by its Python package, not by its command `hq`.
+    let version = ["-c", "from importlib.metadata import version; print(version('hyperqueue'))"];
+    let remedy = "pip install hyperqueue into the Python of --python";
+    print("HyperQueue", &version_of(&options.python, &version, engines, remedy));
     Ok(())
 }
 
