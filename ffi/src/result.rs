@@ -200,6 +200,8 @@ mod tests {
     #[test]
     fn every_code_has_its_own_name() {
         let mut names = std::collections::BTreeSet::new();
+        let of_the_enum = |line: &&str| line.starts_with("    ENTIRE_") && line.contains(" = ");
+        assert_eq!(include_str!("result.rs").lines().filter(of_the_enum).count(), NAMES.len());
         for (code, _) in NAMES {
             // SAFETY: entire_result_name returns a static C string.
             let name = unsafe { CStr::from_ptr(entire_result_name(code as u32)) };
