@@ -4,9 +4,9 @@
 #[macro_export]
 macro_rules! names {
     ($type:ty: $($variant:ident $name:literal,)*) => {
+        #[allow(dead_code, unreachable_pub, reason = "private enums have names too, and not every list is used")]
         impl $type {
             /// Every variant, in the order of the table of names.
-            #[allow(dead_code, reason = "not every enum's variants are listed")]
             pub const ALL: [Self; [$($name),*].len()] = [$(Self::$variant),*];
 
             /// The name.

@@ -3,6 +3,7 @@
 use crate::Result;
 #[cfg(any(feature = "std", test))]
 use crate::error::bail;
+use crate::names::names;
 use core::fmt;
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -25,18 +26,13 @@ pub(crate) enum Isa {
     Avx512,
 }
 
+names! { Isa:
+    Scalar "scalar",
+    Avx2 "avx2",
+    Avx512 "avx512",
+}
+
 impl Isa {
-    /// Every instruction set with kernels, lowest first.
-    const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
-
-    const fn name(self) -> &'static str {
-        match self {
-            Isa::Scalar => "scalar",
-            Isa::Avx2 => "avx2",
-            Isa::Avx512 => "avx512",
-        }
-    }
-
     /// Returns the instruction set with this name.
     #[cfg(any(feature = "std", test))]
     fn named(text: &str) -> Result<Self> {
@@ -116,8 +112,7 @@ impl Level {
         if let Some(isa) = Self::override_isa().clone()?.filter(|&isa| Self::exactly(isa).is_none()) {
             bail!(
                 Unsupported,
-                "{LEVEL_VARIABLE}={}, but this CPU's highest level is {}: unset the variable or lower its level",
-                isa.name(),
+                "{LEVEL_VARIABLE}={isa}, but this CPU's highest level is {}: unset the variable or lower its level",
                 Self::at_most(Isa::Avx512)
             );
         }
