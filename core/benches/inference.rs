@@ -20,8 +20,7 @@
 //! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
 #![allow(clippy::incompatible_msrv, reason = "needs the newest compiler, unlike the library")]
 
-use entire_core::kernels::Level;
-use entire_core::kernels::{Executor, Storage};
+use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Normalization, PredNet, PredNetParts, Resampler, Target, VolumeNet,
     VolumeNetParts,

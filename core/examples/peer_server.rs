@@ -15,8 +15,7 @@
 //! - `vol_…` runs a VolumeNet on a byte volume, `vol_…:f32` on the float volume of the other libraries.
 //! - `resample/N` resamples N³ bytes to 128³; `read` in its result is the time of reading the bytes once.
 
-use entire_core::kernels::Level;
-use entire_core::kernels::{Executor, SELU_ALPHA, SELU_SCALE, Storage};
+use entire_core::kernels::{Executor, Level, SELU_ALPHA, SELU_SCALE, Storage};
 use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Normalization, PredNet, PredNetParts, Resampler, Target, VolumeNet,
     VolumeNetParts,
