@@ -6,6 +6,7 @@ use entire_core::model::{Key, Model};
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
+use entire_io::device::names_software;
 use entire_io::files::{check_model_out, note, open_model, write_whole};
 use entire_io::interrupt;
 use entire_io::machine;
@@ -13,10 +14,10 @@ use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::calibrate::{FittedQuality, fit_quality};
-use entire_steer::predict::{UPPER_LEVEL, UnitCosts, UpperBound};
+use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 use entire_train::bound;
 use entire_train::fit::{
-    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows, typical_costs,
+    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows,
 };
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Part, Split};
@@ -419,7 +420,7 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
     let on_gpu = tables
         .iter()
         .filter_map(|t| t.manifest.as_ref())
-        .any(|m| typical_costs(&m.renderer, &m.device) == UnitCosts::GPU);
+        .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
     let asked = options.clock.or((base.is_none() && on_gpu).then_some(Clock::Auto));
     entire_io::clock::for_training(asked, base, frames.iter().copied())
 }
