@@ -19,7 +19,7 @@ pub(super) enum Scale {
 pub struct Axis {
     pub(super) label: String,
     pub(super) scale: Scale,
-    /// The names of the slots; `None` for other scales.
+    /// The names of the slots, which replace the scale; `None` without slots.
     pub(super) names: Option<Vec<String>>,
     pub(super) low: Option<f64>,
     pub(super) high: Option<f64>,
@@ -38,7 +38,7 @@ impl Axis {
 
     /// An axis of named slots.
     pub fn categories(label: impl Into<String>, names: Vec<String>) -> Self {
-        Self { scale: Scale::Slots, names: Some(names), ..Self::linear(label) }
+        Self { names: Some(names), ..Self::linear(label) }
     }
 
     /// Fixes the lower end.
