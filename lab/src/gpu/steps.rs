@@ -60,16 +60,17 @@ impl Extent {
         volumes: 16,
         picture: 256,
     };
-    /// Size for tests on a software driver.
+    /// Size for tests on a software driver. The numbers of frames end its steps: the time limits are those of a
+    /// program without optimization on a busy machine.
     pub(crate) const SHORT: Self = Self {
         frames: 6,
         max_size: 96,
         enlarge: 1,
         enlarge_large: 0,
-        calibration: 20.0,
+        calibration: 120.0,
         calibration_frames: 24,
         calibration_volumes: 3,
-        table: 20.0,
+        table: 120.0,
         held_size: 48,
         held_frames: 40,
         volumes: 3,
