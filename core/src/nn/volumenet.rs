@@ -356,7 +356,7 @@ mod tests {
         features
     }
 
-    const NETWORKS: [(usize, &[Layer]); 15] = [
+    const NETWORKS: [(usize, &[Layer]); 16] = [
         // This one and the next have buffers of equal sizes, but other borders.
         (10, &[(4, 3, 2, 0)]),
         (8, &[(4, 3, 2, 1)]),
@@ -373,6 +373,8 @@ mod tests {
         (1, &[(3, 1, 1, 0)]),
         (3, &[(2, 2, 5, 6), (2, 3, 4, 3)]),
         (34, &[(17, 3, 1, 1)]),
+        // Cuts between threads halve rows of the last layer, which have 16 positions.
+        (16, &[(4, 1, 1, 0), (2, 1, 1, 0), (16, 3, 1, 1)]),
     ];
 
     #[test]

@@ -183,8 +183,8 @@ impl Kernel for Tiles<'_> {
             bias: layer.bias.as_slice()[channel..].as_ptr(),
         };
         let Shape { output: edge, stride, .. } = layer.shape;
-        // True if each group of 16 positions lies in one row, where its inputs are equally spaced.
-        let rows_of_16 = edge % 16 == 0 && positions.start % 16 == 0;
+        // True if the positions are whole groups of 16, each in one row, where its inputs are equally spaced.
+        let rows_of_16 = [edge, positions.start, positions.end].iter().all(|n| n % 16 == 0);
         let step = if layer.cut.wide && vectors == 1 && rows_of_16 { 16 } else { layer.cut.positions };
         let (mut z, mut y, mut x) =
             (positions.start / (edge * edge), positions.start / edge % edge, positions.start % edge);
