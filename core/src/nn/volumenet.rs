@@ -569,6 +569,28 @@ mod tests {
     }
 
     #[test]
+    fn a_scratch_of_equal_sizes_and_other_borders_is_made_to_fit() {
+        let pairs: [[&[Layer]; 2]; 2] = [
+            // The planes between the first two layers have other borders.
+            [&[(72, 1, 1, 0), (16, 2, 3, 1)], &[(32, 1, 1, 0), (16, 4, 3, 2)]],
+            // They have other sizes, but take as many floats in total.
+            [&[(32, 1, 1, 0), (16, 2, 3, 1)], &[(16, 1, 1, 0), (16, 4, 3, 1)]],
+        ];
+        let bytes: Vec<u8> = (0..14 * 14 * 14).map(|i| (i * 31 % 255) as u8).collect();
+        let view = VolumeView::new(Scalars::U8(&bytes), [14; 3]).unwrap();
+        for (pair, level) in pairs.iter().flat_map(|pair| Level::available().map(move |level| (pair, level)))
+        {
+            let [one, other] = pair.map(|blocks| VolumeNet::with(&network(14, blocks, 2, 1), level).unwrap());
+            let mut shared = one.scratch();
+            for net in [&one, &other, &one] {
+                let mut features = [0.0; 2];
+                net.encode(&view, &mut shared, Executor::Serial, &mut features).unwrap();
+                assert_eq!(features.as_slice(), encode(net, &view), "{level}");
+            }
+        }
+    }
+
+    #[test]
     fn the_memory_that_is_refused_by_is_no_less_than_what_is_taken() {
         for (seed, (input, blocks)) in NETWORKS.into_iter().enumerate() {
             for features in [1, 3] {
