@@ -43,8 +43,8 @@ pub struct PredNet {
 }
 
 impl PredNet {
-    /// Builds the network for this CPU's best level. Weights are stored in the format that the file has for
-    /// the first layer.
+    /// Builds the network for this CPU's best level. Weights are stored in the file's format if all layers
+    /// have the same one, otherwise as F32, so that no weight is rounded.
     ///
     /// # Errors
     ///
@@ -52,8 +52,9 @@ impl PredNet {
     /// not finite, a standard deviation that is not positive, or a weight that overflows half precision;
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
     pub fn new(parts: &PredNetParts) -> Result<Self> {
-        let storage = parts.layers.first().map_or(Storage::F32, |layer| layer.dtype.into());
-        Self::with(parts, Level::detect(), storage)
+        let format = parts.layers.first().map_or(Dtype::F32, |layer| layer.dtype);
+        let same = parts.layers.iter().all(|layer| layer.dtype == format);
+        Self::with(parts, Level::detect(), if same { format.into() } else { Storage::F32 })
     }
 
     /// Returns the upper bound of a prediction's error against a float64 evaluation of the same file.
@@ -386,6 +387,23 @@ mod tests {
         let error = PredNet::with(&parts, Level::detect(), Storage::F16).unwrap_err();
         assert!(error.to_string().contains("prednet.1.weight[5]"), "{error}");
         assert!(PredNet::with(&parts, Level::detect(), Storage::Bf16).is_ok());
+    }
+
+    #[test]
+    fn layers_in_several_formats_are_not_rounded() {
+        let mut parts = parts(&[4, 8, 8, 1], Target::LogSeconds, 3);
+        let first = &mut parts.layers[0];
+        first.dtype = Dtype::F16;
+        first.weight.iter_mut().for_each(|w| *w = half::f16::from_f32_const(*w).to_f32_const());
+        let row = [0.3, -0.7, 1.0, 0.1];
+        let net = PredNet::new(&parts).unwrap();
+        let exact = plain(&parts, &row);
+        let found = f64::from(net.predict(&row, &mut net.scratch(1).unwrap()));
+        let error = (found - exact).abs() / exact;
+        assert!(error <= PredNet::tolerance(Storage::F32, Dtype::F32), "{error:e}");
+        // This weight overflows half precision.
+        parts.layers[1].weight[5] = 1e6;
+        assert!(PredNet::new(&parts).is_ok());
     }
 
     #[test]
