@@ -119,7 +119,7 @@ impl Simd for Scalar {
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
         // SAFETY: the caller guarantees that `p` is valid for reading sixteen bytes.
         let bytes = unsafe { p.cast::<[[u8; 4]; 4]>().read() };
-        map(Four(bytes), i32::from_le_bytes)
+        map(Four(bytes), i32::from_ne_bytes)
     }
     #[inline(always)]
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
@@ -262,7 +262,16 @@ pub(crate) fn f16_to_f32(bits: u16) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::f16_to_f32;
+    use super::{Scalar, f16_to_f32};
+    use crate::kernels::simd::Simd;
+
+    #[test]
+    fn integers_are_read_in_the_machines_byte_order() {
+        let integers = [1, -2, 1 << 20, i32::MIN];
+        let mut read = [0; 16];
+        Scalar.write_i(Scalar.read_i(&integers), &mut read);
+        assert_eq!(read[..4], integers);
+    }
 
     #[test]
     fn every_half_widens_exactly() {
