@@ -123,9 +123,9 @@ impl Source<'_> {
         let last =
             self.tensors.keys().filter_map(|name| numbered(name, "prednet.", &["weight", "bias"])).max();
         if last.is_none() {
-            let end =
-                |name: &&String| name.starts_with("prednet.input.") || name.starts_with("prednet.output.");
-            if let Some(name) = self.tensors.keys().find(end) {
+            let ends =
+                ["prednet.input.mean", "prednet.input.std", "prednet.output.mean", "prednet.output.std"];
+            if let Some(name) = ends.into_iter().find(|name| self.tensors.contains_key(*name)) {
                 bail!(InvalidTensor, "prednet.0.weight is missing, although the file holds {name}");
             }
         }
@@ -240,10 +240,13 @@ impl Source<'_> {
         Ok(names)
     }
 
+    /// True if the file has a tensor of VolumeNet.
     fn has_volumenet(&self) -> bool {
-        self.tensors
-            .keys()
-            .any(|name| name.starts_with("volumenet.encoder.") || name.starts_with("volumenet.fc."))
+        let block = ["conv.weight", "conv.bias", "bn.weight", "bn.bias", "bn.running_mean", "bn.running_var"];
+        self.tensors.keys().any(|name| {
+            numbered(name, "volumenet.encoder.", &block).is_some()
+                || matches!(name.as_str(), "volumenet.fc.weight" | "volumenet.fc.bias")
+        })
     }
 
     fn volumenet(&self) -> Result<VolumeNetParts> {

@@ -124,6 +124,20 @@ fn unknown_tensors_and_metadata_survive_fine_tuning() {
 }
 
 #[test]
+fn unknown_tensors_make_no_network() {
+    let with = |mut file: ModelFile, name: &str| {
+        file.set_tensor(name, Dtype::F32, &[1], &[1.0]).unwrap();
+        file.to_model().unwrap()
+    };
+    for name in ["volumenet.encoder.note", "volumenet.encoder.0.note", "volumenet.fc.note"] {
+        assert!(with(file(), name).volumenet.is_none(), "{name}");
+    }
+    for name in ["prednet.note", "prednet.input.note", "prednet.output.note"] {
+        assert!(with(encoder_file(4, &[(2, 1, 1, 0)], 1), name).prednet.is_none(), "{name}");
+    }
+}
+
+#[test]
 fn volumenet_shapes_are_followed_and_batch_normalization_is_folded() {
     let model = with_volumenet().to_model().unwrap();
     let net = model.volumenet.as_ref().unwrap();
