@@ -309,20 +309,15 @@ impl Source<'_> {
     ) -> Result<ConvBlockParts> {
         let name = format!("volumenet.encoder.{i}");
         let conv = format!("{name}.conv.weight");
-        let tensor = self.tensor(&conv)?;
+        let expected = format!("[channels, {inputs}, k, k, k] with channels and k at least 1");
+        let Some(tensor) = self.tensors.get(&conv) else {
+            bail!(InvalidTensor, "{conv} is missing, expected shape {expected}");
+        };
         let &[outputs, cin, kernel, k1, k2] = tensor.shape.as_slice() else {
-            bail!(
-                InvalidTensor,
-                "{conv} has shape {:?}, expected [channels, {inputs}, k, k, k]",
-                tensor.shape
-            );
+            bail!(InvalidTensor, "{conv} has shape {:?}, expected {expected}", tensor.shape);
         };
         if outputs == 0 || cin != inputs || kernel == 0 || k1 != kernel || k2 != kernel {
-            bail!(
-                InvalidTensor,
-                "{conv} has shape {:?}, expected [channels, {inputs}, k, k, k] with channels and k at least 1",
-                tensor.shape
-            );
+            bail!(InvalidTensor, "{conv} has shape {:?}, expected {expected}", tensor.shape);
         }
         if stride == 0 || padding >= kernel {
             bail!(
@@ -393,13 +388,6 @@ impl Source<'_> {
             output_edge,
             dtype,
         })
-    }
-
-    fn tensor(&self, name: &str) -> Result<&TensorData<'_>> {
-        match self.tensors.get(name) {
-            Some(tensor) => Ok(tensor),
-            None => bail!(InvalidTensor, "{name} is missing"),
-        }
     }
 
     fn vector(&self, name: &str, length: usize) -> Result<Vec<f32>> {

@@ -384,6 +384,10 @@ fn tensors_are_checked() {
         &["volumenet.fc.weight", "[4, 23]", "[out, 24]"],
     );
     fails(&set("prednet.7.weight", &[3, 3], 1.0), invalid, &["prednet.3.weight", "missing"]);
+    let gap = "volumenet.encoder.1.conv.weight";
+    let mut f = encoder_file(4, &[(2, 1, 1, 0); 3], 1);
+    f.remove_tensor(gap);
+    fails(&f, invalid, &[gap, "missing", "[channels, 2, k, k, k]"]);
     let mut f = ModelFile::default();
     fails(&f, ErrorKind::InvalidModel, &["neither"]);
     f.set_tensor("prednet.input.mean", Dtype::F32, &[1], &[1.0]).unwrap();
