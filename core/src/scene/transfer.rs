@@ -179,8 +179,9 @@ impl TransferTable {
 /// 1 − (1 − `alpha`)^`ratio`.
 #[inline]
 pub(crate) fn corrected_opacity(alpha: f32, ratio: f32) -> f32 {
-    if alpha >= 1.0 {
-        return 1.0;
+    // With an infinite ratio, the product below would be NaN for an opacity of 0.
+    if alpha <= 0.0 || alpha >= 1.0 {
+        return alpha;
     }
     -libm::expm1f(ratio * libm::log1pf(-alpha))
 }
@@ -333,6 +334,9 @@ mod tests {
             assert!((corrected_opacity(alpha, 1.0) - alpha).abs() < 1e-6);
         }
         assert!((corrected_opacity(1e-6, 2.0) - 2e-6).abs() < 1e-11);
+        // The ratio of the step to this unit distance is infinite.
+        let table = TransferTable::new([[0.0; 4]; TABLE_LEN]).unwrap().with_unit_distance(1e-40).unwrap();
+        assert_eq!(table.corrected(1.0).as_slice(), table.rgba().as_slice());
     }
 
     #[test]
