@@ -213,8 +213,9 @@ impl<'a> VolumeView<'a> {
                 .and_then(|o| o.checked_add(last))
                 .ok_or_else(|| overflow(dims))?;
         }
+        let needed = last.checked_add(1).ok_or_else(|| overflow(dims))?;
         let found = scalars.len() as u64;
-        if last >= found {
+        if needed > found {
             bail!(
                 SizeMismatch,
                 "volume of {} x {} x {} voxels with strides {:?} needs {} elements, the slice has {found}; check sizes and strides",
@@ -222,19 +223,18 @@ impl<'a> VolumeView<'a> {
                 dims[1],
                 dims[2],
                 strides,
-                last + 1
+                needed
             );
         }
-        if voxels > last + 1 && voxels > MAX_REPEATED_VOXELS {
+        if voxels > needed && voxels > MAX_REPEATED_VOXELS {
             bail!(
                 SizeMismatch,
-                "volume of {} x {} x {} voxels with strides {strides:?} reads {} elements repeatedly, \
+                "volume of {} x {} x {} voxels with strides {strides:?} reads {needed} elements repeatedly, \
                  {voxels} times in total; at most {MAX_REPEATED_VOXELS} voxels are accepted if strides \
                  repeat elements",
                 dims[0],
                 dims[1],
-                dims[2],
-                last + 1
+                dims[2]
             );
         }
         Ok(Self { scalars, dims, strides, spacing: Vec3::ONE, range: (0.0, 1.0) })
@@ -512,6 +512,9 @@ mod tests {
             assert_eq!(error.kind(), ErrorKind::SizeMismatch, "{n}");
             assert!(error.to_string().contains(says), "{error}");
         }
+        // The number of elements that this stride needs overflows.
+        let error = strided([2, 1, 1], [usize::MAX, 0, 0]).unwrap_err();
+        assert!(!error.to_string().contains("needs 0 elements"), "{error}");
         // Overlapping axes repeat elements, too.
         let voxels = [0u8; 3 * 512 + 1];
         let overlapping = |n: usize| {
