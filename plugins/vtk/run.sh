@@ -46,6 +46,14 @@ case $what in
     test)
         command -v valgrind >/dev/null || skip $name "memory checks: valgrind is not installed (apt-get install valgrind)"
         build "$out/build"
+        # The installed package, in a C++ program and in Python, as docs/src/vtk.md describes.
+        rm -rf "$out/installed"
+        cmake --install "$out/build" --prefix "$out/installed" >"$out/install.log"
+        cmake_build plugins/vtk/Testing/installed "$out/user" "$out/user." \
+            -Dentire_vtk_DIR="$out/installed/lib/cmake/entire_vtk"
+        "$out/user/user" || { echo "FAILED: a program with the installed package" >&2; exit 1; }
+        PYTHONPATH=$out/installed/lib/python3/site-packages "$python" -c \
+            'from entire_vtk.vtkEntireSteering import vtkEntireSteering; vtkEntireSteering()'
         labels=(--label-exclude long)
         if [[ ${2:-} == --full ]]; then labels=(); fi
         # File for the reasons of skipped tests: features that this VTK does not have.
