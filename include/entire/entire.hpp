@@ -159,6 +159,9 @@ inline status done(entire_result code) {
     return nothing{};
 }
 
+// The failure of a call with a model that was moved from, in functions of the C interface that accept NULL as no model.
+inline failure no_model() { return {ENTIRE_NULL_ARGUMENT, "the model was moved from; pass the model that owns it"}; }
+
 template <class Handle, void (*Free)(Handle *)> struct deleter {
     void operator()(Handle *handle) const noexcept { Free(handle); }
 };
@@ -420,6 +423,7 @@ class session {
 public:
     // Makes a session with a model.
     static result<session> create(const model &with, const entire_session_options &options = session_options()) {
+        if (!with.get()) return detail::no_model();
         return make(with.get(), options);
     }
     // Makes a session without a model: a linear cost model predicts, which adapts to the observed frames.
@@ -483,6 +487,7 @@ public:
         return detail::done(entire_session_record(get(), nullptr, frame_count));
     }
     status record(const model &prior, std::size_t frame_count = 1000) {
+        if (!prior.get()) return detail::no_model();
         return detail::done(entire_session_record(get(), prior.get(), frame_count));
     }
     plain_result<std::size_t> recorded_count() const {

@@ -135,6 +135,9 @@ int main(int argc, char **argv) {
     CHECK(made.value().fitted.save("/no/such/folder/m.safetensors").code() == ENTIRE_IO);
     CHECK(session.record(made.value().fitted, 8));
 
+    entire::model kept = std::move(model);
+    CHECK(entire::session::create(model).code() == ENTIRE_NULL_ARGUMENT && entire::session::create(kept));
+    CHECK(session.record(model).code() == ENTIRE_NULL_ARGUMENT && session.recorded_count().value() == 0);
     entire::session moved = std::move(session);
     CHECK(session.get() == nullptr && moved.get() != nullptr);
     CHECK(session.reset().code() == ENTIRE_NULL_ARGUMENT);
