@@ -237,6 +237,8 @@ static void options(const entire_model *model) {
     REFUSE_OPTIONS(o.probe_tolerance = 1.5f);
     REFUSE_OPTIONS(o.probe_tolerance = -0.1f);
     REFUSE_OPTIONS(o.probe_tolerance = NAN);
+    REFUSE_OPTIONS(o.reserved = 1);
+    SAYS("reserved");
     entire_session_options sized = good;
     sized.struct_size = 1;
     EXPECT(ENTIRE_STRUCT_SIZE, entire_session_new(model, &sized, &session));

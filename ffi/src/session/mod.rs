@@ -15,8 +15,8 @@ use crate::guard::{freeing, guard, last_error_of};
 use crate::handle::{Status, borrow, give, handle, share};
 use crate::model::entire_model;
 use crate::reserve;
-use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::result::{Failure, refuse};
 use entire_steer::control::{Session, StepLimits};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use glam::Vec3;
@@ -66,6 +66,12 @@ pub unsafe extern "C" fn entire_session_new(
         check_pointer(session, "session (output)")?;
         reserve::check()?;
         let options = if options.is_null() { ByValue::defaults() } else { read_struct(options)? };
+        if options.reserved != 0 {
+            refuse!(
+                ENTIRE_INVALID_ARGUMENT,
+                "entire_session_options.reserved must be 0; call entire_session_options_init"
+            );
+        }
         let limits = StepLimits { finest: options.finest_step, coarsest: options.coarsest_step };
         limits.check()?;
         let hybrid = hybrid_options(&options)?;
