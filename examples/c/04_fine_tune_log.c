@@ -44,8 +44,8 @@ int main(int argc, char **argv) {
         frame.step = (float)(1 << (i % 4));
         for (int repeat = 0; repeat < REPEATS; ++repeat) { /* training uses the median of the repeats */
             double wall = draw(&frame);
-            fprintf(log, "%d,%d,%s,,,%s,%s,%s,%.9g,%.9g,%.9g,%.9g,%u,%u,%.9g,%s,%s,%.9g,%.9g %.9g %.9g,,%.9g,,,,,\n", i,
-                    repeat, argv[1], argv[2], argv[3], argv[4], frame.arcball[0], frame.arcball[1], frame.arcball[2],
+            fprintf(log, "%d,%d,\"%s\",,,%s,%s,%s,%.9g,%.9g,%.9g,%.9g,%u,%u,%.9g,%s,%s,%.9g,%.9g %.9g %.9g,,%.9g,,,,,\n",
+                    i, repeat, argv[1], argv[2], argv[3], argv[4], frame.arcball[0], frame.arcball[1], frame.arcball[2],
                     frame.fov_y, frame.width, frame.height, frame.step, shadings[frame.shading],
                     skippings[frame.skipping], frame.termination, lobe.center, lobe.width, lobe.height, wall);
         }
