@@ -59,6 +59,12 @@ with tempfile.TemporaryDirectory() as folder:
     paths = [os.path.join(folder, name) for name in ("a.nrrd", "b.nrrd")]
     for path in paths:
         timing_table.write_nrrd(path, np.zeros((4, 3, 2)))
+    assert timing_table.read_nrrd(paths[0]).spacing == (1, 1, 1)
+    turned = os.path.join(folder, "turned.nrrd")
+    with open(turned, "wb") as file:
+        file.write(b"NRRD0005\ntype: uint8\ndimension: 3\nsizes: 2 1 1\nspace dimension: 3\n")
+        file.write(b"space directions: (0,3,4) (1,0,0) (0,0,-2)\nencoding: raw\n\n\0\1")
+    assert timing_table.read_nrrd(turned).spacing == (5, 1, 2)
     out = os.path.join(folder, "t.csv")
     words = [*paths, "--out", out, "--frames", "2", "--passes", "2", "--repeats", "1", "--warm-up", "0"]
     timing_table.collect(timing_table.arguments("").parse_args(words), Clockwork())

@@ -173,7 +173,7 @@ class Volume:
 
 
 def read_nrrd(path):
-    """Reads a three-dimensional NRRD file of bytes, raw or gzip, with `spacings`."""
+    """Reads a three-dimensional NRRD file of bytes, raw or gzip, with `spacings` or `space directions`."""
     with open(path, "rb") as file:
         data = file.read()
     end = data.find(b"\n\n")
@@ -192,10 +192,12 @@ def read_nrrd(path):
     elif fields.get("encoding") != "raw":
         raise ValueError(f"{path} has encoding {fields.get('encoding')}; only raw and gzip are read")
     x, y, z = (int(n) for n in fields["sizes"].split())
-    if "spacings" in fields:
-        spacing = tuple(float(s) for s in fields["spacings"].split())
+    # The spacings are the lengths of the directions, such as (0,0,2), if the header has directions.
+    directions = re.findall(r"\(([^)]*)\)", fields.get("space directions", ""))
+    if directions:
+        spacing = tuple(math.hypot(*map(float, direction.split(","))) for direction in directions)
     else:
-        spacing = (1.0, 1.0, 1.0)
+        spacing = tuple(float(s) for s in fields.get("spacings", "1 1 1").split())
     voxels = np.frombuffer(body, np.uint8)
     if voxels.size != x * y * z:
         raise ValueError(f"{path} holds {voxels.size} voxels, its header says {x} x {y} x {z}")
