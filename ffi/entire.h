@@ -20,7 +20,7 @@
  * byte_count.
  *
  * Handles. entire_model, entire_volume, entire_transfer_function and entire_session are opaque. The call that
- * makes one writes it into its last argument; the caller frees it, once, with entire_<noun>_free, which takes
+ * makes one writes it into an output; the caller frees it, once, with entire_<noun>_free, which takes
  * NULL too. Strings that the library returns belong to the library: they are valid as long as their
  * documentation says and are never freed. The inputs of a call that makes a handle may be freed after the call,
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).

@@ -108,8 +108,9 @@ unsafe fn create(
 /// come from a built-in ramp, since they do not change the time of a frame. The unit distance is one
 /// reference step.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
-/// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive, a negative
+/// height), ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     lobes: *const entire_gaussian_lobe,

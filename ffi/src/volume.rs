@@ -77,7 +77,8 @@ pub struct entire_volume_desc {
     /// Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. Zero repeats a
     /// voxel.
     pub strides: [usize; 3],
-    /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
+    /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30, the largest at most 1e6 times the smallest;
+    /// default 1, 1, 1.
     pub spacing: [f32; 3],
     /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
     /// maximum of the voxels without a fill value. A fill value is the least or the greatest value, at least
@@ -109,14 +110,16 @@ pub struct entire_brick_desc {
     pub struct_size: usize,
     /// Voxels of the whole volume along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default.
     pub dims: [usize; 3],
-    /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
+    /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30, the largest at most 1e6 times the smallest;
+    /// default 1, 1, 1.
     pub spacing: [f32; 3],
     /// The voxels' scalar type, one of ENTIRE_SCALAR_*. No default.
     pub scalar_type: entire_scalar_type,
     /// Voxels of a brick along x, y, z. No default.
     pub brick_edge: [usize; 3],
     /// Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
-    /// including neighboring voxels that interpolation reads: two floats per brick. No default.
+    /// including neighboring voxels that interpolation reads: two floats per brick. Numbers under 0 and NaN
+    /// count as 0, numbers over 1 as 1. No default.
     pub bounds: *const f32,
     /// Number of bricks: dims / brick_edge, rounded up along each axis, multiplied. At most
     /// ENTIRE_MAX_BRICKS.
@@ -274,11 +277,11 @@ pub unsafe extern "C" fn entire_brick_desc_init(
 /// Makes a volume of voxels. NaN and negative infinity count as the low end of the range, positive infinity
 /// as the high end.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
-/// borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
-/// sizes over the limits of entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs
-/// no memory), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
-/// ENTIRE_STRUCT_SIZE.
+/// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type or ownership, a zero size, a spacing or range
+/// that is not accepted, strides of which only some are ENTIRE_STRIDE_CONTIGUOUS, borrowed voxels that are
+/// not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or sizes over the limits of
+/// entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs no memory),
+/// ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_new(
     desc: *const entire_volume_desc,

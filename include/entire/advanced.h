@@ -184,7 +184,8 @@ typedef struct entire_brick_desc {
      */
     size_t dims[3];
     /**
-     * Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
+     * Voxel spacing along x, y, z in any unit, 1e-30 to 1e30, the largest at most 1e6 times the smallest;
+     * default 1, 1, 1.
      */
     float spacing[3];
     /**
@@ -197,7 +198,8 @@ typedef struct entire_brick_desc {
     size_t brick_edge[3];
     /**
      * Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
-     * including neighboring voxels that interpolation reads: two floats per brick. No default.
+     * including neighboring voxels that interpolation reads: two floats per brick. Numbers under 0 and NaN
+     * count as 0, numbers over 1 as 1. No default.
      */
     const float *bounds;
     /**
@@ -711,8 +713,9 @@ entire_result entire_volume_update_box(entire_volume *volume,
  * come from a built-in ramp, since they do not change the time of a frame. The unit distance is one
  * reference step.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
- * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive, a negative
+ * height), ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY,
+ * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_lobe *lobes,
                                                   size_t lobe_count,

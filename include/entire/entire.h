@@ -20,7 +20,7 @@
  * byte_count.
  *
  * Handles. entire_model, entire_volume, entire_transfer_function and entire_session are opaque. The call that
- * makes one writes it into its last argument; the caller frees it, once, with entire_<noun>_free, which takes
+ * makes one writes it into an output; the caller frees it, once, with entire_<noun>_free, which takes
  * NULL too. Strings that the library returns belong to the library: they are valid as long as their
  * documentation says and are never freed. The inputs of a call that makes a handle may be freed after the call,
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
@@ -280,7 +280,8 @@ typedef struct entire_volume_desc {
      */
     size_t strides[3];
     /**
-     * Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
+     * Voxel spacing along x, y, z in any unit, 1e-30 to 1e30, the largest at most 1e6 times the smallest;
+     * default 1, 1, 1.
      */
     float spacing[3];
     /**
@@ -789,11 +790,11 @@ entire_result entire_volume_desc_init(struct entire_volume_desc *desc, size_t st
  * Makes a volume of voxels. NaN and negative infinity count as the low end of the range, positive infinity
  * as the high end.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
- * borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
- * sizes over the limits of entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs
- * no memory), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
- * ENTIRE_STRUCT_SIZE.
+ * Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type or ownership, a zero size, a spacing or range
+ * that is not accepted, strides of which only some are ENTIRE_STRIDE_CONTIGUOUS, borrowed voxels that are
+ * not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or sizes over the limits of
+ * entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs no memory),
+ * ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_new(const struct entire_volume_desc *desc, struct entire_volume **volume);
 
