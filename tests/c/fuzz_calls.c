@@ -198,7 +198,7 @@ static entire_frame any_frame(void) {
     if (one_in(2)) frame.volume_radius = number(0.1f, 100);
     frame.step = number(0.02f, 100);
     frame.termination = number(0.01f, 1);
-    frame.shading = kind(3);
+    frame.shading = kind(4);
     frame.skipping = kind(3);
     frame.jitter = (uint32_t)below(2);
     frame.projection = one_in(3) ? kind(2) : ENTIRE_PROJECTION_PERSPECTIVE;
@@ -329,7 +329,7 @@ static void call(void) {
         for (int i = 0; i <= ENTIRE_MAX_SETTINGS; ++i)
             settings[i] = (entire_setting){uniform(0.1f, 20), 1 + (uint32_t)below(999), 1 + (uint32_t)below(999),
                                            1 + (uint32_t)below(3), 1 + (uint32_t)below(3)};
-        if (one_in(5)) settings[0] = (entire_setting){number(0.1f, 20), (uint32_t)below(9), (uint32_t)bits(), kind(3), kind(3)};
+        if (one_in(5)) settings[0] = (entire_setting){number(0.1f, 20), (uint32_t)below(9), (uint32_t)bits(), kind(4), kind(3)};
         const size_t count = one_in(9) ? below(ENTIRE_MAX_SETTINGS + 2) : 4;
         if (note(entire_session_choose(session, &frame, settings, count, number(1e-4f, 0.1f), &n, &plan)) != ENTIRE_OK)
             CHECK(n == 12345 && plan.id == 777);
