@@ -42,13 +42,14 @@ if [[ $features ]]; then arguments+=(--features "$features"); fi
 if [[ $build ]]; then "$cargo" build --quiet "${arguments[@]}"; fi
 
 # System libraries that a program with the static library needs: those of Rust's standard library, which rustc lists for
-# any static library. The crates of libentire need no others.
+# any static library. The crates of libentire need no others. The compiler itself links the unwinder: libgcc_s, or
+# libgcc_eh into a program that is linked with -static, where -lgcc_s cannot be found.
 empty=$(mktemp -d)
 native=$("${RUSTC:-rustc}" --crate-name empty --crate-type staticlib --print native-static-libs -o "$empty/libempty.a" - 2>&1 </dev/null \
-    | sed -n 's/^note: native-static-libs: //p' | tail -n 1)
+    | sed -n 's/^note: native-static-libs: //p' | tail -n 1 | sed 's/-lgcc_s *//') || native=
 rm -r "$empty"
 if [[ -z $native ]]; then
-    echo "install.sh: rustc did not say which system libraries the static library needs" >&2
+    echo "install.sh: ${RUSTC:-rustc} did not say which system libraries the static library needs; it must be in PATH, or name it in RUSTC" >&2
     exit 1
 fi
 

@@ -74,6 +74,15 @@ if have pkg-config; then
     "${CC:-cc}" -std=c11 examples/c/01_predict.c "${flags[@]}" -o "$work/by_pkg_config_static"
     "$work/by_pkg_config_static" "$toy" >/dev/null || fail "a program built by pkg-config's static flags"
     ok "pkg-config: shared and static"
+    if [[ $("${CC:-cc}" -print-file-name=libc.a) == /* ]]; then
+        eval "flags=($(of_package --static --cflags --libs))"
+        "${CC:-cc}" -std=c11 -static examples/c/01_predict.c "${flags[@]}" -o "$work/by_pkg_config_static" 2>"$work/static.log" ||
+            { cat "$work/static.log"; fail "a program linked with -static"; }
+        "$work/by_pkg_config_static" "$toy" >/dev/null || fail "a program linked with -static"
+        ok "pkg-config: a program linked with -static"
+    else
+        skip test-ffi "a program linked with -static: the C library has no libc.a (apt-get install libc6-dev)"
+    fi
 else
     skip test-ffi "programs built by pkg-config: it is not installed (apt-get install pkg-config)"
 fi
