@@ -92,6 +92,12 @@ for language in c cpp; do
     cmake "${generator[@]}" -S "examples/$language" -B "$work/examples-$language" -DCMAKE_PREFIX_PATH="$stage" >"$work/examples.log" 2>&1 \
         && cmake --build "$work/examples-$language" >>"$work/examples.log" 2>&1 || { cat "$work/examples.log"; fail "examples/$language"; }
 done
+# The CMake package is found through a link, as in a system whose /lib is a link to usr/lib.
+mkdir -p "$work/linked"
+ln -sfn "$stage" "$work/linked/usr"
+ln -sfn usr/lib "$work/linked/lib"
+cmake -S examples/c -B "$work/examples-linked" -DCMAKE_PREFIX_PATH="$work/linked" >"$work/examples.log" 2>&1 ||
+    { cat "$work/examples.log"; fail "the CMake package behind a link"; }
 for file in examples/c/*.c examples/cpp/*.cpp; do
     (($(wc -l <"$file") < 80)) || fail "$file has 80 lines or more"
 done
