@@ -31,6 +31,7 @@ if [[ $(uname -s) != Linux ]]; then
     echo "install.sh: installs shared libraries as Linux has them; on $(uname -s) use cargo build -p entire-ffi" >&2
     exit 1
 fi
+if [[ $destdir ]]; then destdir=$(realpath -m "$destdir"); fi
 
 cd "$(dirname "$0")/../.."
 here=ffi/package

@@ -17,6 +17,10 @@ files() { # files PREFIX: installed files, links and their targets, sorted; the 
 
 files "$stage" >"$work/expected"
 
+# A relative --destdir is a folder below that of the caller.
+(cd "$work" && "$OLDPWD/ffi/package/install.sh" --no-build --prefix /package --destdir staged)
+files "$work/staged/package" | diff "$work/expected" - || { echo "FAILED: --destdir (>) and make install (<) differ" >&2; exit 1; }
+
 mkdir "$work/spack-stubs"
 cat >"$work/spack-stubs/package.py" <<'PYTHON'
 import subprocess
