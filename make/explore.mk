@@ -8,7 +8,7 @@ explore-build:
 
 .PHONY: explore
 explore: setup explore-build ## Explore a volume in a window that holds a target frame time (VOLUME=path: your own volume)
-	@target/release/entire explore $(or $(VOLUME),data/nyx_cosmology/m01/t0010.nrrd) $(EXPLORE_FLAGS)
+	@"$(TARGET_DIR)/release/entire" explore "$(or $(VOLUME),data/nyx_cosmology/m01/t0010.nrrd)" $(EXPLORE_FLAGS)
 
 .PHONY: test-explore
 test-explore: ## Test the window under Xvfb with simulated user input (skipped if Xvfb, xdotool or a driver is missing)

@@ -67,10 +67,11 @@ ok "$(wc -l <"$work/exported") exported functions, all declared, all prefixed, a
 if have pkg-config; then
     # PKG_CONFIG_PATH is set for these calls only: if exported, cargo would rebuild crates that use pkg-config.
     of_package() { PKG_CONFIG_PATH=$stage/lib/pkgconfig pkg-config "$@" entire; }
-    read -ra flags <<<"$(of_package --cflags --libs)"
+    # pkg-config quotes its output for a shell.
+    eval "flags=($(of_package --cflags --libs))"
     "${CC:-cc}" -std=c11 examples/c/01_predict.c "${flags[@]}" -Wl,-rpath,"$stage/lib" -o "$work/by_pkg_config"
     "$work/by_pkg_config" "$toy" >/dev/null || fail "a program built by pkg-config's flags"
-    read -ra flags <<<"$(of_package --cflags) $stage/lib/libentire.a $(of_package --static --libs-only-other --libs-only-l | sed 's/-lentire\b//')"
+    eval "flags=($(of_package --cflags) \"\$stage/lib/libentire.a\" $(of_package --static --libs-only-other --libs-only-l | sed 's/-lentire\b//'))"
     "${CC:-cc}" -std=c11 examples/c/01_predict.c "${flags[@]}" -o "$work/by_pkg_config_static"
     "$work/by_pkg_config_static" "$toy" >/dev/null || fail "a program built by pkg-config's static flags"
     ok "pkg-config: shared and static"
@@ -177,7 +178,7 @@ if echo 'int main(void){return 0;}' | gcc -xc -fsanitize=thread - -o "$work/tsan
     gcc -std=c11 -D_GNU_SOURCE -g -O1 -fsanitize=thread tests/c/threads.c -I"$stage/include" -L"$stage/lib" -lentire -lpthread \
         -Wl,-rpath,"$stage/lib" -o "$work/tsan-threads"
     holds "$work/tsan-threads" __tsan_init || fail "tsan-threads has no thread sanitizer"
-    TSAN_OPTIONS="exitcode=99:suppressions=$root/tests/c/tsan.supp" "$work/tsan-threads" "$toy" || fail "thread sanitizer"
+    TSAN_OPTIONS="exitcode=99:suppressions='$root/tests/c/tsan.supp'" "$work/tsan-threads" "$toy" || fail "thread sanitizer"
     ok "thread sanitizer: eight threads, one model, no report"
 else
     skip test-ffi "thread sanitizer: gcc has none here"
