@@ -6,6 +6,12 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 CARGO ?= cargo
+# Rust's installer puts cargo into this folder. A shell that was open before does not have the folder in its PATH.
+ifeq (,$(findstring :$(HOME)/.cargo/bin:,:$(PATH):))
+export PATH := $(HOME)/.cargo/bin:$(PATH)
+endif
+# Cargo's folder of build outputs.
+TARGET_DIR := $(or $(CARGO_TARGET_DIR),target)
 # The command `entire-lab`; cargo builds it if necessary.
 LAB := $(CARGO) run --release --quiet --package entire-lab --bin entire-lab --
 # Cargo prints colors on a terminal, and none into logs.

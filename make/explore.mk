@@ -13,8 +13,8 @@ explore: setup explore-build ## Explore a volume in a window that holds a target
 .PHONY: test-explore
 test-explore: ## Test the window under Xvfb with simulated user input (skipped if Xvfb, xdotool or a driver is missing)
 	@if python3 explore/tests/window.py --can; then $(CARGO) build --quiet --workspace --features entire-cli/explore; fi
-	@python3 explore/tests/window.py target/debug/entire
+	@python3 explore/tests/window.py "$(TARGET_DIR)/debug/entire"
 
 .PHONY: bars-explore
 bars-explore: explore-build ## Measure the window's bars under Xvfb; fails if one is missed
-	@python3 lab/scripts/explore_bars.py target/release/entire --out "$(EXPLORE_OUT)"
+	@python3 lab/scripts/explore_bars.py "$(TARGET_DIR)/release/entire" --out "$(EXPLORE_OUT)"

@@ -15,14 +15,14 @@ bars-farm: ## Measure the bars of render farms; fails if one is missed
 	$(CARGO) build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
 	@status=0; \
 	bash lab/scripts/farm/traces.sh "$(FARM_OUT)" cpu || status=1; \
-	target/release/entire-lab farm --trace "$(FARM_OUT)/farm.json.gz" --training "$(FARM_OUT)/farm-training.json.gz" --probe-side 24 \
+	"$(TARGET_DIR)/release/entire-lab" farm --trace "$(FARM_OUT)/farm.json.gz" --training "$(FARM_OUT)/farm-training.json.gz" --probe-side 24 \
 		--save-tasks "$(FARM_OUT)/farm-tasks.csv" --report "$(FARM_OUT)/static" --bars || status=1; \
-	target/release/entire-lab farm-bars --out "$(FARM_OUT)" --bars || status=1; \
+	"$(TARGET_DIR)/release/entire-lab" farm-bars --out "$(FARM_OUT)" --bars || status=1; \
 	python=$$(scripts/test-farm.sh python) || status=1; \
-	python3 lab/scripts/farm/engines.py --bin target/release --python "$$python" --out "$(FARM_OUT)" $(FARM_PARTS) || status=1; \
+	python3 lab/scripts/farm/engines.py --bin "$(TARGET_DIR)/release" --python "$$python" --out "$(FARM_OUT)" $(FARM_PARTS) || status=1; \
 	exit $$status
 
 .PHONY: check-farm-simulator
 check-farm-simulator: ## Compare the simulator of farms with SimGrid on list schedules (skipped if SimGrid is not installed)
 	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
-	python3 lab/scripts/farm/simgrid.py --bin target/release
+	python3 lab/scripts/farm/simgrid.py --bin "$(TARGET_DIR)/release"

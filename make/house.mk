@@ -4,7 +4,7 @@
 bars-house: ## Check README, links, commands, file lengths, public items, dependencies, build time; fails if a bar is missed
 	$(CARGO) build --release --quiet --package entire-cli --bin entire
 	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
-	python3 lab/scripts/house.py $(if $(HOUSE_BEFORE),--measure-build $(HOUSE_BEFORE) HEAD)
+	python3 lab/scripts/house.py --bin-dir "$(TARGET_DIR)/release" $(if $(HOUSE_BEFORE),--measure-build $(HOUSE_BEFORE) HEAD)
 
 bars-readme: ## Run README's commands in a fresh clone on a fresh Debian, half an hour; fails if a command fails
 	@scripts/readme.sh

@@ -25,7 +25,7 @@ $(BENCH_OUT)/models/inputs.safetensors:
 bench-peers: peer-server $(BENCH_OUT)/models/inputs.safetensors ## Compare with other libraries, interleaved in one run
 	@test -x $(BENCH_OUT)/peers/release/rten-peer || echo "the Rust peers are not built: make bench-rust-peers"
 	$(PYTHON) $(PEERS)/run.py $(BENCH_OUT)/models $(BENCH_OUT)/peers/release $(BENCH_OUT)/peers.json --rounds 2 --secs 0.1 \
-		--nice $(BENCH_NICE) $(foreach s,f32 f16 bf16 int8,--extra "entire $(s)=target/release/examples/peer_server --storage $(s)")
+		--nice $(BENCH_NICE) $(foreach s,f32 f16 bf16 int8,--extra "entire $(s)=$(TARGET_DIR)/release/examples/peer_server --storage $(s)")
 	$(PYTHON) $(PEERS)/show.py $(BENCH_OUT)/peers.json
 
 .PHONY: bench-rust-peers
@@ -35,5 +35,5 @@ bench-rust-peers: ## Build the Rust libraries that bench-peers compares with (ma
 .PHONY: bars-inference
 bars-inference: peer-server ## Measure the inference bars; fails if one is missed
 	@$(MAKE) --no-print-directory $(BENCH_OUT)/models/inputs.safetensors || echo "bars-inference: the networks cannot be made"
-	$(PYTHON) lab/scripts/bars_inference.py --server target/release/examples/peer_server --peers $(PEERS) \
+	$(PYTHON) lab/scripts/bars_inference.py --server "$(TARGET_DIR)/release/examples/peer_server" --peers $(PEERS) \
 		--models $(BENCH_OUT)/models --rust $(BENCH_OUT)/peers/release --nice $(BENCH_NICE)

@@ -5,4 +5,4 @@ MACHINE_STEPS ?=
 
 .PHONY: bars-machine
 bars-machine: build ## Calibrate on this machine and print every bar (fails if one is missed): make bars-machine DATA=FOLDER-WITH-ensembles
-	CARGO="$(CARGO)" python3 lab/scripts/bars_machine.py --data "$(DATA)" --out "$(MACHINE_OUT)" --bin "$(or $(CARGO_TARGET_DIR),target)/release/entire" --only "$(MACHINE_STEPS)"
+	CARGO="$(CARGO)" python3 lab/scripts/bars_machine.py --data "$(DATA)" --out "$(MACHINE_OUT)" --bin "$(TARGET_DIR)/release/entire" --only "$(MACHINE_STEPS)"

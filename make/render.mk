@@ -10,10 +10,10 @@ frame-server:
 
 .PHONY: bench-render
 bench-render: frame-server ## Time the raycaster and VTK's volume mappers, interleaved in one run, and compare their pictures
-	python3 lab/scripts/render_bars.py --server target/release/examples/frame_server --out $(RENDER_OUT) \
+	python3 lab/scripts/render_bars.py --server "$(TARGET_DIR)/release/examples/frame_server" --out $(RENDER_OUT) \
 		--scans $(SCANS) $(BENCH_RENDER_FLAGS)
 
 .PHONY: bars-render
 bars-render: frame-server ## Measure the raycaster's bars; fails if one is missed
-	python3 lab/scripts/render_bars.py --server target/release/examples/frame_server --out $(RENDER_OUT) \
+	python3 lab/scripts/render_bars.py --server "$(TARGET_DIR)/release/examples/frame_server" --out $(RENDER_OUT) \
 		--scans $(SCANS) --bars $(BENCH_RENDER_FLAGS)

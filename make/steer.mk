@@ -20,23 +20,23 @@ steer-traces: setup steer-build ## Record frame times of paths at several steps 
 .PHONY: bars-steer
 bars-steer: steer-build ## Measure the bars of steering: controllers compared with an oracle, schedules of a farm compared with their lower bound, stress scenes; fails if one is missed
 	@status=0; \
-	target/release/entire-lab replay "$(STEER_IN)"/traces/*.json.gz --calibration "$(STEER_IN)/calibration.csv.gz" \
+	"$(TARGET_DIR)/release/entire-lab" replay "$(STEER_IN)"/traces/*.json.gz --calibration "$(STEER_IN)/calibration.csv.gz" \
 		--out "$(STEER_OUT)" --bars || status=1; \
-	target/release/entire-lab farm --trace "$(STEER_IN)/farm.json.gz" --training "$(STEER_IN)/farm-training.json.gz" \
+	"$(TARGET_DIR)/release/entire-lab" farm --trace "$(STEER_IN)/farm.json.gz" --training "$(STEER_IN)/farm-training.json.gz" \
 		--probe-side 24 --save-tasks "$(STEER_OUT)/farm-tasks.csv" --report "$(STEER_OUT)/farm" --bars || status=1; \
-	target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)" || status=1; \
+	"$(TARGET_DIR)/release/entire-lab" stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)" || status=1; \
 	exit $$status
 
 .PHONY: tune
 tune: steer-build ## Search for better constants of the controller, on recorded paths of training volumes
-	@target/release/entire-lab tune "$(STEER_IN)"/training/*.json.gz \
+	@"$(TARGET_DIR)/release/entire-lab" tune "$(STEER_IN)"/training/*.json.gz \
 		--calibration "$(or $(wildcard $(STEER_IN)/training/calibration.csv.gz),$(STEER_IN)/calibration.csv.gz)" \
 		--disturbances data/steer/disturbances/none.csv,data/steer/disturbances/bursts.csv,data/steer/disturbances/steady.csv \
 		--out "$(STEER_OUT)/tune.json"
 
 .PHONY: stress
 stress: steer-build ## Play the scenes in which frame-time methods fail, among them a run of a million frames: out/stress/report.html
-	@target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
+	@"$(TARGET_DIR)/release/entire-lab" stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
 
 # Measured on rendered frames by wall time: about half an hour. No other program should run meanwhile. After an
 # interruption, the same command continues.
@@ -44,4 +44,4 @@ WALL_OUT ?= out/bars-wall
 
 .PHONY: bars-wall
 bars-wall: build ## Compare controllers by wall time, on a quiet machine and beside another program: make bars-wall DATA=FOLDER-WITH-scans
-	@python3 lab/scripts/bars_wall.py --data "$(DATA)" --out "$(WALL_OUT)" --bin "$(or $(CARGO_TARGET_DIR),target)/release/entire"
+	@python3 lab/scripts/bars_wall.py --data "$(DATA)" --out "$(WALL_OUT)" --bin "$(TARGET_DIR)/release/entire"

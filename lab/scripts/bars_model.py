@@ -13,6 +13,7 @@ import argparse
 import csv
 import json
 import math
+import os
 import subprocess
 from pathlib import Path
 
@@ -97,7 +98,8 @@ def of_frames(bars, clock, path):
 
 
 def of_machine(bars, folder):
-    machine = Machine(argparse.Namespace(bin=str(ROOT / "target/release/entire"), data=".", out=folder))
+    program = ROOT / (os.environ.get("CARGO_TARGET_DIR") or "target") / "release/entire"
+    machine = Machine(argparse.Namespace(bin=str(program), data=".", out=folder))
 
     def metrics(model, split, mode, clock):
         found = machine.evaluate(model, split, mode, clock)

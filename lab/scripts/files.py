@@ -113,7 +113,8 @@ def main():
             print(re.sub(r"(?m)^bar .*\n", "", found.stdout), end="")
             bars.found("files-read-alike", bar_of(found.stdout, "files-read-alike"), "percent")
         if "options-in-no-document" in asked:
-            found = run(sys.executable, "lab/scripts/house.py", "--quick", "--bin-dir", "target/debug")
+            built = os.path.join(os.environ.get("CARGO_TARGET_DIR") or "target", "debug")
+            found = run(sys.executable, "lab/scripts/house.py", "--quick", "--bin-dir", built)
             bars.found("options-in-no-document", bar_of(found.stdout, "options-in-no-document"))
         if any(name.startswith("fuzz") for name in asked):
             fuzz(bars, options.seconds)

@@ -4,7 +4,7 @@
 # same call continues: an unfinished trace has the name NAME.part.json.gz.
 set -euo pipefail
 out=$1 clock=$2 frames=$3 data=$4
-lab=${ENTIRE_LAB:-target/release/entire-lab}
+lab=${ENTIRE_LAB:-${CARGO_TARGET_DIR:-target}/release/entire-lab}
 mkdir -p "$out/traces" "$out/training"
 
 # Paths over volumes outside of the repository: the bars depend on which of them exist.

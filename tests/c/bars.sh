@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 . lab/scripts/bar_lines.sh
 root=$PWD
-work=${CARGO_TARGET_DIR:-$root/target}/c-sdk
+work=$(realpath -m "${CARGO_TARGET_DIR:-target}")/c-sdk
 toy=$root/tests/golden/toy_model/toy.safetensors
 cargo=${CARGO:-cargo}
 stage=$work/stage

@@ -4,7 +4,7 @@
 # both files.
 set -euo pipefail
 out=$1 clock=$2
-lab=${ENTIRE_LAB:-target/release/entire-lab}
+lab=${ENTIRE_LAB:-${CARGO_TARGET_DIR:-target}/release/entire-lab}
 mkdir -p "$out"
 common=(--clock "$clock" --size 256x256)
 

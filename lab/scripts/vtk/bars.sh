@@ -17,7 +17,7 @@ case ${1:-} in
     *) echo "bars.sh: found word \"$1\"; use compare, or none for all bars" >&2; exit 2 ;;
 esac
 target=${CARGO_TARGET_DIR:-target}
-out=${VTK_OUT:-$PWD/$target/vtk}
+out=${VTK_OUT:-$(realpath -m "$target")/vtk}
 bars=(lab/scripts/vtk/bars.py --out "$out/bars" --entire "$target/release/entire" --repeats "${VTK_REPEATS:-3}"
     --frames "${VTK_FRAMES:-200}")
 status=0
