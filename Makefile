@@ -42,8 +42,8 @@ test-all: ## Run all tests in full, for hours: also sanitizers, Miri, valgrind, 
 .PHONY: check
 check: ## Check format, lints and documentation, as CI does
 	$(CARGO) fmt --check
-	$(CARGO) clippy --workspace --all-targets -- -D warnings
-	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --quiet
+	$(CARGO) clippy --workspace --features entire-cli/explore --all-targets -- -D warnings
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --features entire-cli/explore --no-deps --quiet
 
 .PHONY: clean
 clean: ## Remove all build outputs and reports
