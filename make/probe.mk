@@ -1,5 +1,5 @@
 # Bars of the probe, of transfer functions and of volume summaries. BEFORE is the revision to compare with.
-BEFORE ?= f11380f
+bars-probe: BEFORE ?= f11380f
 
 .PHONY: bars-probe
 bars-probe: ## Compare the speed of probe, transfer function and volume summary with that of revision BEFORE (fails if a bar is missed)
