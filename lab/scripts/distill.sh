@@ -15,8 +15,8 @@ cd "$(dirname "$0")/../.."
 root=$PWD
 data=${DATA:?name the folder that holds ensembles/, for example make distill DATA=../shared/data}
 frames=${FRAMES:-10000}
-entire=${ENTIRE:-$root/target/release/entire}
-out=$root/out/distill models=${MODELS:-$root/models} start=${START:+$(realpath "$START")}
+entire=$(realpath -m "${ENTIRE:-${CARGO_TARGET_DIR:-target}/release/entire}")
+out=$root/out/distill models=$(realpath -m "${MODELS:-models}") start=${START:+$(realpath "$START")}
 mkdir -p "$out"
 cd "$data"
 for set in ${*:-unshaded local scatter}; do

@@ -9,8 +9,8 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD
 data=${DATA:?name the folder that holds ensembles/ and scans/, for example make tables DATA=../shared/data TABLES=scatter-members}
-entire=${ENTIRE:-$root/target/release/entire}
-out=${OUT:-$root/out/tables}
+entire=$(realpath -m "${ENTIRE:-${CARGO_TARGET_DIR:-target}/release/entire}")
+out=$(realpath -m "${OUT:-out/tables}")
 [[ $# -gt 0 ]] || { echo "name tables: $(cd data/timings && ls none-*.csv.gz local-*.csv.gz scatter-*.csv.gz | grep -v features | sed 's/\.csv\.gz//' | paste -sd' ')" >&2; exit 2; }
 mkdir -p "$out"
 cd "$data"
