@@ -103,7 +103,7 @@ def prepare(revision, work):
     if not tree.exists():
         subprocess.run(["git", "worktree", "prune"], cwd=ROOT, check=True)
         subprocess.run(["git", "worktree", "add", "--detach", str(tree), commit], cwd=ROOT, check=True)
-    subprocess.run(["git", "checkout", "--quiet", "--detach", commit], cwd=tree, check=True)
+    subprocess.run(["git", "checkout", "--quiet", "--force", "--detach", commit], cwd=tree, check=True)
     to = tree / crate(tree) / "examples/probe_server"
     to.mkdir(parents=True, exist_ok=True)
     for name, text in ("calls.rs", (ROOT / EXAMPLE / "calls.rs").read_text()), ("scene.rs", SCENE_BEFORE):
