@@ -18,7 +18,7 @@ SENTENCE_END = re.compile(r"(?<=[.!?])\s+(?=[A-Z`*])")
 
 def tracked(*patterns):
     listed = subprocess.run(["git", "ls-files", "--", *patterns], cwd=ROOT, text=True, capture_output=True, check=True)
-    return listed.stdout.splitlines()
+    return [path for path in listed.stdout.splitlines() if (ROOT / path).is_file()]
 
 
 def comments():
