@@ -10,6 +10,19 @@ skip() {
     [[ -z ${ENTIRE_SKIPPED:-} ]] || printf '%s: %s\n' "$1" "$2" >>"$ENTIRE_SKIPPED"
 }
 
+# Exit status of a script that skipped everything in a gate, so that scripts/test.sh does not count its step as passed.
+skipped_all=75
+
+# skip_all NAME REASON: as `skip`, and ends the script. Outside of a gate the exit status is 0.
+skip_all() {
+    skip "$1" "$2"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || exit "$skipped_all"
+    exit 0
+}
+
+# CMake's generator for new build folders. An existing folder keeps its own; cmake refuses another one as option.
+if have ninja; then export CMAKE_GENERATOR=${CMAKE_GENERATOR:-Ninja}; fi
+
 # Options of cmake that make compiler warnings errors, except the one on missing initializers: code that VTK generates leaves
 # out fields of Python's type objects.
 # shellcheck disable=SC2034

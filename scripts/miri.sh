@@ -13,8 +13,7 @@ parts=("${@:2}")
 if ((${#parts[@]} == 0)); then parts=(core ffi 32bit bigendian); fi
 cargo=${CARGO:-cargo}
 if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
-    skip miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
-    exit 0
+    skip_all miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
 fi
 # Under Miri, code runs some thousand times slower, so these are small tests that reach every scalar kernel.
 kernels=(

@@ -34,10 +34,7 @@ out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}
 python=${PYTHON:-python3}
 vtk_python=${VTK_PYTHON:-/usr/bin/python3}
 
-lacks() {
-    skip test-python "$1"
-    exit 0
-}
+lacks() { skip_all test-python "$1"; }
 command -v "$python" >/dev/null || lacks "$python is not installed (apt-get install python3 python3-venv)"
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))' || lacks "$python is older than 3.9"
 "$python" -c 'import ensurepip, venv' 2>/dev/null || lacks "Python's venv is not installed (apt-get install python3-venv)"

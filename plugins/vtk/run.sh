@@ -27,10 +27,7 @@ export PYTHONPATH=$out/build/lib/python3/site-packages
 
 name=test-vtk
 if [[ $what == asan ]]; then name=test-vtk-asan; fi
-lacks() {
-    skip $name "$1"
-    exit 0
-}
+lacks() { skip_all $name "$1"; }
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++ libvtk9-dev python3-vtk9 xvfb xauth)"
 compgen -G "/usr/lib/*/cmake/vtk-9*/vtk-config.cmake" >/dev/null || [[ ${VTK_DIR:-} ]] ||
     lacks "VTK 9's development files are not installed (apt-get install libvtk9-dev python3-vtk9 xvfb xauth)"

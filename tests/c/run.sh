@@ -25,7 +25,9 @@ say() { printf '\n==> %s\n' "$*"; }
 fail() { printf 'FAILED: %s\n' "$*" >&2; exit 1; }
 ok() { passed+=("$*"); }
 
-have cmake || { skip test-ffi "cmake is not installed (apt-get install cmake)"; exit 0; }
+for program in cmake gcc g++; do
+    have $program || skip_all test-ffi "$program is not installed (apt-get install $program)"
+done
 stage=$(sdk)
 work=$target/c-sdk
 if [[ -z ${ENTIRE_SDK:-} ]]; then work=$target/c-sdk-release; fi

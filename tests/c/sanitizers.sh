@@ -17,6 +17,12 @@ seconds=${SANITIZER_SECONDS:-1800}
 host=$(rustc -vV | sed -n 's/^host: //p')
 parts=("$@")
 if ((${#parts[@]} == 0)); then parts=(address thread 32bit); fi
+for part in "${parts[@]}"; do
+    case $part in
+        address | thread | 32bit) ;;
+        *) echo "sanitizers.sh: found word \"$part\"; use address, thread, 32bit, or none for all" >&2; exit 2 ;;
+    esac
+done
 mkdir -p "$work"
 
 passed=()
@@ -144,4 +150,6 @@ fi
 if ((${#passed[@]})); then
     printf '\nPassed:\n'
     printf '  %s\n' "${passed[@]}"
+elif [[ ${ENTIRE_SKIPPED:-} ]]; then
+    exit "$skipped_all"
 fi
