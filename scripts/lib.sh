@@ -44,11 +44,10 @@ sdk() {
 # cmake_build SOURCE FOLDER LOGS OPTION...: configures and builds a CMake project against the installed C library, with
 # VTK_JOBS parallel compilations if it is set. LOGS begins the names of both logs; prints the end of the one that failed.
 cmake_build() {
-    local source=$1 folder=$2 logs=$3 generator=() sdk
+    local source=$1 folder=$2 logs=$3 sdk
     shift 3
     sdk=$(sdk)
-    if have ninja; then generator=(-G Ninja); fi
-    cmake -S "$source" -B "$folder" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" "${strict[@]}" "$@" >"${logs}configure.log" 2>&1 ||
+    cmake -S "$source" -B "$folder" -DCMAKE_PREFIX_PATH="$sdk" "${strict[@]}" "$@" >"${logs}configure.log" 2>&1 ||
         { tail -n 30 "${logs}configure.log" >&2; exit 1; }
     cmake --build "$folder" ${VTK_JOBS:+--parallel "$VTK_JOBS"} >"${logs}build.log" 2>&1 ||
         { tail -n 40 "${logs}build.log" >&2; exit 1; }

@@ -32,8 +32,6 @@ stage=$(sdk)
 work=$target/c-sdk
 if [[ -z ${ENTIRE_SDK:-} ]]; then work=$target/c-sdk-release; fi
 mkdir -p "$work"
-generator=()
-if have ninja; then generator=(-G Ninja); fi
 
 holds() { # holds PROGRAM SYMBOL: succeeds if the program has a symbol whose name contains SYMBOL
     nm "$1" >"$work/nm"
@@ -44,7 +42,7 @@ configure_and_test() { # configure_and_test NAME PREFIX [CMAKE OPTION...]
     local name=$1 prefix=$2
     shift 2
     say "$name"
-    cmake "${generator[@]}" -S tests/c -B "$work/$name" -DCMAKE_PREFIX_PATH="$prefix" "$@" >"$work/$name.log" 2>&1 \
+    cmake -S tests/c -B "$work/$name" -DCMAKE_PREFIX_PATH="$prefix" "$@" >"$work/$name.log" 2>&1 \
         || { cat "$work/$name.log"; fail "$name: cmake"; }
     cmake --build "$work/$name" >>"$work/$name.log" 2>&1 || { tail -n 60 "$work/$name.log"; fail "$name: build"; }
     (cd "$work/$name" && ctest --output-on-failure ${ctest_options:-}) || fail "$name: tests"
@@ -92,7 +90,7 @@ fi
 
 say "examples as projects of their own"
 for language in c cpp; do
-    cmake "${generator[@]}" -S "examples/$language" -B "$work/examples-$language" -DCMAKE_PREFIX_PATH="$stage" >"$work/examples.log" 2>&1 \
+    cmake -S "examples/$language" -B "$work/examples-$language" -DCMAKE_PREFIX_PATH="$stage" >"$work/examples.log" 2>&1 \
         && cmake --build "$work/examples-$language" >>"$work/examples.log" 2>&1 || { cat "$work/examples.log"; fail "examples/$language"; }
 done
 # The CMake package is found through a link, as in a system whose /lib is a link to usr/lib.
