@@ -39,11 +39,13 @@ command -v "$python" >/dev/null || lacks "$python is not installed (apt-get inst
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))' || lacks "$python is older than 3.9"
 "$python" -c 'import ensurepip, venv' 2>/dev/null || lacks "Python's venv is not installed (apt-get install python3-venv)"
 
-# environment NAME: makes a virtual environment with exactly the packages of requirements-NAME.txt, once per list.
+# environment NAME: makes a virtual environment with exactly the packages of requirements-NAME.txt, once per list and version
+# of Python.
 # Fails, with the reason in `why`, if they cannot be installed.
 environment() {
-    local folder=$out/$1 list=$here/requirements-$1.txt
-    cmp -s "$list" "$folder/made-from" && return
+    local folder=$out/$1 list=$here/requirements-$1.txt version
+    version=$("$python" -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])')
+    cmp -s "$list" "$folder/made-from" && grep -qx "version = $version" "$folder/pyvenv.cfg" && return
     rm -rf "$folder"
     "$python" -m venv "$folder"
     # Modules are compiled when they are imported: most never are.
