@@ -33,12 +33,12 @@ python() {
     fi
     local package
     for package in "${packages[@]}"; do
-        [[ -e $folder/made-${package%%=*} ]] && continue
+        [[ -e $folder/made-$package ]] && continue
         [[ ${ENTIRE_SETUP_INSTALL:-yes} != no ]] || continue
         # Tests that need a package which cannot be installed are listed as skipped below.
         if "${within[@]}" "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --retries 1 \
             --timeout 15 "$package" >&2; then
-            touch "$folder/made-${package%%=*}"
+            touch "$folder/made-$package"
         fi
     done
     echo "$folder/bin/python"
