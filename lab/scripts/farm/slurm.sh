@@ -43,12 +43,12 @@ fi
 for name in slurmctld slurmd munged sbatch squeue; do
     command -v "$name" >/dev/null || { echo "slurm.sh: no $name (apt-get install slurm-wlm munge)" >&2; exit 3; }
 done
-[[ $(id -u) == 0 ]] || { echo "slurm.sh: only root can start it" >&2; exit 3; }
+[[ $(id -u) == 0 ]] || { echo "slurm.sh: only root can start it (run it with sudo)" >&2; exit 3; }
 mkdir -p "$folder/spool" "$folder/state"
 host=$(hostname)
 (umask 077 && head -c 1024 /dev/urandom >"$folder/munge.key")
 munged --force --key-file="$folder/munge.key" --socket="$folder/munge.socket" --pid-file="$folder/munge.pid" \
-    --log-file="$folder/munge.log" --seed-file="$folder/munge.seed" 2>/dev/null
+    --log-file="$folder/munge.log" --seed-file="$folder/munge.seed" 2>"$folder/munge.err" || { cat "$folder/munge.err" >&2; exit 1; }
 port=$((20000 + RANDOM % 20000))
 cat >"$folder/slurm.conf" <<CONF
 ClusterName=farm
