@@ -43,23 +43,28 @@ missing=0
 
 # Rust. The oldest supported version is stated only in Cargo.toml.
 wanted=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
-[[ -x "$HOME/.cargo/bin/cargo" ]] && PATH="$HOME/.cargo/bin:$PATH"
+say_rustup() {
+    say "  curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh -s -- -y"
+    say "open a new shell and run this again."
+    missing=1
+}
 if ! command -v cargo >/dev/null && may_install &&
     [[ -n "$(apt-cache policy rustup 2>/dev/null | sed -n 's/^ *Candidate: \([^(].*\)/\1/p')" ]]; then
     install_packages "no cargo" rustup && rustup default stable || true
 fi
 if ! command -v cargo >/dev/null; then
     say "no cargo. Install Rust $wanted or newer with this command:"
-    say "  curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs | sh -s -- -y"
-    say "open a new shell and run this again."
-    missing=1
+    say_rustup
 else
     found=$(cargo --version | awk '{print $2}')
     if [[ "$(printf '%s\n%s\n' "$wanted" "$found" | sort -V | head -n 1)" == "$wanted" ]]; then
         say "cargo $found: ok"
-    else
-        say "cargo $found is older than $wanted, which this workspace needs. Update it: rustup update stable"
+    elif command -v rustup >/dev/null; then
+        say "cargo $found is older than $wanted, which this workspace needs. Update it: rustup update stable && rustup default stable"
         missing=1
+    else
+        say "cargo $found is older than $wanted, which this workspace needs. Install Rust $wanted or newer with this command:"
+        say_rustup
     fi
 fi
 
