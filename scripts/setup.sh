@@ -3,6 +3,10 @@
 # this user has the rights. Prints its steps; a second run changes nothing. With ENTIRE_SETUP_INSTALL=no it only checks.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+# In Debian, the PATH of a user who is not root lacks the folders of ldconfig.
+PATH=$PATH:/usr/sbin:/sbin
+# The gate that will run: test, change or nightly (see scripts/test.sh); empty for `make demo`.
+for=${ENTIRE_SETUP_FOR:-}
 
 say() { printf 'setup: %s\n' "$*"; }
 
@@ -69,7 +73,7 @@ else
 fi
 
 # Disk space of the build, in GB. A linker that runs out of disk space ends with a bus error.
-case ${ENTIRE_SETUP_FOR:-} in change) room=8 ;; nightly) room=30 ;; test) room=5 ;; *) room=2 ;; esac
+case $for in change) room=8 ;; nightly) room=30 ;; test) room=5 ;; *) room=2 ;; esac
 target=${CARGO_TARGET_DIR:-target}
 mkdir -p "$target"
 free=$(df --output=avail --block-size=1G "$target" 2>/dev/null | tail -n 1 | tr -d ' ') || free=$room
@@ -83,14 +87,20 @@ if ((free + used < room)); then
     missing=1
 fi
 
-# A C compiler: Rust links with it, and the C examples and tests are built with it.
-if ! command -v cc >/dev/null && may_install; then
-    install_packages "no C compiler" gcc g++ libc6-dev || true
+# A C compiler: Rust links with it, and the C examples and tests are built with it. Tests also need one for C++. Prints the
+# language that has none.
+no_compiler() {
+    if ! command -v cc >/dev/null; then echo C; elif [[ $for ]] && ! command -v c++ >/dev/null; then echo C++; fi
+}
+language=$(no_compiler)
+if [[ $language ]] && may_install; then
+    install_packages "no $language compiler" gcc g++ libc6-dev || true
+    language=$(no_compiler)
 fi
-if command -v cc >/dev/null; then
+if [[ ! $language ]]; then
     say "C compiler $(cc -dumpfullversion -dumpversion 2>/dev/null || true): ok"
 else
-    say "no C compiler. Install one: apt-get install gcc g++ libc6-dev"
+    say "no $language compiler. Install one: apt-get install gcc g++ libc6-dev"
     missing=1
 fi
 
@@ -126,8 +136,6 @@ else
 fi
 
 # Programs that tests use. If one is missing, the tests that need it are reported as ignored or skipped, never as passed.
-# ENTIRE_SETUP_FOR is the gate that will run: test, change or nightly (see scripts/test.sh); empty for `make demo`.
-for=${ENTIRE_SETUP_FOR:-}
 packages=()
 case $for in
     test | change | nightly)

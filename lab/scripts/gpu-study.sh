@@ -4,6 +4,8 @@
 #   FOLDER   the folder to make; default: out/gpu-study-folder
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+# In Debian, the PATH of a user who is not root lacks the folders of ldconfig.
+PATH=$PATH:/usr/sbin:/sbin
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 folder=${FOLDER:-out/gpu-study-folder}
 ${CARGO:-cargo} build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
@@ -23,6 +25,8 @@ cat >"$folder/run.sh" <<'RUN'
 # Studies this machine's Vulkan device in at most nine minutes: report.html in OUT (default results/). Run again, it
 # continues with the missing steps. Options go to `bin/entire-lab gpu-study` (--help lists them).
 set -euo pipefail
+# In Debian, the PATH of a user who is not root lacks the folders of ldconfig.
+PATH=$PATH:/usr/sbin:/sbin
 here=$(cd "$(dirname "$0")" && pwd)
 out=${OUT:-$here/results}
 mkdir -p "$out"
