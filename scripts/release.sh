@@ -13,6 +13,11 @@ cargo=${CARGO:-cargo}
 python=${PYTHON:-python3}
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
+# The folder is made anew, so it must not hold other files.
+if [[ $(ls -A "$folder" 2>/dev/null) ]] && ! compgen -G "$folder/*.crate" >/dev/null; then
+    echo "release.sh: $folder has other files than a release; name a new or an empty folder" >&2
+    exit 2
+fi
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 rm -rf "$folder"

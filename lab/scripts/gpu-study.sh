@@ -8,6 +8,11 @@ cd "$(dirname "$0")/../.."
 PATH=$PATH:/usr/sbin:/sbin
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 folder=${FOLDER:-out/gpu-study-folder}
+# The folder is made anew, so it must not hold other files.
+if [[ $(ls -A "$folder" 2>/dev/null) && ! -d $folder/bin ]]; then
+    echo "gpu-study.sh: $folder has other files; name a new or an empty folder in FOLDER" >&2
+    exit 2
+fi
 ${CARGO:-cargo} build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
 rm -rf "$folder"
 mkdir -p "$folder/bin" "$folder/lib"
