@@ -25,12 +25,15 @@ if [[ $why ]]; then
     echo "bar readme-commands-that-fail - 0 short"
     exit 1
 fi
-if [[ ! -e $folder/made ]]; then
+if [[ $(cat "$folder/made" 2>/dev/null) != "$release" ]]; then
     echo "readme: installing a minimal Debian $release into $folder"
     rm -rf "$folder"
     mkdir -p "$folder"
-    install_debian "$release" "$folder" "$mirror" "$out/folder.log" --variant=minbase --include=ca-certificates,git,make
-    touch "$folder/made"
+    install_debian "$release" "$folder" "$mirror" "$out/folder.log" --variant=minbase --include=ca-certificates,git,make || {
+        echo "bar readme-commands-that-fail - 0 short"
+        exit 1
+    }
+    echo "$release" >"$folder/made"
 fi
 rm -rf "$folder/root/entire"
 git clone --quiet . "$folder/root/entire"
