@@ -3,33 +3,23 @@
 
 use anyhow::{Result, bail};
 
-/// The values of placeholders.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Placeholders(pub(crate) Vec<(&'static str, String)>);
-
-impl Placeholders {
-    /// Names of all placeholders.
-    pub(crate) const NAMES: [&'static str; 14] = [
-        "volume",
-        "volume_name",
-        "time",
-        "rx_deg",
-        "ry_deg",
-        "dz_radii",
-        "fov_y_deg",
-        "transfer",
-        "transfer_name",
-        "width",
-        "height",
-        "step",
-        "out",
-        "task",
-    ];
-
-    fn get(&self, name: &str) -> Option<&str> {
-        self.0.iter().find(|(n, _)| *n == name).map(|(_, v)| v.as_str())
-    }
-}
+/// Names of all placeholders.
+pub(crate) const PLACEHOLDERS: [&str; 14] = [
+    "volume",
+    "volume_name",
+    "time",
+    "rx_deg",
+    "ry_deg",
+    "dz_radii",
+    "fov_y_deg",
+    "transfer",
+    "transfer_name",
+    "width",
+    "height",
+    "step",
+    "out",
+    "task",
+];
 
 /// Part of an argument: text, a brace that was written twice, or the name of a placeholder.
 enum Part<'a> {
@@ -75,18 +65,18 @@ pub(crate) fn check(argument: &str, names: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Returns an argument with its placeholders replaced by `values`. Inserted text is not expanded again.
+/// Returns an argument with its placeholders replaced by `values` (name and text). Inserted text is not expanded again.
 ///
 /// # Errors
 /// When a placeholder has no value, or a brace is neither doubled nor part of a placeholder.
-pub(crate) fn fill(argument: &str, values: &Placeholders) -> Result<String> {
+pub(crate) fn fill(argument: &str, values: &[(&str, String)]) -> Result<String> {
     let mut out = String::new();
     for part in parts(argument)? {
         match part {
             Part::Text(text) => out.push_str(text),
             Part::Brace(brace) => out.push(brace),
-            Part::Name(name) => match values.get(name) {
-                Some(value) => out.push_str(value),
+            Part::Name(name) => match values.iter().find(|(n, _)| *n == name) {
+                Some((_, value)) => out.push_str(value),
                 None => bail!("the argument {argument:?} holds {{{name}}}, which has no value here"),
             },
         }
@@ -105,7 +95,7 @@ mod tests {
 
     #[test]
     fn placeholders_are_filled_once_and_mistakes_are_named() {
-        let values = Placeholders(vec![("out", "a {task} b.png".into()), ("task", "7".into())]);
+        let values: [(&str, String); 2] = [("out", "a {task} b.png".into()), ("task", "7".into())];
         assert_eq!(fill("--out={out}", &values).unwrap(), "--out=a {task} b.png");
         assert_eq!(fill("{{{task}}}", &values).unwrap(), "{7}");
         assert_eq!(fill("plain", &values).unwrap(), "plain");

@@ -104,7 +104,7 @@ pub fn run(
     let setting = Setting {
         slots: engine.slots(),
         bound: engine.bound(),
-        overhead: options.overhead.unwrap_or(engine.overhead()),
+        overhead: options.overhead,
         limit: engine.limit(),
         order: options.order,
         learn: !options.uniform,
@@ -291,9 +291,8 @@ impl Drive<'_, '_> {
             let retries = sent.tasks.iter().filter_map(|t| self.losses.get(t)).max().copied().unwrap_or(0);
             let mut upper_s = f64::INFINITY;
             if !self.engine.bound() {
-                let loading = 2.0 * self.planner.loads().seconds(sent.volume, false);
-                upper_s =
-                    self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead();
+                let loading = 2.0 * self.planner.loads.seconds(sent.volume, false);
+                upper_s = self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead;
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
             // Times that are only assumed exclude no task: the engine ends a bundle that takes longer than
@@ -374,7 +373,7 @@ impl Drive<'_, '_> {
         let volume = self.planner.learner().shape().volume(task as usize);
         if answer.load_s > 0.0 {
             let warm = !self.loaded.insert((node, volume));
-            self.planner.observe_load(volume, warm, answer.load_s);
+            self.planner.loads.observe(volume, warm, answer.load_s);
         }
         self.busy += answer.seconds + answer.load_s;
         self.planner.done(bundle, task, node, answer.seconds, answer.load_s);
@@ -488,7 +487,7 @@ impl Drive<'_, '_> {
         // slot.
         let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
         let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
-        self.planner.set_overhead((idle / self.over as f64).clamp(0.001, 60.0));
+        self.planner.overhead = (idle / self.over as f64).clamp(0.001, 60.0);
     }
 
     fn view(&self, eta: [f64; 3], elapsed: f64) -> View {

@@ -1,6 +1,6 @@
 //! The job file: contents of an image database, and its renderer.
 
-use super::command::{self, Placeholders};
+use super::command;
 pub use super::job_file::{
     CamerasEntry, JobFile, Predict, Renderer, Retry, TransferEntry, VolumesEntry, draw_settings,
 };
@@ -516,7 +516,7 @@ fn renderer(renderer: Renderer, folder: &Path) -> Result<Renderer> {
         Renderer::Command { command, timeout_s } => {
             check_program(command, *timeout_s)?;
             for argument in command {
-                command::check(argument, &Placeholders::NAMES)?;
+                command::check(argument, &command::PLACEHOLDERS)?;
             }
             ensure!(
                 command.iter().any(|a| a.contains("{out}")),

@@ -34,6 +34,6 @@ pub mod worker;
 
 pub use command::quoted;
 pub use list::{
-    AffinityTask, By, Farm, Method, Plan, Span, Task, Timeline, eta, parse_tasks, plan, play, read_tasks,
-    simulate_affinity, simulate_queue, times, volume_numbers,
+    By, Farm, Method, Plan, Span, Task, Timeline, eta, parse_tasks, plan, play, read_tasks, simulate_queue,
+    times, volume_numbers,
 };

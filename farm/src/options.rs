@@ -15,6 +15,6 @@ pub struct Options {
     pub order: crate::dispatch::Order,
     /// True to treat all tasks as equally long in the whole run, for comparison.
     pub uniform: bool,
-    /// Initial estimate of a bundle's overhead, seconds; default: the engine's.
-    pub overhead: Option<f64>,
+    /// Initial estimate of a bundle's overhead, seconds.
+    pub overhead: f64,
 }

@@ -86,14 +86,16 @@ struct Running {
 pub struct Planner {
     setting: Setting,
     learner: Learner,
-    loads: Loads,
+    /// The model of loading times.
+    pub loads: Loads,
     dispatcher: Dispatcher,
     stages: VecDeque<Vec<u32>>,
     states: Vec<State>,
     slots: Vec<Slot>,
     running: BTreeMap<u64, Running>,
     bundles: u64,
-    overhead: f64,
+    /// Measured overhead of a bundle, seconds.
+    pub(crate) overhead: f64,
     overheads: u32,
     done: usize,
     wanted: usize,
@@ -193,16 +195,6 @@ impl Planner {
         &self.learner
     }
 
-    /// The model of loading times.
-    pub fn loads(&self) -> &Loads {
-        &self.loads
-    }
-
-    /// Adds a measured loading time to the model of loading times.
-    pub(crate) fn observe_load(&mut self, volume: usize, warm: bool, seconds: f64) {
-        self.loads.observe(volume, warm, seconds);
-    }
-
     /// Number of finished tasks and of all tasks, both including those that earlier runs have finished.
     pub(crate) fn progress(&self) -> (usize, usize) {
         (self.done, self.wanted)
@@ -237,16 +229,6 @@ impl Planner {
     /// True if no task waits and no bundle runs.
     pub(crate) fn is_over(&self) -> bool {
         self.pending() == 0 && self.running.is_empty()
-    }
-
-    /// Measured overhead of a bundle, seconds.
-    pub(crate) fn overhead(&self) -> f64 {
-        self.overhead
-    }
-
-    /// Sets the overhead of a bundle.
-    pub(crate) fn set_overhead(&mut self, seconds: f64) {
-        self.overhead = seconds;
     }
 
     /// Current expected seconds of a task.

@@ -102,7 +102,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                 if load > 0.0 {
                     let volume = world.volume[task as usize];
                     let warm = !loaded.insert((slot, volume));
-                    planner.observe_load(volume, warm, load);
+                    planner.loads.observe(volume, warm, load);
                 }
                 worked += world.seconds[task as usize];
                 out.ran.push(Ran { task, slot, start, end: now });

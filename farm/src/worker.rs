@@ -1,7 +1,8 @@
 //! A worker: renders the tasks of bundles, one after another. It first writes each complete image, then the
 //! answer to the spool. Both remain if the worker is killed.
 
-use super::command::{Placeholders, fill};
+use super::command::fill;
+use super::engine::utf8;
 use super::job::{Renderer, draw_settings};
 use super::record::{Answer, BundleOrder, Line, Order, run_number, unix_now};
 use super::session::Session;
@@ -264,11 +265,9 @@ impl Own {
 }
 
 /// The values of a task's placeholders.
-fn placeholders(order: &Order, out: &Path) -> Result<Placeholders> {
-    let path =
-        |p: &Path| p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()));
-    Ok(Placeholders(vec![
-        ("volume", path(&order.volume)?),
+fn placeholders(order: &Order, out: &Path) -> Result<Vec<(&'static str, String)>> {
+    Ok(vec![
+        ("volume", utf8(order.volume.as_os_str())?),
         ("volume_name", order.volume_name.clone()),
         ("time", order.time.to_string()),
         ("rx_deg", order.camera[0].to_string()),
@@ -280,9 +279,9 @@ fn placeholders(order: &Order, out: &Path) -> Result<Placeholders> {
         ("width", order.size[0].to_string()),
         ("height", order.size[1].to_string()),
         ("step", order.step.to_string()),
-        ("out", path(out)?),
+        ("out", utf8(out.as_os_str())?),
         ("task", order.task.clone()),
-    ]))
+    ])
 }
 
 /// Runs a program for one image.

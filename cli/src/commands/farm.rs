@@ -175,7 +175,7 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         preview: options.preview,
         order: order(options.order),
         uniform: options.order == OrderOption::Uniform,
-        overhead: options.overhead,
+        overhead: setting(options, 1).overhead,
     };
     let mut database = Database::open(&job, &driving)?;
     let places = Places { state: job.state(), program: program.to_vec() };
@@ -334,7 +334,7 @@ fn save_tasks(job: &Job, planner: &Planner, file: &std::path::Path) -> Result<()
             format!("{:016x}", job.id(task)),
             planner.learner().seconds(task).to_string(),
             format!("{} {}", job.volumes[at.volume].name, job.volumes[at.volume].time),
-            planner.loads().seconds(at.volume, false).to_string(),
+            planner.loads.seconds(at.volume, false).to_string(),
         ])?;
     }
     write_whole(file, &table.into_inner()?)
@@ -356,7 +356,7 @@ fn export(
         .enumerate()
         .map(|(k, tasks)| {
             let volume = planner.learner().shape().volume(tasks[0] as usize);
-            let load = planner.loads().seconds(volume, false);
+            let load = planner.loads.seconds(volume, false);
             let upper_s = planner.learner().upper(&tasks, 0.99) + 2.0 * load + 60.0;
             let orders = tasks.iter().map(|t| database.order(*t, planner.expected(*t))).collect();
             Bundle { number: (database.run() << 32) + k as u64, slot: None, orders, upper_s }

@@ -138,10 +138,6 @@ impl Engine for HyperQueue {
         self.options.workers
     }
 
-    fn overhead(&self) -> f64 {
-        Self::OVERHEAD
-    }
-
     fn limit(&self) -> Option<f64> {
         self.options.worker_limit.map(longest_bundle)
     }

@@ -156,10 +156,6 @@ impl Engine for Local {
         true
     }
 
-    fn overhead(&self) -> f64 {
-        Self::OVERHEAD
-    }
-
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
         for bundle in bundles {
             let slot = bundle.slot.context("a bundle without a slot")?;

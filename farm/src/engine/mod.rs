@@ -61,8 +61,6 @@ pub trait Engine {
     fn bound(&self) -> bool {
         false
     }
-    /// Initial estimate of a bundle's overhead on its slot, seconds.
-    fn overhead(&self) -> f64;
     /// Longest time request that the engine accepts, seconds; `None` for no limit.
     fn limit(&self) -> Option<f64> {
         None

@@ -255,10 +255,6 @@ impl Engine for Slurm {
         self.slots
     }
 
-    fn overhead(&self) -> f64 {
-        Self::OVERHEAD
-    }
-
     fn limit(&self) -> Option<f64> {
         self.limit
     }

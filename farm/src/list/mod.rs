@@ -7,12 +7,13 @@ mod queue;
 mod tests;
 
 pub use bound::lower_bound;
-pub use queue::{AffinityTask, Span, Timeline, simulate_affinity, simulate_queue};
+pub use queue::{Span, Timeline, simulate_queue};
 
 use anyhow::{Context, Result, ensure};
 use entire_io::files::{decode_text, read_bytes};
 use entire_steer::schedule::{Assignment, assign_longest_first, longest_first};
 use exchange::exchange;
+use queue::simulate_affinity;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
@@ -190,14 +191,8 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
 pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result<Timeline> {
     let speeds = &farm.speeds;
     let volumes = volume_numbers(tasks);
-    let near = || -> Vec<AffinityTask> {
-        let times = seconds.iter().zip(&volumes);
-        tasks
-            .iter()
-            .zip(times)
-            .map(|(t, (&seconds, &volume))| AffinityTask { volume, seconds, load: t.load_s })
-            .collect()
-    };
+    let loads: Vec<f64> = tasks.iter().map(|t| t.load_s).collect();
+    let work = (seconds, volumes.as_slice(), loads.as_slice());
     match plan {
         Plan::Assigned(assignment, order) => {
             let mut free = vec![0.0; speeds.len()];
@@ -214,8 +209,8 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
             Ok(Timeline { spans, makespan: free.into_iter().fold(0.0, f64::max) })
         }
         // With a window of one task, nodes take the tasks in order.
-        Plan::Queued(order) => simulate_affinity(order, &near(), speeds, 1, farm.dispatch),
-        Plan::Near(order) => simulate_affinity(order, &near(), speeds, farm.window, farm.dispatch),
+        Plan::Queued(order) => simulate_affinity(order, work, speeds, 1, farm.dispatch),
+        Plan::Near(order) => simulate_affinity(order, work, speeds, farm.window, farm.dispatch),
     }
 }
 

@@ -26,17 +26,6 @@ pub struct Timeline {
     pub makespan: f64,
 }
 
-/// A task that needs a volume.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AffinityTask {
-    /// The volume that the task needs.
-    pub volume: usize,
-    /// Seconds of the task on a node of speed 1, without loading.
-    pub seconds: f64,
-    /// Seconds to load the volume on a node that does not hold it. They do not depend on the node's speed.
-    pub load: f64,
-}
-
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
 /// `times` are the true times; predictions determine only the order. Arrival order is `0..n`;
 /// [`longest_first`] returns the order of predicted times, longest first. Every dispatch costs `dispatch`
@@ -45,29 +34,29 @@ pub struct AffinityTask {
 /// # Errors
 /// For unusable times, speeds or dispatch cost, or an order that is not a permutation of the tasks.
 pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: f64) -> Result<Timeline> {
-    let tasks: Vec<_> = times.iter().map(|&seconds| AffinityTask { volume: 0, seconds, load: 0.0 }).collect();
-    simulate_affinity(order, &tasks, speeds, 1, dispatch)
+    let n = times.len();
+    simulate_affinity(order, (times, &vec![0; n], &vec![0.0; n]), speeds, 1, dispatch)
 }
 
 /// Simulates a queue in which a node keeps its last volume. The node takes the first task on this volume
 /// among the next `window` tasks of the order, or the next task if there is none. Every dispatch costs
-/// `dispatch` seconds of the node.
+/// `dispatch` seconds of the node. The tasks are given by their seconds on a node of speed 1 without loading,
+/// their volumes, and the seconds to load each task's volume on a node that does not hold it, which do not
+/// depend on the node's speed.
 ///
 /// # Errors
 /// For unusable times, speeds or dispatch cost, a window of 0, or an order that is not a permutation of the
 /// tasks.
-pub fn simulate_affinity(
+pub(super) fn simulate_affinity(
     order: &[usize],
-    tasks: &[AffinityTask],
+    (times, volumes, loads): (&[f64], &[usize], &[f64]),
     speeds: &[f64],
     window: usize,
     dispatch: f64,
 ) -> Result<Timeline> {
-    let times: Vec<f64> = tasks.iter().map(|t| t.seconds).collect();
-    check(&times, speeds)?;
-    let loads: Vec<f64> = tasks.iter().map(|t| t.load).collect();
-    check(&loads, speeds)?;
-    check_order(order, tasks.len())?;
+    check(times, speeds)?;
+    check(loads, speeds)?;
+    check_order(order, times.len())?;
     ensure!(
         dispatch.is_finite() && dispatch >= 0.0,
         "the dispatch cost is {dispatch} seconds; it must be finite and not negative"
@@ -79,13 +68,12 @@ pub fn simulate_affinity(
     let mut spans = Vec::with_capacity(order.len());
     while !waiting.is_empty() {
         let node = first_free(&free, speeds);
-        let near = waiting.iter().take(window).position(|&t| holds[node] == Some(tasks[t].volume));
+        let near = waiting.iter().take(window).position(|&t| holds[node] == Some(volumes[t]));
         let Some(task) = waiting.remove(near.unwrap_or(0)) else { break };
-        let AffinityTask { volume, seconds, load } = tasks[task];
-        let loading = if holds[node] == Some(volume) { 0.0 } else { load };
-        holds[node] = Some(volume);
+        let holding = holds[node].replace(volumes[task]) == Some(volumes[task]);
+        let loading = if holding { 0.0 } else { loads[task] };
         let start = free[node];
-        let end = start + dispatch + loading + seconds / speeds[node];
+        let end = start + dispatch + loading + times[task] / speeds[node];
         free[node] = end;
         spans.push(Span { task, node, start, end });
     }

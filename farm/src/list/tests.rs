@@ -83,14 +83,13 @@ fn a_queue_is_as_long_as_its_longest_task_where_that_goes_first() {
 
 #[test]
 fn affinity_saves_loads() {
-    let tasks: Vec<AffinityTask> =
-        (0..24).map(|i| AffinityTask { volume: i % 3, seconds: 1.0, load: 10.0 }).collect();
+    let volumes: Vec<usize> = (0..24).map(|i| i % 3).collect();
     let order: Vec<usize> = (0..24).collect();
-    let plain = simulate_affinity(&order, &tasks, &ones(3), 1, 0.0).unwrap().makespan;
-    let near = simulate_affinity(&order, &tasks, &ones(3), 24, 0.0).unwrap().makespan;
+    let tasks = (&[1.0; 24][..], &volumes[..], &[10.0; 24][..]);
+    let plain = simulate_affinity(&order, tasks, &ones(3), 1, 0.0).unwrap().makespan;
+    let near = simulate_affinity(&order, tasks, &ones(3), 24, 0.0).unwrap().makespan;
     assert!(near <= 18.0 && plain >= near, "{plain} {near}");
-    let loaded = [AffinityTask { volume: 0, seconds: 2.0, load: 5.0 }];
-    assert_eq!(simulate_affinity(&[0], &loaded, &[2.0], 1, 0.0).unwrap().makespan, 6.0);
+    assert_eq!(simulate_affinity(&[0], (&[2.0], &[0], &[5.0]), &[2.0], 1, 0.0).unwrap().makespan, 6.0);
 }
 
 #[test]
@@ -99,9 +98,8 @@ fn nonsense_is_refused() {
         assert!(simulate_queue(order, &[1.0, 2.0], &[1.0], 0.0).is_err(), "{order:?}");
     }
     assert!(simulate_queue(&[0], &[1.0], &[1.0], f64::NAN).is_err());
-    let task = AffinityTask { volume: 0, seconds: 1.0, load: f64::INFINITY };
-    assert!(simulate_affinity(&[0], &[task], &[1.0], 1, 0.0).is_err());
-    assert!(simulate_affinity(&[0], &[AffinityTask { load: 0.0, ..task }], &[1.0], 0, 0.0).is_err());
+    assert!(simulate_affinity(&[0], (&[1.0], &[0], &[f64::INFINITY]), &[1.0], 1, 0.0).is_err());
+    assert!(simulate_affinity(&[0], (&[1.0], &[0], &[0.0]), &[1.0], 0, 0.0).is_err());
     for (times, speeds) in [(&[f64::NAN][..], &[1.0][..]), (&[-1.0], &[1.0]), (&[1.0], &[0.0]), (&[1.0], &[])]
     {
         assert!(simulate_queue(&[0], times, speeds, 0.0).is_err(), "{times:?} {speeds:?}");
