@@ -79,6 +79,8 @@ struct Running {
     /// Start of the bundle's first task, if known.
     begun: Option<f64>,
     busy: f64,
+    /// True if a task of the bundle has failed. The seconds of failed tasks are not part of `busy`.
+    failed: bool,
 }
 
 /// The plan.
@@ -179,10 +181,23 @@ impl Planner {
 
     /// Records that a task was quarantined.
     pub(crate) fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
-        if let Some(r) = bundle.and_then(|b| self.running.get_mut(&b)) {
-            r.open.retain(|t| *t != task);
+        if let Some(bundle) = bundle {
+            self.fail(bundle, task);
         }
         self.states[task as usize] = State::Quarantined;
+    }
+
+    /// Removes a task from the unfinished ones of a running bundle, which it returns.
+    fn close(&mut self, bundle: u64, task: u32) -> Option<&mut Running> {
+        let running = self.running.get_mut(&bundle)?;
+        running.open.retain(|t| *t != task);
+        Some(running)
+    }
+
+    fn fail(&mut self, bundle: u64, task: u32) {
+        if let Some(r) = self.close(bundle, task) {
+            r.failed = true;
+        }
     }
 
     /// State of a task.
@@ -286,7 +301,8 @@ impl Planner {
         let bundle = self.bundles;
         self.bundles += 1;
         let sent = Sent { bundle, tasks: tasks.clone(), slot, volume, expected_s, predicted_s };
-        let running = Running { sent: sent.clone(), open: tasks, at: now, begun: None, busy: 0.0 };
+        let running =
+            Running { sent: sent.clone(), open: tasks, at: now, begun: None, busy: 0.0, failed: false };
         self.running.insert(bundle, running);
         Some(sent)
     }
@@ -305,8 +321,7 @@ impl Planner {
 
     /// Records a finished task.
     pub(crate) fn done(&mut self, bundle: u64, task: u32, node: usize, seconds: f64, load: f64) {
-        if let Some(r) = self.running.get_mut(&bundle) {
-            r.open.retain(|t| *t != task);
+        if let Some(r) = self.close(bundle, task) {
             r.busy += seconds + load;
         }
         if self.states[task as usize] == State::Done {
@@ -321,9 +336,7 @@ impl Planner {
 
     /// Queues a task again.
     pub(crate) fn again(&mut self, bundle: u64, task: u32) {
-        if let Some(r) = self.running.get_mut(&bundle) {
-            r.open.retain(|t| *t != task);
-        }
+        self.fail(bundle, task);
         if self.states[task as usize] == State::Sent {
             self.states[task as usize] = State::Waits;
             self.dispatcher.add_again(task);
@@ -333,7 +346,7 @@ impl Planner {
     /// Records the end of a bundle; its unfinished tasks are queued again.
     pub(crate) fn ended(&mut self, bundle: u64, now: f64) {
         let Some(r) = self.running.remove(&bundle) else { return };
-        if self.setting.bound && r.open.is_empty() {
+        if self.setting.bound && r.open.is_empty() && !r.failed {
             // Time in which the slot neither rendered nor loaded.
             let gap = (now - r.at - r.busy).clamp(0.0, 60.0);
             self.overheads += 1;

@@ -58,6 +58,19 @@ fn the_queue_is_sorted_again_only_after_a_fit() {
 }
 
 #[test]
+fn the_time_of_a_failed_task_is_no_overhead() {
+    let mut p = planner(&[1.0; 4], &[0; 4], vec![0.0], 1, false);
+    let sent = p.next(Some(0), 0.0).unwrap();
+    sent.tasks.iter().for_each(|task| p.again(sent.bundle, *task));
+    p.ended(sent.bundle, 60.0);
+    assert_eq!(p.overhead, 0.0);
+    let sent = p.next(Some(0), 60.0).unwrap();
+    sent.tasks.iter().for_each(|task| p.done(sent.bundle, *task, 0, 1.0, 0.0));
+    p.ended(sent.bundle, 60.5 + sent.tasks.len() as f64);
+    assert_eq!(p.overhead, 0.5);
+}
+
+#[test]
 fn losses_are_made_good() {
     let seconds = times(400);
     let mut p = planner(&seconds, &vec![0; 400], vec![0.0], 8, true);
