@@ -3,7 +3,7 @@
 
 use super::{Bundle, Engine, Event, Places};
 use crate::record::Line;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use entire_io::child::wait_at_most;
 use entire_io::machine;
 use std::fs::File;
@@ -11,6 +11,9 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
+
+/// Maximum number of times in a row that the process of a slot ends before it begins another task.
+const DEATHS: u32 = 3;
 
 /// The engine.
 pub struct Local {
@@ -30,6 +33,8 @@ struct Worker {
     bundle: Option<u64>,
     at: Option<String>,
     since: Instant,
+    /// Number of times that this slot's process has ended since its last line.
+    deaths: u32,
 }
 
 impl Local {
@@ -91,7 +96,7 @@ impl Local {
             }
             let _ = send.send((slot, generation, None));
         });
-        Ok(Worker { child, input, generation, bundle: None, at: None, since: Instant::now() })
+        Ok(Worker { child, input, generation, bundle: None, at: None, since: Instant::now(), deaths: 0 })
     }
 
     fn handle(
@@ -119,23 +124,29 @@ impl Local {
                     }
                 }
                 worker.since = Instant::now();
+                worker.deaths = 0;
                 out.push(Event::Line(bundle, line));
             }
             None => {
                 worker.input = None;
                 let status = worker.child.wait().map_or_else(|e| e.to_string(), |s| s.to_string());
-                let bundle = worker.bundle.take();
+                let (bundle, deaths) = (worker.bundle.take(), worker.deaths + 1);
                 if self.stopping {
                     if let Some(bundle) = bundle {
                         out.push(Event::Lost(bundle, String::new()));
                     }
                     return Ok(());
                 }
+                let said = crate::spool::tail(&self.log(slot));
+                ensure!(
+                    deaths <= DEATHS,
+                    "worker {slot} ended {deaths} times in a row before it began another task; the last time \
+                     ({status}): {said}; remove the cause and continue with --resume"
+                );
                 if let Some(bundle) = bundle {
-                    let said = crate::spool::tail(&self.log(slot));
                     out.push(Event::Lost(bundle, format!("worker {slot} ended ({status}): {said}")));
                 }
-                self.workers[slot] = self.spawn(slot, slots, generation + 1)?;
+                self.workers[slot] = Worker { deaths, ..self.spawn(slot, slots, generation + 1)? };
                 out.push(Event::Fresh(slot));
             }
         }
@@ -216,6 +227,24 @@ impl Drop for Local {
         for worker in &mut self.workers {
             let left = Duration::from_secs(2).saturating_sub(clock.elapsed());
             let _ = wait_at_most(&mut worker.child, left);
+        }
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_worker_without_a_bundle_that_ends_again_and_again_ends_the_run() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("logs")).unwrap();
+        let program = ["sh", "-c", "echo no device >&2; exit 3"].map(std::ffi::OsString::from).to_vec();
+        let mut engine = Local::start(Places { state: dir.path().to_owned(), program }, 1, 1).unwrap();
+        let ended = (0..600).find_map(|_| engine.poll(Duration::from_millis(100)).err());
+        let said = ended.expect("an error after a few ends").to_string();
+        for part in ["worker 0 ended 4 times in a row", "exit status: 3", "no device", "--resume"] {
+            assert!(said.contains(part), "{said}");
         }
     }
 }
