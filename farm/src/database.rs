@@ -240,6 +240,9 @@ impl<'a> Database<'a> {
         for (task, answer) in &self.done {
             planner.done_before(*task, 0, answer.seconds);
         }
+        for task in self.quarantined.keys() {
+            planner.quarantine(None, *task);
+        }
         planner.refresh();
         planner
     }

@@ -41,9 +41,13 @@ pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize, limit: Option<f64>)
 /// Writes the bundles' descriptions into the state folder and the template to `file`.
 ///
 /// # Errors
-/// When all tasks are finished, or a file cannot be written.
+/// When there is no bundle, or a file cannot be written.
 pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &Path) -> Result<()> {
-    ensure!(!bundles.is_empty(), "all tasks are done; there is nothing to export");
+    ensure!(
+        !bundles.is_empty(),
+        "there is nothing to export: all tasks are done, or were given up; --resume --retry-quarantined exports \
+         those that were given up"
+    );
     for bundle in bundles {
         places.write_order(bundle, run)?;
     }
