@@ -352,7 +352,10 @@ impl Drive<'_, '_> {
                     self.planner.forget(slot);
                     self.loaded.retain(|(node, _)| *node != slot);
                 }
-                Event::Down(why) => self.down = Some(why),
+                Event::Down(why) => {
+                    // The first reason is the cause of the others.
+                    self.down.get_or_insert(why);
+                }
             }
         }
         Ok(())
@@ -456,11 +459,13 @@ impl Drive<'_, '_> {
     }
 
     /// Starts an engine in place of one that has ended. The bundles of the ended engine are lost, except for
-    /// the answers in the spool.
+    /// the answers in the spool. Answers that were processed before are skipped: a failure counts once.
     fn restart(&mut self, start: &mut dyn FnMut(u64) -> Result<Box<dyn Engine>>) -> Result<()> {
         for bundle in self.planner.bundles() {
             for line in spool::lines(&spool::path(&self.database.job.state(), bundle))? {
-                if let Line::Answer(answer) = line {
+                let Line::Answer(answer) = line else { continue };
+                let open = self.planner.open(bundle);
+                if self.database.number(&answer.task).is_some_and(|task| open.contains(&task)) {
                     self.answer(bundle, answer)?;
                 }
             }
@@ -516,3 +521,7 @@ impl Drive<'_, '_> {
         )
     }
 }
+
+#[cfg(test)]
+#[path = "drive_tests.rs"]
+mod tests;

@@ -1,0 +1,100 @@
+use super::*;
+use crate::predict;
+use std::path::PathBuf;
+
+/// An engine of one slot that answers each bundle at once.
+struct Fake {
+    state: PathBuf,
+    /// True if every task fails and the engine then ends.
+    ends: bool,
+    events: Vec<Event>,
+}
+
+impl Engine for Fake {
+    fn name(&self) -> &'static str {
+        "fake"
+    }
+
+    fn slots(&self) -> usize {
+        1
+    }
+
+    fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
+        for bundle in bundles {
+            let (number, mut lines) = (bundle.number, String::new());
+            for order in &bundle.orders {
+                let error = self.ends.then(|| "no picture".to_owned());
+                let task = order.task.clone();
+                let line = Line::Answer(Answer { task, seconds: 1.0, error, ..Answer::default() });
+                lines += &(serde_json::to_string(&line)? + "\n");
+                self.events.push(Event::Line(number, line));
+            }
+            std::fs::write(spool::path(&self.state, number), lines)?;
+            if self.ends {
+                self.events.push(Event::Down("the queue is gone".into()));
+                self.events.push(Event::Down("the script ended".into()));
+            } else {
+                self.events.push(Event::Line(number, Line::End { end: number }));
+            }
+        }
+        Ok(())
+    }
+
+    fn cancel(&mut self) -> Result<()> {
+        Ok(())
+    }
+
+    fn poll(&mut self, _: Duration) -> Result<Vec<Event>> {
+        Ok(std::mem::take(&mut self.events))
+    }
+}
+
+/// A folder with a job of two tasks, each with `attempts`.
+fn setting(attempts: u32) -> (tempfile::TempDir, Job) {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("v.raw"), [0u8; 8]).unwrap();
+    let text = format!(
+        "name = \"t\"\nsizes = [\"16x16\"]\n[[volumes]]\nfiles = [\"v.raw\"]\n\
+         [[cameras]]\nkind = \"orbit\"\nviews = 2\ndistances_radii = [2.0]\n\
+         [[transfer]]\nname = \"a\"\nlobes = [[0.5, 0.1, 0.2]]\n\
+         [renderer]\nkind = \"command\"\ncommand = [\"draw\", \"{{out}}\"]\n[retry]\nattempts = {attempts}\n"
+    );
+    std::fs::write(dir.path().join("job.toml"), text).unwrap();
+    let job = Job::open(&dir.path().join("job.toml")).unwrap();
+    (dir, job)
+}
+
+/// Runs a job on engines of which the first `ending` ones end.
+fn run_on(database: &mut Database<'_>, ending: usize) -> Result<Summary> {
+    let (job, mut started) = (database.job, 0);
+    run(database, predict::base(job)?, &Options { overhead: 0.01, ..Options::default() }, &mut |_| {
+        started += 1;
+        Ok(Box::new(Fake { state: job.state(), ends: started <= ending, events: Vec::new() }))
+    })
+}
+
+#[test]
+fn a_failure_before_the_end_of_an_engine_counts_once() {
+    let (_dir, job) = setting(2);
+    let summary = run_on(&mut Database::open(&job, &Options::default()).unwrap(), 1).unwrap();
+    assert_eq!((summary.done, summary.quarantined.len()), (2, 0));
+}
+
+#[test]
+fn an_engine_that_ends_again_and_again_ends_the_run_with_its_first_reason() {
+    let (_dir, job) = setting(9);
+    let said = run_on(&mut Database::open(&job, &Options::default()).unwrap(), usize::MAX).unwrap_err();
+    assert!(said.to_string().contains("the queue is gone; 3 restarts failed"), "{said}");
+}
+
+#[test]
+fn a_plan_for_another_farm_has_no_task_that_was_given_up() {
+    let (_dir, job) = setting(1);
+    let mut database = Database::open(&job, &Options::default()).unwrap();
+    let summary = run_on(&mut database, 1).unwrap();
+    assert_eq!((summary.done, summary.quarantined.len()), (1, 1));
+    let order = crate::dispatch::Order::LongestFirst;
+    let setting = Setting { slots: 1, bound: true, overhead: 0.01, limit: None, order, learn: true };
+    let plan = database.plan(predict::base(&job).unwrap(), setting);
+    assert!((0..2).all(|task| plan.state(task) != State::Idle));
+}
