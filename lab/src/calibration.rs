@@ -20,9 +20,6 @@ pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
 }
 
 /// Returns the samples of [`samples_of`], each with the name of its volume.
-///
-/// # Errors
-/// As [`samples_of`].
 pub(crate) fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(String, Sample)>> {
     let tables = read_tables(tables)?;
     let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();

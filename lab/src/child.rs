@@ -10,30 +10,19 @@ use std::time::{Duration, Instant};
 /// Interval between checks of a running process.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Result of waiting for a process.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Ended {
-    /// Exit status.
-    pub(crate) status: ExitStatus,
-    /// True if the process was asked to end.
-    pub(crate) asked: bool,
-}
-
-/// Waits until a process ends. Once `over` returns true (a deadline has passed, or the user asked to stop), `signal`
-/// asks the process to end; if it still runs after `grace`, it is killed.
-///
-/// # Errors
-/// When the system refuses to wait for the process or to kill it.
+/// Waits until a process ends; returns its exit status, and true if the process was asked to end. Once `over` returns
+/// true (a deadline has passed, or the user asked to stop), `signal` asks the process to end; if it still runs after
+/// `grace`, it is killed.
 pub(crate) fn wait(
     child: &mut Child,
     over: impl Fn() -> bool,
     signal: Signal,
     grace: Duration,
-) -> Result<Ended> {
+) -> Result<(ExitStatus, bool)> {
     let mut asked: Option<Instant> = None;
     loop {
         if let Some(status) = child.try_wait().context("cannot wait for a command")? {
-            return Ok(Ended { status, asked: asked.is_some() });
+            return Ok((status, asked.is_some()));
         }
         match asked {
             None if over() => {
@@ -45,7 +34,7 @@ pub(crate) fn wait(
             Some(at) if at.elapsed() >= grace => {
                 child.kill().context("cannot kill a command that does not end")?;
                 let status = child.wait().context("cannot wait for a command")?;
-                return Ok(Ended { status, asked: true });
+                return Ok((status, true));
             }
             _ => {}
         }
@@ -61,7 +50,7 @@ mod tests {
 
     /// Starts a shell that runs `on_term` at SIGTERM and then continues. [`wait`] asks it to end once its
     /// trap is set. Returns the result of [`wait`] and its duration.
-    fn told_to_end(on_term: &str, grace: Duration) -> (Ended, Duration) {
+    fn told_to_end(on_term: &str, grace: Duration) -> ((ExitStatus, bool), Duration) {
         let dir = tempfile::tempdir().unwrap();
         let ready = dir.path().join("ready");
         let script = format!("trap '{on_term}' TERM; : >'{}'; while :; do sleep 0.05; done", ready.display());
@@ -74,13 +63,13 @@ mod tests {
     #[test]
     fn a_process_ends_by_itself_when_it_is_asked_or_when_it_is_killed() {
         let mut child = Command::new("/bin/sh").args(["-c", "exit 3"]).spawn().unwrap();
-        let ended = wait(&mut child, || false, Signal::SIGTERM, Duration::ZERO).unwrap();
-        assert_eq!((ended.status.code(), ended.asked), (Some(3), false));
-        let (ended, _) = told_to_end("exit 7", Duration::from_secs(60));
-        assert_eq!((ended.status.code(), ended.asked), (Some(7), true));
+        let (status, asked) = wait(&mut child, || false, Signal::SIGTERM, Duration::ZERO).unwrap();
+        assert_eq!((status.code(), asked), (Some(3), false));
+        let ((status, asked), _) = told_to_end("exit 7", Duration::from_secs(60));
+        assert_eq!((status.code(), asked), (Some(7), true));
         let grace = Duration::from_millis(300);
-        let (ended, took) = told_to_end("", grace);
-        assert_eq!((ended.status.signal(), ended.asked), (Some(9), true));
+        let ((status, asked), took) = told_to_end("", grace);
+        assert_eq!((status.signal(), asked), (Some(9), true));
         assert!(took >= grace, "{took:?}");
     }
 }

@@ -101,9 +101,6 @@ pub(crate) struct Candidate {
 
 impl Candidate {
     /// Measures the errors of a predictor. The new candidate is not chosen.
-    ///
-    /// # Errors
-    /// As [`SteeringModel::quality`].
     pub(crate) fn of(fitted: SteeringModel, samples: &[Sample]) -> Result<Self> {
         Self::judged(fitted.quality(samples.iter().filter(|s| held_out(s))), fitted)
     }
@@ -135,9 +132,6 @@ impl Candidate {
 }
 
 /// A volume of a single voxel, for predictors that use no volume.
-///
-/// # Errors
-/// When a volume of one voxel is refused.
 pub(crate) fn no_volume() -> Result<VolumeView<'static>> {
     Ok(VolumeView::new(Scalars::U8(&[0]), [1, 1, 1])?)
 }
@@ -168,20 +162,11 @@ impl Calibrated {
             let fitted = SteeringModel::new(title, model.to_model()?, &volume)?;
             candidates.push(Candidate::of(fitted, samples)?);
         }
-        let mut out = Self { candidates };
-        out.choose();
-        Ok(out)
-    }
-
-    /// Chooses the candidate with the smallest scatter on held-out frames.
-    fn choose(&mut self) {
         let sd = |c: &Candidate| c.held_out.log_sd;
-        let best = self.candidates.iter().map(sd).fold(f64::INFINITY, f64::min);
-        let mut found = false;
-        for c in &mut self.candidates {
-            c.chosen = !found && sd(c) <= best;
-            found |= c.chosen;
+        if let Some(best) = candidates.iter_mut().min_by(|a, b| sd(a).total_cmp(&sd(b))) {
+            best.chosen = true;
         }
+        Ok(Self { candidates })
     }
 
     /// The chosen candidate.

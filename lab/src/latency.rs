@@ -78,9 +78,6 @@ pub(crate) struct Bench {
 
 impl Bench {
     /// Chooses random frames of a volume by the default distribution of `entire collect`.
-    ///
-    /// # Errors
-    /// When the volume cannot be summarized.
     pub(crate) fn new(volume: &Volume, shading: Shading) -> Result<Self> {
         let summary = VolumeSummary::new(&volume.view())?;
         let drawn = SceneDistribution::default();
@@ -100,9 +97,6 @@ impl Bench {
     }
 
     /// Latency of a model: the minimum over a few rounds, since other programs only add time.
-    ///
-    /// # Errors
-    /// When the model cannot be loaded or lacks an input.
     pub(crate) fn latency(&mut self, model: &Model) -> Result<Latency> {
         let mut predictor = load(model)?;
         let looks = model.input_size(GroupKind::SceneFeatures).is_some();
@@ -115,9 +109,6 @@ impl Bench {
 
     /// Returns the latency of any predictor, measured as in [`Bench::latency`]. `probe_side` is `None` if the
     /// predictor does not use the scene; `codes` is its number of volume features.
-    ///
-    /// # Errors
-    /// When `predict` fails or a frame's features cannot be computed.
     pub(crate) fn latency_of(
         &mut self,
         probe_side: Option<usize>,

@@ -1,7 +1,8 @@
 //! Ships the models of a study: writes model files with their cards. The models are evaluated with the weights as stored.
 
 use crate::study::{
-    Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, Study, clock, shipped,
+    Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, SplitResult, Study, clock,
+    judge as judge_split, shipped,
 };
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, ModelFile};
@@ -16,15 +17,6 @@ use entire_train::split::TimedFrames;
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-
-/// Errors of a shipped model on a split.
-struct Figures {
-    split: String,
-    tables: Vec<String>,
-    metrics: Metrics,
-    intervals: Option<Intervals>,
-    bound: Option<BoundMetrics>,
-}
 
 fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
@@ -109,7 +101,7 @@ fn judge(
     tables: &[Table],
     runner: &Runner<'_>,
     crossed: bool,
-) -> Result<Vec<Figures>> {
+) -> Result<Vec<SplitResult>> {
     let clock = clock(&study.clock)?;
     let model = file.to_model()?;
     let upper = bound::of(&model);
@@ -123,14 +115,8 @@ fn judge(
         let predicted = predict(&model, &context, &part.frames)?;
         // A bound is not tested on the frames that it was fitted to.
         let upper = upper.filter(|_| crossed || !set.bounds_are_of(split));
-        let bound = upper.and_then(|u| bound::judge(&u, &predicted, &part.seconds));
-        out.push(Figures {
-            split: split.name.clone(),
-            tables: split.tables.iter().map(|t| file_name(t)).collect(),
-            metrics: Metrics::new(&predicted, &part.seconds).context("a split has no frames")?,
-            intervals: Intervals::of(&predicted, &part.seconds, &part.frames),
-            bound,
-        });
+        let result = judge_split(&set.name, &split.name, "shipped", "", &part, &predicted, upper.as_ref());
+        out.push(result.context("a split has no frames")?);
     }
     Ok(out)
 }
@@ -140,7 +126,7 @@ fn provenance(
     study: &Study,
     set: &Set,
     training: &[Table],
-    figures: &[Figures],
+    figures: &[SplitResult],
     fit: Option<&Fit>,
     as_it_is: bool,
 ) -> Result<()> {
@@ -170,8 +156,10 @@ fn provenance(
         json!(crossed.map(|m| json!({ "rmse_over_sd": m.rmse_over_sd, "mdape": m.mdape })));
     stored["figures"] = figures
         .iter()
-        .map(|f| {
-            json!({ "split": f.split, "tables": f.tables, "frames": f.metrics.frames,
+        .zip(&set.splits)
+        .map(|(f, split)| {
+            let tables: Vec<String> = split.tables.iter().map(|t| file_name(t)).collect();
+            json!({ "split": f.split, "tables": tables, "frames": f.metrics.frames,
                 "rmse_over_sd": f.metrics.rmse_over_sd, "mdape": f.metrics.mdape, "r2_log": f.metrics.r2_log,
                 "coverage": f.bound.map(|b| b.coverage) })
         })
@@ -195,7 +183,7 @@ fn card(
     study: &Study,
     set: &Set,
     training: &[Table],
-    figures: &[Figures],
+    figures: &[SplitResult],
     (latency, judged_as): (Option<crate::latency::Latency>, &str),
     found: &Findings,
 ) -> Result<String> {
@@ -205,33 +193,23 @@ fn card(
             .unwrap_or_default();
     let text = |key: &str| stored.get(key).and_then(|v| v.as_str()).unwrap_or("not known").to_owned();
     let shading = text("shading");
-    let mut md = String::new();
-    let _ = writeln!(
-        md,
+    let calibrate = if PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok() {
+        format!("calibrate --data FRAMES.csv --shade {shading} --prior models/{name}.safetensors")
+    } else {
+        format!("train --data FRAMES.csv --fine-tune models/{name}.safetensors")
+    };
+    let mut md = format!(
         "# {name}\n\n{}; weights stored as {}. Predicts the seconds of one frame with shading `{shading}` \
-         before it is drawn.\n",
+         before it is drawn.\n\n\
+         ## Use\n\nSeconds belong to a machine and a renderer. `entire calibrate --shade {shading}` makes a model of \
+         yours in a minute and a half. From frames that were measured elsewhere:\n\n\
+         ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
+         entire {calibrate} --out here.safetensors\n\
+         entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
+         `entire steer --model here.safetensors` steers with it.\n\n## Inputs\n\n",
         text("what"),
         ship.dtype.storage()
     );
-    let _ = writeln!(
-        md,
-        "## Use\n\nSeconds belong to a machine and a renderer. `entire calibrate --shade {shading}` makes a model of \
-         yours in a minute and a half. From frames that were measured elsewhere:\n\n\
-         ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
-         {}\n\
-         entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
-         `entire steer --model here.safetensors` steers with it.\n",
-        if PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok() {
-            format!(
-                "entire calibrate --data FRAMES.csv --shade {shading} --prior models/{name}.safetensors --out here.safetensors"
-            )
-        } else {
-            format!(
-                "entire train --data FRAMES.csv --fine-tune models/{name}.safetensors --out here.safetensors"
-            )
-        }
-    );
-    let _ = writeln!(md, "## Inputs\n");
     for group in &model.inputs {
         let _ = writeln!(md, "- `{}`, {}", group.name, group.size);
     }
@@ -300,34 +278,23 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, computed for this \
-         project and under its licenses \
-         (MIT or Apache-2.0, see data/README.md), enlarged twice trilinearly. Nothing else was trained on; \
-         scans and other \
-         codes serve evaluation alone. The weights are under the project's licenses.\n"
-    );
-    let _ = writeln!(
-        md,
-        "## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, \
-         maestroex_bubbles m01 (a tenth \
-         of the volumes, of distilled ones one volume, decides when training stops). The split *member* has other members, \
-         with other seeds and physical parameters. *time step* has odd time steps of the training members, \
-         *ray step* other ray steps, *modality* scans, *other codes* simulations by other codes, *camera \
-         inside* cameras inside the volume, and *renderer changed* frames of an earlier raycaster.\n"
-    );
-    let _ = writeln!(
-        md,
-        "## Training\n\n{}. Clock: {}; a frame's time is the median of its repeats.\n\n```json\n{}\n```\n",
+        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, computed for this project and \
+         under its licenses (MIT or Apache-2.0, see data/README.md), enlarged twice trilinearly. Nothing else was \
+         trained on; scans and other codes serve evaluation alone. The weights are under the project's licenses.\n\n\
+         ## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, \
+         maestroex_bubbles m01 (a tenth of the volumes, of distilled ones one volume, decides when training stops). \
+         The split *member* has other members, with other seeds and physical parameters. *time step* has odd time \
+         steps of the training members, *ray step* other ray steps, *modality* scans, *other codes* simulations by \
+         other codes, *camera inside* cameras inside the volume, and *renderer changed* frames of an earlier \
+         raycaster.\n\n\
+         ## Training\n\n{}. Clock: {}; a frame's time is the median of its repeats.\n\n```json\n{}\n```\n\n\
+         ## Figures\n\nIn parentheses: 90 % of 200 draws of the volumes, with replacement.\n\n\
+         | split | frames | RMSE, ms | RMSE/SD | median error, % | p95, % | R² in log | below the upper bound, % | \
+         … slowest tenth | median noise, % |\n\
+         |---|---|---|---|---|---|---|---|---|---|",
         text("outcome"),
         study.clock,
         serde_json::to_string_pretty(&stored["settings"]).unwrap_or_default()
-    );
-    let _ = writeln!(
-        md,
-        "## Figures\n\nIn parentheses: 90 % of 200 draws of the volumes, with replacement.\n\n\
-         | split | frames | RMSE, ms | RMSE/SD | median error, % | p95, % | R² in log | below the upper bound, % | \
-         … slowest tenth | median noise, % |\n\
-         |---|---|---|---|---|---|---|---|---|---|"
     );
     for f in figures {
         let m = &f.metrics;
@@ -391,8 +358,8 @@ fn card(
             }
         );
     }
-    let tables: Vec<String> =
-        figures.iter().flat_map(|f| &f.tables).map(|t| format!("data/timings/{t}")).collect();
+    let tables = set.splits.iter().flat_map(|s| &s.tables);
+    let tables: Vec<String> = tables.map(|t| format!("data/timings/{}", file_name(t))).collect();
     let _ = writeln!(
         md,
         "\n`make models` makes this file and its figures anew. One split: `entire evaluate --clock {} \

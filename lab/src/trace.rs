@@ -18,8 +18,7 @@ pub use format::{TRACE_FORMAT, Trace, TraceDraw, TracePoint, TraceVolume};
 
 use anyhow::{Context, Result, ensure};
 use entire_cli::pictures::{BEST_PSNR, psnr, resized, scaled_size, ssim};
-use entire_cli::steering::play::DrawSettings;
-use entire_cli::steering::sizes::{scale_at, volume_at};
+use entire_cli::steering::play::{DrawSettings, scale_at, volume_at};
 use entire_core::scene::Frame;
 use entire_io::dataset::Timing;
 use entire_io::enlarge::enlarge;

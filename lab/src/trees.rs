@@ -30,9 +30,6 @@ pub(crate) struct Trees {
 
 impl Trees {
     /// Grows trees on a recipe's inputs; validation frames, if there are any, determine the number of trees.
-    ///
-    /// # Errors
-    /// When inputs cannot be computed, or the library refuses them.
     pub(crate) fn fit(
         recipe: &Recipe,
         context: &FitContext<'_>,
@@ -74,9 +71,6 @@ impl Trees {
     }
 
     /// Predicted seconds of frames.
-    ///
-    /// # Errors
-    /// When their inputs cannot be computed.
     pub(crate) fn predict(
         &self,
         context: &FitContext<'_>,
@@ -93,9 +87,6 @@ impl Trees {
     }
 
     /// Returns a function that predicts the seconds of one frame. It fails if an input is missing.
-    ///
-    /// # Errors
-    /// When the analytic model holds no predictor.
     pub(crate) fn predictor(&self) -> Result<impl FnMut(&Inputs<'_>) -> Result<f64> + '_> {
         let mut analytic = self.analytic.as_ref().map(load).transpose()?;
         Ok(move |inputs: &Inputs<'_>| {

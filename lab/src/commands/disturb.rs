@@ -5,11 +5,10 @@ use crate::stress::Noise;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction};
-use entire_io::device;
+use entire_io::device::{self, Device};
 use entire_io::files::{make_folder_of, open_volume};
 use entire_io::interrupt;
 use entire_io::metrics::median;
-use entire_io::options::{RenderArgs, parse_size};
 use entire_io::volume::Reading;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -41,18 +40,9 @@ pub(crate) struct Options {
     /// Load on the machine by another program.
     #[arg(long, value_enum)]
     pub(crate) neighbor: Neighbor,
-    /// Duration of the part with the load, seconds.
-    #[arg(long, default_value_t = 20.0, value_name = "SECONDS")]
-    pub(crate) seconds: f64,
-    /// Image size, pixels; a frame should take a few milliseconds.
-    #[arg(long, default_value = "160x160", value_name = "WxH", value_parser = parse_size)]
-    pub(crate) size: (u32, u32),
-    /// Rendering options.
-    #[command(flatten)]
-    pub(crate) render: RenderArgs,
-    /// Seed of the bursts.
-    #[arg(long, default_value_t = 1)]
-    pub(crate) seed: u64,
+    /// The renderer.
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) device: Device,
     /// The table to write.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) out: PathBuf,
@@ -61,9 +51,18 @@ pub(crate) struct Options {
 /// Duration of the part without the load, seconds; slowdowns are relative to its median frame time.
 const QUIET_SECONDS: f64 = 5.0;
 
+/// Duration of the part with the load, seconds.
+const LOADED_SECONDS: f64 = 20.0;
+
+/// Image side, pixels; a frame should take a few milliseconds.
+const SIDE: u32 = 160;
+
+/// Seed of the bursts.
+const SEED: u64 = 1;
+
 /// Puts the load on one core until `stop` is true.
-fn disturb(neighbor: Neighbor, seed: u64, stop: &AtomicBool) {
-    let mut noise = Noise::new(seed);
+fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
+    let mut noise = Noise::new(SEED);
     while !stop.load(Ordering::Relaxed) {
         let burst = Duration::from_secs_f64(0.05 + 0.45 * noise.uniform());
         let begin = Instant::now();
@@ -77,25 +76,15 @@ fn disturb(neighbor: Neighbor, seed: u64, stop: &AtomicBool) {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// A volume that cannot be read, a device that fails, interruption.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    ensure!(options.seconds >= 1.0, "--seconds is {}; at least 1 is needed", options.seconds);
     let volume = open_volume(&options.volume, &Reading::default())?;
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.render.device)?;
+    let mut renderer = device::open(options.device)?;
     renderer.set_volume(&volume.view())?;
     let lobe = GaussianLobe { center: 0.5, width: 0.2, height: 0.05 };
     renderer.set_transfer(&TransferFunction::Gaussian(vec![lobe]).to_table()?)?;
     let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.2 })?;
-    let frame = Frame {
-        shading: options.render.shade.into(),
-        skipping: options.render.skip.into(),
-        termination: options.render.termination,
-        ..Frame::new(camera, options.size.0, options.size.1)?
-    }
-    .checked()?;
+    let frame = Frame::new(camera, SIDE, SIDE)?;
     // Draws frames for `seconds`; returns the start and the wall time of each frame, in seconds.
     let mut draw = |seconds: f64| -> Result<Vec<(f64, f64)>> {
         let begin = Instant::now();
@@ -114,9 +103,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let over = AtomicBool::new(false);
     let drawn = std::thread::scope(|scope| {
         if options.neighbor != Neighbor::None {
-            scope.spawn(|| disturb(options.neighbor, options.seed, &over));
+            scope.spawn(|| disturb(options.neighbor, &over));
         }
-        let drawn = draw(options.seconds);
+        let drawn = draw(LOADED_SECONDS);
         over.store(true, Ordering::Relaxed);
         drawn
     })?;

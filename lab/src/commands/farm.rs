@@ -1,7 +1,7 @@
 //! `entire-lab farm`: comparison of methods of load balancing.
 
 use crate::bars;
-use crate::farm::{Comparison, compare, second_measurement, tasks_of_trace};
+use crate::farm::{compare, second_measurement, tasks_of_trace};
 use crate::trace::Trace;
 use anyhow::{Result, bail};
 use entire_farm::read_tasks;
@@ -44,9 +44,6 @@ pub(crate) struct Options {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// Bad options or tasks; with --bars, a bar that is short.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let trace = options.trace.as_ref().map(|file| Trace::open(file)).transpose()?;
     let tasks = match (&options.tasks, &trace) {
@@ -60,12 +57,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         write_whole(file, &out.into_inner()?)?;
     }
     let source = options.trace.as_ref().or(options.tasks.as_ref()).map(|p| p.display().to_string());
-    let comparison = Comparison {
-        tasks: &tasks,
-        source: source.unwrap_or_default(),
-        noise: trace.as_ref().map(second_measurement).transpose()?.flatten(),
-    };
-    let found = compare(&comparison, &options.report)?;
+    let noise = trace.as_ref().map(second_measurement).transpose()?.flatten();
+    let found = compare(&tasks, source.unwrap_or_default(), noise, &options.report)?;
     if options.bars {
         bars::print(&found)?;
     }

@@ -16,32 +16,19 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   entire-lab farm-bars
-  entire-lab farm-bars --runs 200 --bars")]
+  entire-lab farm-bars --out out/farm --bars")]
 pub(crate) struct BarsOptions {
-    /// Folder of the timing tables.
-    #[arg(long, default_value = "data/timings", value_name = "DIR")]
-    pub(crate) data: PathBuf,
-    /// Folder of the shipped models.
-    #[arg(long, default_value = "models", value_name = "DIR")]
-    pub(crate) models: PathBuf,
     /// Folder for the job of a million tasks.
     #[arg(long, default_value = "out/farm-bars", value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Number of simulated runs whose end is predicted.
-    #[arg(long, default_value_t = 40, value_name = "N")]
-    pub(crate) runs: u64,
     /// Print the goals (bars), and fail when one is missed.
     #[arg(long)]
     pub(crate) bars: bool,
 }
 
 /// Runs `entire-lab farm-bars`.
-///
-/// # Errors
-/// When data cannot be read; with --bars when a bar is short.
 pub(crate) fn run_bars(options: &BarsOptions) -> Result<()> {
-    ensure!(options.runs > 0, "--runs is 0; at least 1 is needed");
-    let found = studies::all(&options.data, &options.models, &options.out, options.runs)?;
+    let found = studies::all(&options.out)?;
     if options.bars { bars::print(&found) } else { Ok(()) }
 }
 

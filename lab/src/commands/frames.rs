@@ -25,6 +25,9 @@ const VOLUMES: usize = 9;
 /// Number of random draws of frames for each number of frames.
 const DRAWS: u64 = 8;
 
+/// Numbers of calibration frames.
+const FRAMES: [usize; 6] = [3, 10, 20, 40, 160, 500];
+
 /// Bars: number of calibration frames, and upper limit of the median error, as a fraction (geometric mean
 /// over draws and types of machine).
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
@@ -51,9 +54,6 @@ pub(crate) struct Options {
     /// Prior models, in the order of the types of machine of --data.
     #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
     pub(crate) priors: Vec<PathBuf>,
-    /// Numbers of calibration frames.
-    #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "3,10,20,40,160,500")]
-    pub(crate) frames: Vec<usize>,
     /// Clock of the frame times.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
     pub(crate) clock: Clock,
@@ -145,7 +145,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         "--data names {tables} tables, --judged {judged} and --priors {models} models; give one of each for \
          every type of machine"
     );
-    ensure!(!options.frames.contains(&0), "--frames must be 1 or more");
     make_folder(&options.out)?;
     let pool = thread_pool(options.threads)?;
     let priors: Vec<NamedPrior> = options
@@ -154,7 +153,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         .map(|p| Ok((p.display().to_string(), read_model_file(p)?.0)))
         .collect::<Result<_>>()?;
     let bar = templated_bar("frames [{bar:30}] {pos}/{len} {msg}");
-    bar.set_length((options.data.len() * options.frames.len()) as u64 * DRAWS);
+    bar.set_length((options.data.len() * FRAMES.len()) as u64 * DRAWS);
     let stop = interrupt::flag()?;
     let stopped = || interrupt::requested(&stop);
     let hidden = indicatif::ProgressBar::hidden();
@@ -174,7 +173,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             .collect();
         let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &stopped };
         let mut of_table = Vec::new();
-        for &count in &options.frames {
+        for count in FRAMES {
             for seed in 0..DRAWS {
                 if stopped() {
                     break 'tables;
@@ -226,7 +225,7 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
     );
     for (color, (name, of_table)) in found.iter().enumerate() {
         let (mut line, mut band) = (Vec::new(), Vec::new());
-        for &count in &options.frames {
+        for count in FRAMES {
             let draws: Vec<&Found> = of_table.iter().filter(|f| f.frames == count).collect();
             let error = 100.0 * mean(draws.iter().map(|f| f.error));
             let largest = 100.0 * draws.iter().map(|f| f.error).fold(0.0, f64::max);
@@ -254,8 +253,8 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
         let of = |(_, of_table): &(String, Vec<Found>)| {
             mean(of_table.iter().filter(|f| f.frames == count).map(|f| f.error))
         };
-        let value = options.frames.contains(&count).then(|| mean(found.iter().map(of)));
-        println!("{}", Bar::at_most(format!("calibrated-to-another-make-{count}-frames"), value, limit));
+        let name = format!("calibrated-to-another-make-{count}-frames");
+        println!("{}", Bar::at_most(name, Some(mean(found.iter().map(of))), limit));
     }
     Ok(())
 }

@@ -168,9 +168,6 @@ fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// No volumes, no command `entire`, files that cannot be written, a bar that is short.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let extent = if options.short { Extent::SHORT } else { Extent::FULL };
     let volumes = held_out(&options.data)?;

@@ -27,7 +27,7 @@ const RECORDED: &str = "data/steer";
 #[command(after_help = "Examples:
   entire-lab paper all --data ../shared/data
   entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20
-  entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python
+  entire-lab paper encode --data ../shared/data --python venv/bin/python
   entire-lab paper train --data ../shared/data --only overall,ablation --runs 1
   entire-lab paper report --bars")]
 pub(crate) struct Options {
@@ -44,8 +44,6 @@ enum Step {
         #[command(flatten)]
         step: StepOptions,
         #[command(flatten)]
-        which: WhichEncoders,
-        #[command(flatten)]
         train: HowToTrain,
         #[command(flatten)]
         report: HowToReport,
@@ -57,13 +55,8 @@ enum Step {
     Collect(StepOptions),
     /// Train VolumeNets.
     #[command(after_help = "Example:
-  entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python")]
-    Encode {
-        #[command(flatten)]
-        making: Making,
-        #[command(flatten)]
-        which: WhichEncoders,
-    },
+  entire-lab paper encode --data ../shared/data --python venv/bin/python")]
+    Encode(Making),
     /// Train predictors on the collected frames and test them.
     #[command(after_help = "Example:
   entire-lab paper train --data ../shared/data --only overall,ablation --runs 1")]
@@ -130,16 +123,6 @@ pub(crate) struct StepOptions {
     device: Device,
 }
 
-#[derive(Debug, Clone, clap::Args)]
-struct WhichEncoders {
-    /// Only these input sizes.
-    #[arg(long, value_delimiter = ',', value_name = "SIDES")]
-    sizes: Vec<usize>,
-    /// Only these lengths of the feature vector.
-    #[arg(long, value_delimiter = ',', value_name = "LENGTHS")]
-    features: Vec<usize>,
-}
-
 #[derive(Debug, Clone, Default, clap::Args)]
 struct HowToTrain {
     /// Only these parts.
@@ -148,9 +131,6 @@ struct HowToTrain {
     /// Training runs of every network; default: the description's number.
     #[arg(long, value_name = "N")]
     runs: Option<usize>,
-    /// Epochs of every network of the paper; default: the description's number.
-    #[arg(long, value_name = "N")]
-    epochs: Option<usize>,
 }
 
 #[derive(Debug, Clone, clap::Args)]
@@ -170,21 +150,18 @@ struct HowToReport {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// Bad options or files, a step that fails, an interruption, and, with --bars, a bar that is short.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let none = HowToTrain::default();
     match &options.step {
         Step::Collect(step) => with(&step.making, &step.modes, &none, &|work| collect_all(work, step)),
-        Step::Encode { making, which } => with(making, &[], &none, &|work| encode_all(work, making, which)),
+        Step::Encode(making) => with(making, &[], &none, &|work| encode_all(work, making)),
         Step::Train { step, how } => with(&step.making, &step.modes, how, &|work| train_all(work, step, how)),
         Step::Report { places, how } => {
             report_all(&description::read(&places.description)?, &places.out, how)
         }
-        Step::All { step, which, train, report } => with(&step.making, &step.modes, train, &|work| {
+        Step::All { step, train, report } => with(&step.making, &step.modes, train, &|work| {
             collect_all(work, step)?;
-            encode_all(work, &step.making, which)?;
+            encode_all(work, &step.making)?;
             train_all(work, step, train)?;
             report_all(work.paper, work.out, report)
         }),
@@ -201,10 +178,6 @@ fn with(
     if let Some(runs) = train.runs {
         ensure!(runs > 0, "--runs is 0; at least 1 is needed");
         paper.runs = runs;
-    }
-    if let Some(epochs) = train.epochs {
-        ensure!(epochs > 0, "--epochs is 0; at least 1 is needed");
-        paper.network.epochs = epochs;
     }
     let stop = interrupt::flag()?;
     let pool = thread_pool(making.threads)?;
@@ -248,10 +221,9 @@ fn collect_all(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     places.iter().try_for_each(|p| yt::collect(work, p))
 }
 
-fn encode_all(work: &Work<'_>, making: &Making, which: &WhichEncoders) -> Result<()> {
+fn encode_all(work: &Work<'_>, making: &Making) -> Result<()> {
     let places = found(work)?;
-    let wanted = encode::encoders(work, &places, &which.sizes, &which.features);
-    encode::encode(work, &places, &wanted, making.threads)
+    encode::encode(work, &places, &encode::encoders(work, &places), making.threads)
 }
 
 fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
@@ -315,7 +287,6 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
             traces: traces.clone(),
             calibration: vec![calibration.clone()],
             targets: ["5fps", "10fps", "20fps", "40fps"].map(str::to_owned).to_vec(),
-            limits: (1.0, 16.0),
         },
         disturbance: None,
         ignore_load: false,

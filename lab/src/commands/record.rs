@@ -91,9 +91,6 @@ pub(crate) struct Options {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// Bad options or files, a device that fails, interruption.
 pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.repeats >= 1, "--repeats is 0; every point must be drawn at least once");
     if let Some(scenes) = options.calibration {
@@ -123,7 +120,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         (None, Some(kind)) => kind.path(&volumes[0].1.view(), options.frames)?,
         (None, None) => bail!("give --path or --generate"),
     };
-    let draw = draw_settings(options);
+    let draw = DrawSettings::new(options.size, &options.render, options.clock);
     let name = options.name.clone().unwrap_or_else(|| {
         let file = options.out.file_name().unwrap_or_default().to_string_lossy();
         file.trim_end_matches(".gz").trim_end_matches(".json").to_owned()
@@ -180,14 +177,10 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
     Ok(Some(begun))
 }
 
-fn draw_settings(options: &Options) -> DrawSettings {
-    DrawSettings::new(options.size, &options.render, options.clock)
-}
-
 /// Writes a timing table of random scenes, each at every calibration step.
 fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
-    let draw = draw_settings(options);
+    let draw = DrawSettings::new(options.size, &options.render, options.clock);
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.render.device)?;
     make_folder_of(&options.out)?;

@@ -6,16 +6,16 @@ use crate::calibration::samples_by_volume;
 use crate::fitted::{Calibrated, Candidate, no_volume};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
-use crate::replay::{self, Disturbance, Player, Replayable, Score, Tally, frontier, play, trials_of_all};
+use crate::replay::{
+    self, Disturbance, Player, Replayable, Score, Tally, Trial, frontier, play, trials_of_all,
+};
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::{Sample, response};
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::model::SteeringModel;
 use entire_io::files::{make_folder, note, open_model};
-use entire_io::options::parse_limits;
 use entire_io::path::parse_target;
-use entire_steer::control::StepLimits;
 use entire_steer::features::PROBE_SIDE;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -39,23 +39,9 @@ pub(crate) struct Paths {
         allow_hyphen_values = true
     )]
     pub(crate) targets: Vec<String>,
-    /// Finest and coarsest allowed step, reference steps. Rules that act on image resolution have their own
-    /// ranges.
-    #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
-    pub(crate) limits: (f32, f32),
 }
 
 impl Paths {
-    /// Checks and returns the allowed steps.
-    ///
-    /// # Errors
-    /// For limits that contain no step.
-    pub(crate) fn limits(&self) -> Result<StepLimits> {
-        let limits = StepLimits { finest: self.limits.0, coarsest: self.limits.1 };
-        limits.check()?;
-        Ok(limits)
-    }
-
     /// Opens the recorded paths.
     ///
     /// # Errors
@@ -120,11 +106,7 @@ pub(crate) struct Options {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// Bad options or files; with --bars, a bar that is short.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let limits = options.paths.limits()?;
     ensure!(options.rounds >= 1, "--rounds is 0; at least one round is needed");
     let targets = options.paths.targets()?;
     let by_volume = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
@@ -150,26 +132,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for player in players.iter_mut().filter(|p| p.kind == ControllerKind::Hybrid) {
         player.ignore_load = options.ignore_load;
     }
-    let (trials, unplayed) = trials_of_all(&traces, &targets, limits);
+    let (trials, unplayed) = trials_of_all(&traces, &targets);
     for name in &unplayed {
         note(&format!(
             "trace {name} is not played: no target is met by an allowed step in half of its frames"
         ));
     }
     ensure!(!trials.is_empty(), "no trace has a target that an allowed step meets in half of its frames");
-    let mut outcomes = Vec::with_capacity(trials.len());
-    for (index, trial) in trials.iter().enumerate() {
-        outcomes.push(play(
-            index,
-            trial,
-            &traces[trial.trace],
-            &players,
-            &calibrated,
-            &response,
-            limits,
-            options.rounds,
-        )?);
-    }
+    let played =
+        |trial: &Trial| play(trial, &traces[trial.trace], &players, &calibrated, &response, options.rounds);
+    let outcomes = trials.iter().map(played).collect::<Result<Vec<_>>>()?;
     let mut totals = vec![Tally::default(); players.len()];
     for outcome in &outcomes {
         for (total, tally) in totals.iter_mut().zip(&outcome.tallies) {
@@ -184,17 +156,17 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     results.write_csv(&options.out.join("frames.csv"))?;
     results.write_json(&options.out.join("scores.json"), &calibrated)?;
     results
-        .page(&calibrated, &response, &samples, frontier.as_ref())
+        .page(&calibrated, &response, &samples, frontier.as_deref())
         .write(&options.out.join("report.html"))?;
     println!("{}", results.table().to_text());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
     if let Some(f) = &frontier {
-        println!("{}", f.sentence());
+        println!("{f}");
     }
     if options.bars {
         let mut found = replay::bars(&players, &scores)?;
         found.extend(replay::played(traces.len(), &unplayed));
-        found.push(second_in_bound(&traces, &trials, limits)?);
+        found.push(second_in_bound(&traces, &trials)?);
         bars::print(&found)?;
     }
     Ok(())

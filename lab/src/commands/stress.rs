@@ -46,9 +46,6 @@ pub(crate) struct Options {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// Bad options, files that cannot be written, or a scene that entire's controller fails.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let all: Vec<usize> = stress::scenes().map(|s| s.0).collect();
     let scenes = if options.scenes.is_empty() { &all } else { &options.scenes };

@@ -19,7 +19,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   entire-lab study --study data/timings/study.json --out out/study
-  entire-lab study --study study.json --only paper,distilled --bars")]
+  entire-lab study --study study.json --bars")]
 pub(crate) struct Options {
     /// The study: data sets, splits and predictors as JSON.
     #[arg(long, value_name = "JSON")]
@@ -27,9 +27,6 @@ pub(crate) struct Options {
     /// Folder for report.html, study.json, the charts as SVG and the models.
     #[arg(long, value_name = "FOLDER", default_value = "out/study")]
     pub(crate) out: PathBuf,
-    /// Only these predictors.
-    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
-    pub(crate) only: Vec<String>,
     /// Clock of the predicted seconds, instead of the study's.
     #[arg(long, value_enum)]
     pub(crate) clock: Option<Clock>,
@@ -39,7 +36,7 @@ pub(crate) struct Options {
     #[arg(long)]
     pub(crate) bars: bool,
     /// Write the predictors that the study ships, each with its card, into this folder.
-    #[arg(long, value_name = "FOLDER", conflicts_with = "only")]
+    #[arg(long, value_name = "FOLDER")]
     pub(crate) ship: Option<PathBuf>,
     /// Threads; default: all logical processors.
     #[arg(long)]
@@ -47,21 +44,8 @@ pub(crate) struct Options {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// When the study or its tables cannot be read, a file cannot be written, or, with `--bars`, a bar is short.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut study = read(&options.study)?;
-    if !options.only.is_empty() {
-        for name in &options.only {
-            ensure!(
-                study.predictors.iter().any(|p| p.name == *name),
-                "--only names {name:?}, which is no predictor of {}",
-                options.study.display()
-            );
-        }
-        study.predictors.retain(|p| options.only.contains(&p.name));
-    }
     if let Some(clock) = options.clock {
         study.clock = clock.name().into();
     }

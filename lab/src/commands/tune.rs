@@ -68,16 +68,12 @@ fn worth_table(worth: &[Removed]) -> Table {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// Bad options or files.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut first = Constants::default();
     for given in &options.set {
         set(&mut first, given)?;
     }
     let tried = options.tried()?;
-    let limits = options.paths.limits()?;
     let targets = options.paths.targets()?;
     let samples = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
     let mut played = options
@@ -101,7 +97,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
     }
     let courses: Vec<Course<'_>> =
-        played.iter().map(|(recorded, c)| Course::new(recorded, c, &targets, limits)).collect();
+        played.iter().map(|(recorded, c)| Course::new(recorded, c, &targets)).collect();
     ensure!(undisturbed >= 2, "a standard error needs several paths; name more than one");
     for (course, (recorded, _)) in courses.iter().zip(&played) {
         ensure!(

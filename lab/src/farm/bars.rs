@@ -23,6 +23,8 @@ use std::time::Instant;
 
 /// Number of tasks of the paper's image database.
 const PAPER: usize = 384;
+/// Number of simulated runs whose end is predicted.
+const RUNS: u64 = 40;
 
 fn predicted(tasks: &[Task]) -> Vec<f64> {
     tasks.iter().map(|t| t.predicted_s.unwrap_or(1.0)).collect()
@@ -54,9 +56,6 @@ pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots
 /// Returns the largest ratio of two makespans over 2 to 64 nodes, and the number of nodes at which it occurs.
 /// The ratio is the makespan of the longest-first assignment by predicted times, divided by the makespan of
 /// the longest-first assignment by measured times. Neither assignment is improved by exchanges.
-///
-/// # Errors
-/// When a time is not usable.
 fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
     worst(&predicted(tasks), &measured(tasks))
 }
@@ -96,14 +95,11 @@ pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
     out.makespan / best
 }
 
-/// Simulates `runs` runs, and predicts the end of each run after a tenth of its work. Returns the median
+/// Simulates [`RUNS`] runs, and predicts the end of each run after a tenth of its work. Returns the median
 /// error of the predicted median end, and the share of the runs that end within the predicted 90 % interval.
-///
-/// # Errors
-/// When there are no tasks.
-pub(crate) fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> {
+fn foretold(pools: &[(String, Vec<Task>)]) -> Result<(f64, f64)> {
     let (mut errors, mut hits) = (Vec::new(), 0);
-    for run in 0..runs {
+    for run in 0..RUNS {
         let mut rng = ChaCha8Rng::seed_from_u64(1000 + run);
         let (name, pool) = &pools[run as usize % pools.len()];
         let mut chosen = shuffled(pool.len(), &mut rng);
@@ -129,14 +125,11 @@ pub(crate) fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64,
             if hit { "" } else { ", missed" }
         );
     }
-    Ok((median(&mut errors).context("no runs")?, f64::from(hits) / runs as f64))
+    Ok((median(&mut errors).context("no runs")?, f64::from(hits) / RUNS as f64))
 }
 
 /// Plans a job of 10⁶ tasks. Returns the seconds from reading the job file to the first bundle, the seconds to the
 /// last bundle, and the peak memory of the process in GB.
-///
-/// # Errors
-/// When the folder cannot be written.
 pub(crate) fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let volumes = folder.join("volumes");
     entire_io::files::make_folder(&volumes)?;
@@ -185,15 +178,12 @@ pub(crate) fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
 }
 
 /// Measures and returns all bars that need no engine.
-///
-/// # Errors
-/// When data or models cannot be read.
-pub(crate) fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Result<Vec<Bar>> {
+pub(crate) fn all(folder: &Path) -> Result<Vec<Bar>> {
     // This runs first, since it measures the peak memory of the whole process so far.
     let (first, last, peak) = at_scale(folder)?;
     let mut pools = Vec::new();
     for (table, model) in HELD_OUT {
-        pools.push((table.to_owned(), tasks(data, models, table, model)?));
+        pools.push((table.to_owned(), tasks(table, model)?));
     }
     for (name, pool) in &pools {
         let (worst, nodes) = worst_static(pool)?;
@@ -204,7 +194,7 @@ pub(crate) fn all(data: &Path, models: &Path, folder: &Path, runs: u64) -> Resul
     let (all_frames, paper) = (worst_static(main)?.0, worst_static(first_384)?.0);
     println!("static: {PAPER} tasks of {}: at worst {paper:.4}", pools[0].0);
     let loads = with_loads(&pools[1].1, 1000);
-    let (error, share) = foretold(&pools, runs)?;
+    let (error, share) = foretold(&pools)?;
     println!("planning: peak memory {peak:.3} GB, {first:.2} s to the first bundle");
     let mut bars = vec![
         Bar::at_most("farm-static-random-scenes-worst", Some(all_frames.max(paper)), 1.04),

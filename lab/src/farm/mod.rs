@@ -8,5 +8,5 @@ pub(crate) mod stand_in;
 mod tables;
 mod tasks;
 
-pub(crate) use compare::{Comparison, compare, second_measurement};
+pub(crate) use compare::{compare, second_measurement};
 pub(crate) use tasks::tasks_of_trace;

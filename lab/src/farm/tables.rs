@@ -26,9 +26,9 @@ pub(super) const HELD_OUT: [(&str, &str); 9] = [
 ///
 /// # Errors
 /// When table or model cannot be read, or features are missing beside the table.
-pub(super) fn tasks(data: &Path, models: &Path, table: &str, model: &str) -> Result<Vec<Task>> {
-    let tables = read_tables(&[data.join(format!("{table}.csv.gz"))])?;
-    let model = open_model(&models.join(format!("{model}.safetensors")))?;
+pub(super) fn tasks(table: &str, model: &str) -> Result<Vec<Task>> {
+    let tables = read_tables(&[format!("data/timings/{table}.csv.gz").into()])?;
+    let model = open_model(Path::new(&format!("models/{model}.safetensors")))?;
     let pairs = timed(&tables, Clock::Cpu, None)?;
     let frames: Vec<_> = pairs.iter().map(|(f, _)| *f).collect();
     let pool = thread_pool(None)?;

@@ -84,9 +84,6 @@ impl Outcomes {
     }
 
     /// Stores an outcome, in place of an earlier one of the same step.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub(crate) fn keep(&mut self, outcome: Outcome, folder: &Path) -> Result<()> {
         match self.0.iter_mut().find(|o| o.step == outcome.step) {
             Some(old) => *old = outcome,

@@ -35,9 +35,6 @@ pub(crate) struct Difference {
 
 /// Draws every volume in every shading mode from every camera on the device and on the CPU version. Writes
 /// the device's pictures into `folder`, and returns the differences.
-///
-/// # Errors
-/// When a volume cannot be read or a renderer fails.
 pub(crate) fn compare(
     device: Device,
     volumes: &[PathBuf],

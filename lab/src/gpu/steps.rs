@@ -122,9 +122,6 @@ pub(crate) fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
 
 /// Returns at most `count` of the volumes for calibrations, evenly spread in the order of their names. If
 /// `count` is 0, returns none, and `entire calibrate` finds volumes itself.
-///
-/// # Errors
-/// When the folder cannot be read.
 pub(crate) fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>> {
     if count == 0 {
         return Ok(Vec::new());
@@ -237,7 +234,7 @@ pub(crate) fn run(
         .spawn()
         .with_context(|| format!("cannot run {}", entire.display()))?;
     let over = || interrupt::requested(stop) || Instant::now() >= end;
-    let child::Ended { status, asked: cut } = child::wait(&mut child, over, Signal::SIGINT, GRACE)?;
+    let (status, cut) = child::wait(&mut child, over, Signal::SIGINT, GRACE)?;
     ensure!(!interrupt::requested(stop), "stopped; the same command continues from here");
     let text = std::fs::read_to_string(&log).unwrap_or_default();
     let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or_default().to_owned();

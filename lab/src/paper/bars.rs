@@ -180,8 +180,8 @@ fn nth_best(values: &mut [f64], n: usize) -> Option<f64> {
 
 /// Number of voxels of the rendered volumes divided by that of the low-resolution proxy.
 fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
-    let times = results.facts.iter().find(|f| f.name == "times")?;
-    let side = |k: &str| times.values.get(k).copied();
+    let times = results.fact("times")?;
+    let side = |k: &str| times.get(k).copied();
     Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
 }
 
@@ -192,8 +192,8 @@ fn complete(results: &Results) -> bool {
 
 /// Numbers of frames: those that the study's description specifies, and those that there are.
 fn frames_of(results: &Results) -> Option<[f64; 2]> {
-    let times = results.facts.iter().find(|f| f.name == "times")?;
-    Some([*times.values.get("expected frames")?, *times.values.get("frames")?])
+    let times = results.fact("times")?;
+    Some([*times.get("expected frames")?, *times.get("frames")?])
 }
 
 #[cfg(test)]
@@ -216,16 +216,13 @@ mod tests {
             frames: 2,
             runs: 1,
             rmse: interval::rmse(&by_volume).unwrap(),
-            rmse_sd: 0.0,
             sd: 1.0,
             over_constant: over,
             over_lvrp: over.map(|v| 2.0 * v),
             mdape: 0.1,
-            latency: None,
-            squared_errors: [0.0; 5],
             of_twins: by_volume.clone(),
             by_volume,
-            more: std::collections::BTreeMap::new(),
+            ..Row::default()
         }
     }
 

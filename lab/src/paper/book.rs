@@ -19,9 +19,6 @@ pub(crate) const PAGE: &str = "paper-tables.md";
 const IMAGES: &str = "images/paper";
 
 /// Writes the page and its pictures into the folder of the book's pages.
-///
-/// # Errors
-/// When a file cannot be read or written.
 pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<()> {
     let images = pages.join(IMAGES);
     make_folder(&images)?;

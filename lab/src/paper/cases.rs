@@ -2,11 +2,10 @@
 
 use super::description::{Orbit, Panel};
 use super::judge::{NETWORK, OURS};
-use super::results::{Fact, MEASURED, ORBIT_CHART, Results, read_all, write};
+use super::results::{Fact, MEASURED, ORBIT_CHART, Results, percentiles, read_all, write};
 use anyhow::Result;
 use entire_farm::{Method, Plan, Task, plan};
 use entire_io::files::{fnv1a_text, make_folder_of, write_whole};
-use entire_io::metrics::percentile;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -32,9 +31,6 @@ pub(crate) fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
 
 /// Assigns the orbit's tasks to nodes, longest first, by measured, predicted and equal times. Stores the loads of the
 /// nodes, divided by the load of the slowest node when measured times assign tasks. Writes the task list.
-///
-/// # Errors
-/// When results cannot be read or written.
 pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
     let all = read_all(out, Vec::new())?;
     for from in all.iter().filter(|r| r.panel == Panel::Varied) {
@@ -81,9 +77,7 @@ pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
                     ("nodes".to_owned(), nodes as f64),
                     ("slowest".to_owned(), most / slowest),
                 ]);
-                for (key, q) in [("p5", 0.05), ("p25", 0.25), ("p50", 0.5), ("p75", 0.75), ("p95", 0.95)] {
-                    values.insert(key.into(), percentile(&loads, q));
-                }
+                values.extend(percentiles(&loads));
                 results.facts.push(Fact { name: name.into(), values });
             }
         }

@@ -36,9 +36,6 @@ pub(crate) fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: boo
 }
 
 /// Settings by which a mode's frames are collected.
-///
-/// # Errors
-/// For an unknown mode.
 pub(crate) fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
     let own = paper.in_mode.get(mode).copied().unwrap_or_default();
     Ok(Protocol {
@@ -85,7 +82,7 @@ struct Wanted {
 fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let Some(parts) = place.main_split() else { return Ok(Vec::new()) };
     let protocol = protocol(paper, mode, false)?;
-    let find = |name: &String| place.jobs.iter().position(|j| super::volumes::name_of(j) == *name);
+    let find = |name: &String| place.jobs.iter().position(|j| j.name() == *name);
     let middle = parts.test.first().and_then(find).context("no test volume")?;
     let (least, most) = (f64::from(protocol.scenes.min_size), f64::from(protocol.scenes.max_size));
     let side = (least * most).sqrt().round() as u32;
@@ -240,13 +237,11 @@ pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rend
         let bar = templated_bar(template);
         bar.set_length(tables.iter().map(|t| t.frames.len() as u64).sum());
         bar.reset_eta();
-        let few = u64::from(work.paper.frames.held_out);
-        let each = u64::from(work.paper.frames.training);
         let mut result = Ok(());
         for round in 0..2 {
             for j in 0..place.jobs.len() {
                 let now = |table: &Open, w: &Wanted| {
-                    let of_few = table.kind == Kind::Varied || w.number % each < few;
+                    let of_few = table.kind == Kind::Varied || work.paper.frames.is_of_few(w.number);
                     w.job == j && of_few == (round == 0)
                 };
                 if result.is_ok() {
@@ -296,7 +291,7 @@ fn of_volume(
                     }
                 };
                 let scene = Scene {
-                    volume: super::volumes::name_of(job),
+                    volume: job.name(),
                     member: job.member.clone(),
                     time_step: job.time_step,
                     dims: dims.map(|n| n as u32),

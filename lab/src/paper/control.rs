@@ -32,40 +32,14 @@ const DRAWN: [(&str, &str); 4] = [
 /// Name of the hybrid controller with the predictor that was fitted to the calibration frames.
 const OURS: &str = "ours";
 
-/// A chart with a value per frame.
-struct Drawing {
-    title: &'static str,
-    axis: &'static str,
-    /// Returns the charted value of the controller for a frame.
-    value: fn(&Row) -> f64,
-    /// Name of the reference: the target, or the oracle.
-    beside: &'static str,
-    /// Returns the charted value of the reference for a frame.
-    best: fn(&Row) -> f64,
-}
+/// A chart with a value per frame: title, axis, value of the controller for a frame, name of the reference (the
+/// target or the oracle), value of the reference for a frame.
+type Drawing = (&'static str, &'static str, fn(&Row) -> f64, &'static str, fn(&Row) -> f64);
 
 const CHARTS: [Drawing; 3] = [
-    Drawing {
-        title: "frame time",
-        axis: "frame time, ms",
-        value: |r| 1e3 * r.seconds,
-        beside: "target",
-        best: |r| 1e3 * r.target_s,
-    },
-    Drawing {
-        title: "ray step",
-        axis: "ray step, reference steps",
-        value: |r| r.step_ref,
-        beside: "oracle",
-        best: |r| r.oracle_step_ref,
-    },
-    Drawing {
-        title: "quality",
-        axis: "PSNR, dB",
-        value: |r| r.psnr_db,
-        beside: "oracle",
-        best: |r| r.oracle_psnr_db,
-    },
+    ("frame time", "frame time, ms", |r| 1e3 * r.seconds, "target", |r| 1e3 * r.target_s),
+    ("ray step", "ray step, reference steps", |r| r.step_ref, "oracle", |r| r.oracle_step_ref),
+    ("quality", "PSNR, dB", |r| r.psnr_db, "oracle", |r| r.oracle_psnr_db),
 ];
 
 /// Frames whose pictures are compared, as fractions of the path: the first frame after an abrupt change, a
@@ -112,9 +86,6 @@ fn rows(folder: &Path) -> Result<Vec<Row>> {
 }
 
 /// Returns the recorded paths in a folder that show only volumes of a data set.
-///
-/// # Errors
-/// When the folder or a path in it cannot be read.
 pub(crate) fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
@@ -132,9 +103,6 @@ pub(crate) fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
 
 /// Stores the results of the replay: scores; values per frame of one path, with pictures of three frames; and
 /// the curve G with the curves of the scenes that it is computed from.
-///
-/// # Errors
-/// When a file cannot be read or written, and when the renderer fails.
 pub(crate) fn keep(
     work: &Work<'_>,
     played: &Played<'_>,
@@ -212,19 +180,19 @@ fn one_path(frames: &[Row]) -> Option<Vec<Row>> {
 
 fn curves(drawn: &[Row]) -> Vec<Curve> {
     let mut out = Vec::new();
-    for chart in CHARTS {
+    for (chart, _, value, beside, best) in CHARTS {
         let mut add = |name: &str, controller: &str, y: fn(&Row) -> f64| {
             let points: Vec<(f64, f64)> =
                 drawn.iter().filter(|r| r.controller == controller).map(|r| (r.frame as f64, y(r))).collect();
             if !points.is_empty() {
-                out.push(Curve::new(chart.title, name, "frame", points));
+                out.push(Curve::new(chart, name, "frame", points));
             }
         };
         for (controller, title) in DRAWN {
-            add(title, controller, chart.value);
+            add(title, controller, value);
         }
         // The reference is the same for every controller.
-        add(chart.beside, &drawn[0].controller, chart.best);
+        add(beside, &drawn[0].controller, best);
     }
     out
 }
@@ -373,7 +341,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
             r.set
         );
         s.tables.push((table, caption));
-        for Drawing { title, axis, .. } in CHARTS {
+        for (title, axis, ..) in CHARTS {
             let mut drawn = Chart::new(title, Axis::linear("frame"), Axis::linear(axis));
             let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == title).collect();
             for c in &shown {

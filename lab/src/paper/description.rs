@@ -103,6 +103,13 @@ pub(crate) struct FrameCounts {
     pub(crate) varied: u32,
 }
 
+impl FrameCounts {
+    /// True if a held-out volume has the frame with this number, too.
+    pub(super) fn is_of_few(self, number: u64) -> bool {
+        number % u64::from(self.training) < u64::from(self.held_out)
+    }
+}
+
 /// A data set.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -330,11 +337,14 @@ pub(crate) enum Validation {
 }
 
 /// A part of the study, with results in a file of its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum,
+)]
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub(crate) enum Panel {
     /// The network, our predictor and both baselines on every data set and mode; by volumes, members and modality.
+    #[default]
     Overall,
     /// The network without one of its inputs, each input in turn.
     Ablation,
@@ -480,9 +490,6 @@ fn values(path: &Path) -> Result<serde_json::Map<String, serde_json::Value>> {
 }
 
 /// Reads a description.
-///
-/// # Errors
-/// When the file cannot be read or holds an invalid value.
 pub(crate) fn read(path: &Path) -> Result<Paper> {
     let mut paper: Paper = serde_json::from_value(values(path)?.into())
         .with_context(|| format!("{} is no description of the paper's study", path.display()))?;

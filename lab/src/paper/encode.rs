@@ -54,9 +54,6 @@ impl Encoder {
     }
 
     /// True if the training was completed.
-    ///
-    /// # Errors
-    /// When the record cannot be read.
     pub(crate) fn is_trained(&self, out: &Path) -> Result<bool> {
         Ok(self.record(out)?.is_some_and(|r| r.complete()))
     }
@@ -70,9 +67,6 @@ impl Encoder {
     }
 
     /// Reads the script's record; `None` if the encoder is not trained.
-    ///
-    /// # Errors
-    /// When the record cannot be read.
     pub(crate) fn record(&self, out: &Path) -> Result<Option<Record>> {
         let path = self.path(out).with_extension("json");
         if !path.exists() {
@@ -99,14 +93,8 @@ pub(crate) struct Provenance {
     pub(crate) psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
     /// Number of epochs that the training ran.
     pub(crate) epochs_run: usize,
-    /// Number of the epoch whose weights are stored.
-    pub(crate) best_epoch: usize,
     /// Reason for the end of the training.
     pub(crate) stopped: String,
-    /// Machine and library of the training.
-    pub(crate) machine: String,
-    /// Number of volumes by part.
-    pub(crate) volumes: BTreeMap<String, usize>,
 }
 
 impl Record {
@@ -121,21 +109,12 @@ impl Record {
     }
 }
 
-/// Every encoder of the study that can be trained on the available data sets, filtered by size and length.
-pub(crate) fn encoders(
-    work: &Work<'_>,
-    places: &[Place],
-    sizes: &[usize],
-    features: &[usize],
-) -> Vec<Encoder> {
+/// Every encoder of the study that can be trained on the available data sets.
+pub(crate) fn encoders(work: &Work<'_>, places: &[Place]) -> Vec<Encoder> {
     let asked = &work.paper.encoders;
-    let wanted = |list: &[usize], n: usize| list.is_empty() || list.contains(&n);
     let swept = |e: &Encoder| e.channels.is_empty() || asked.capacity.data_sets.contains(&e.set);
     let names = places.iter().filter(|p| !p.splits.is_empty()).map(|p| p.set.name.as_str()).chain([ALL]);
-    let mut out: Vec<Encoder> = names
-        .flat_map(|set| Encoder::of_set(asked, set))
-        .filter(|e| wanted(sizes, e.size) && wanted(features, e.features) && swept(e))
-        .collect();
+    let mut out: Vec<Encoder> = names.flat_map(|set| Encoder::of_set(asked, set)).filter(swept).collect();
     // Encoders of the main size for single data sets come first, encoders of the capacity sweep last.
     let main = asked.main;
     out.sort_by_key(|e| {
@@ -220,12 +199,12 @@ fn train(
         command.args(["--threads", &threads.to_string()]);
     }
     let mut child = command.spawn().with_context(|| format!("cannot start {}", work.python.display()))?;
-    let ended = child::wait(&mut child, || work.stop(), Signal::SIGTERM, GRACE)?;
-    if ended.asked {
+    let (status, stopped) = child::wait(&mut child, || work.stop(), Signal::SIGTERM, GRACE)?;
+    if stopped {
         bail!("{}", work.stopped());
     }
     ensure!(
-        ended.status.success(),
+        status.success(),
         "{} failed; name a Python with lab/volumenet/requirements.txt by --python",
         asked.script.display()
     );

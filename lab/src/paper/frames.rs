@@ -5,7 +5,7 @@ use super::collect::{Kind, table_path};
 use super::description::{DataSet, Panel, Paper};
 use super::encode::{ALL, Encoder};
 use super::volumes::{Parts, Place, places};
-use crate::study::twins;
+use crate::study::{Low, twins};
 use anyhow::{Context, Result};
 use entire_cli::commands::features;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
@@ -19,9 +19,6 @@ use std::path::{Path, PathBuf};
 
 /// Version of the results: raised whenever the same frames give other results.
 const MADE_AS: u32 = 3;
-
-/// Seconds of the frames as rendered by the low-resolution proxy, by table and frame number.
-pub(super) type Low = BTreeMap<(usize, u64), f64>;
 
 /// The tables of a data set and mode.
 pub(super) struct Loaded {

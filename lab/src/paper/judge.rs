@@ -2,12 +2,13 @@
 //! with several seeds, the mean of 15 % of the frames, the low-resolution proxy.
 
 use super::Work;
-use super::frames::{Loaded, Low, SplitFrames};
+use super::description::RAYCASTER_MODES;
+use super::frames::{Loaded, SplitFrames};
 use super::interval;
-use super::results::{CONSTANT, LVRP, Row};
+use super::results::{BOX, CONSTANT, LVRP, Row};
 use super::volumes::Place;
 use crate::latency::Bench;
-use crate::study::{Bounds, Line, Runner};
+use crate::study::{Bounds, Line, Low, Runner, by_proxy, line_of, with_twins};
 use anyhow::{Context, Result};
 use entire_core::model::Model;
 use entire_io::dataset::{Clock, TimedFrame};
@@ -17,7 +18,6 @@ use entire_io::volume::Volume;
 use entire_train::evaluation::PROBE_SHARE;
 use entire_train::fit::{FitContext, Recipe, predict};
 use entire_train::split::TimedFrames;
-use std::collections::BTreeMap;
 
 /// Name of the paper's network in tables.
 pub(super) const NETWORK: &str = "the paper's network";
@@ -96,32 +96,34 @@ impl At<'_> {
         Judge::new(low, self.work.paper.runs, split, frames, line_of(low, training))
     }
 
-    /// Measurement of latencies on a volume of the data set, enlarged as for rendering.
-    pub(super) fn bench(&self) -> Result<Bench> {
+    /// Adds the errors of models on a judge's frames, with the latency of the first model if there is a bench.
+    pub(super) fn add(
+        &self,
+        judge: &mut Judge<'_>,
+        name: &str,
+        models: &[Model],
+        bench: Option<&mut Bench>,
+    ) -> Result<()> {
+        let predicted = self.predictions(models, &judge.frames.frames)?;
+        judge.add(name, &predicted);
+        if let (Some(bench), Some(row)) = (bench, judge.rows.last_mut()) {
+            row.latency = Some(bench.latency(&models[0])?.cold);
+        }
+        Ok(())
+    }
+
+    /// Measurement of latencies on a volume of the data set, enlarged as for rendering; `None` for frames of yt.
+    pub(super) fn bench(&self) -> Result<Option<Bench>> {
+        if !RAYCASTER_MODES.contains(&self.mode) {
+            return Ok(None);
+        }
         let job = self.place.jobs.first().context("no volume")?;
         let volume = Volume::open(self.place.root.join(&job.path))?;
         let factor = self.work.paper.enlarge;
         let volume = if factor > 1 { enlarge(&volume, factor)? } else { volume };
         let shading = self.loaded.tables[0].frames.first().context("no frame")?.scene.shading;
-        Bench::new(&volume, shading)
+        Bench::new(&volume, shading).map(Some)
     }
-}
-
-/// The line by which the low-resolution proxy predicts: seconds as a linear function of the seconds at low resolution,
-/// fitted to the training frames. `None` if too few training frames were rendered at low resolution.
-pub(super) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
-    let pairs: Vec<(f64, f64)> = training
-        .frames
-        .iter()
-        .zip(&training.seconds)
-        .filter_map(|(f, t)| Some((*low.get(&(f.table, f.number))?, *t)))
-        .collect();
-    (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
-}
-
-/// Predictions of the low-resolution proxy; `None` for a frame that was not rendered at low resolution.
-pub(super) fn by_proxy(low: &Low, line: Option<Line>, frames: &[&TimedFrame]) -> Vec<Option<f64>> {
-    frames.iter().map(|f| Some(line?.at(*low.get(&(f.table, f.number))?))).collect()
 }
 
 /// Errors of predictors on one set of frames, beside the baselines.
@@ -157,12 +159,12 @@ impl<'a> Judge<'a> {
             })
             .collect();
         out.constant = out.judged(CONSTANT, &draws, frames);
-        let twins = out.twins();
+        let twins = with_twins(frames, &out.proxy);
         if !twins.frames.is_empty() {
-            let predicted: Vec<f64> = out.proxy.iter().copied().flatten().collect();
+            let seconds: Vec<f64> = out.proxy.iter().copied().flatten().collect();
             let took = |f: &&TimedFrame| low.get(&(f.table, f.number)).copied();
             let mut times: Vec<f64> = twins.frames.iter().filter_map(took).collect();
-            let judged = out.judged(LVRP, &[predicted], &twins);
+            let judged = out.judged(LVRP, &[seconds], &twins);
             out.lvrp = judged.map(|row| Row { latency: median(&mut times), ..row });
         }
         for mut row in [&out.constant, &out.lvrp].into_iter().flatten().cloned().collect::<Vec<Row>>() {
@@ -180,14 +182,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// The frames that were also rendered at low resolution.
-    fn twins(&self) -> TimedFrames<'a> {
-        let all = self.frames.frames.iter().zip(&self.frames.seconds).zip(&self.proxy);
-        let (frames, seconds) = all.filter(|(_, p)| p.is_some()).map(|((f, t), _)| (*f, *t)).unzip();
-        TimedFrames { frames, seconds }
-    }
-
-    /// Returns the errors of a predictor's runs on all frames, or on those of [`Judge::twins`]; `None`
+    /// Returns the errors of a predictor's runs on all frames, or on those with a twin at low resolution; `None`
     /// without frames.
     fn judged(&self, name: &str, runs: &[Vec<f64>], frames: &TimedFrames<'_>) -> Option<Row> {
         let measured = &frames.seconds;
@@ -209,7 +204,7 @@ impl<'a> Judge<'a> {
         } else {
             let of =
                 |run: &Vec<f64>| run.iter().zip(&self.proxy).filter_map(|(p, l)| l.map(|_| *p)).collect();
-            by_volume(&self.twins(), &runs.iter().map(of).collect::<Vec<Vec<f64>>>())
+            by_volume(&with_twins(self.frames, &self.proxy), &runs.iter().map(of).collect::<Vec<Vec<f64>>>())
         };
         Some(Row {
             name: name.to_owned(),
@@ -219,14 +214,11 @@ impl<'a> Judge<'a> {
             rmse,
             rmse_sd: if metrics.len() > 1 { (squares / (n - 1.0)).sqrt() } else { 0.0 },
             sd: first.sd,
-            over_constant: None,
-            over_lvrp: None,
             mdape: metrics.iter().map(|m| m.mdape).sum::<f64>() / n,
-            latency: None,
-            squared_errors: [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| percentile(&errors, q)),
+            squared_errors: BOX.map(|(_, share)| percentile(&errors, share)),
             by_volume: by_volume(frames, &runs),
             of_twins,
-            more: BTreeMap::new(),
+            ..Row::default()
         })
     }
 

@@ -4,6 +4,8 @@ use super::description::Paper;
 use super::encode::{ALL, Encoder, Provenance, Record, SHIPPED};
 use super::results::{Results, read_all};
 use anyhow::{Context, Result};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use entire_core::model::Key;
 use entire_io::files::{gzip, make_folder_of, read_bytes, read_decompressed, read_model_file, write_whole};
 use serde::{Deserialize, Serialize};
@@ -33,16 +35,12 @@ pub(crate) struct Material {
     pub(crate) all: Vec<Results>,
     /// Encoders with their quality of reconstruction.
     pub(crate) reconstructions: Vec<Reconstruction>,
-    /// PNG files by name.
-    #[serde(with = "base64_files")]
-    pub(crate) pictures: BTreeMap<String, Vec<u8>>,
+    /// PNG files by name, as base64 text.
+    pub(crate) pictures: BTreeMap<String, String>,
 }
 
 /// Reads the results of every step from a folder, and results that the folder lacks from a file written by
 /// [`keep`].
-///
-/// # Errors
-/// When a file cannot be read.
 pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
     let kept = kept.map(read).transpose()?.unwrap_or_default();
     let all = read_all(out, kept.all)?;
@@ -65,7 +63,7 @@ pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result
     for name in all.iter().flat_map(|r| &r.pictures).map(|(name, _)| name) {
         let path = out.join("pictures").join(name);
         if path.exists() {
-            pictures.insert(name.clone(), read_bytes(&path)?);
+            pictures.insert(name.clone(), STANDARD.encode(read_bytes(&path)?));
         }
     }
     Ok(Material { all, reconstructions, pictures })
@@ -91,34 +89,7 @@ fn read(path: &Path) -> Result<Material> {
 }
 
 /// Writes all inputs of the report into one compressed file, which [`material`] can read.
-///
-/// # Errors
-/// When the file cannot be written.
 pub(crate) fn keep(material: &Material, path: &Path) -> Result<()> {
     make_folder_of(path)?;
     write_whole(path, &gzip(&serde_json::to_vec(material)?)?)
-}
-
-/// Bytes of files as base64 text.
-mod base64_files {
-    use base64::Engine as _;
-    use base64::engine::general_purpose::STANDARD;
-    use serde::de::Error as _;
-    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
-    use std::collections::BTreeMap;
-
-    pub(super) fn serialize<S: Serializer>(
-        files: &BTreeMap<String, Vec<u8>>,
-        to: S,
-    ) -> Result<S::Ok, S::Error> {
-        let coded: BTreeMap<&String, String> = files.iter().map(|(k, v)| (k, STANDARD.encode(v))).collect();
-        coded.serialize(to)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
-        from: D,
-    ) -> Result<BTreeMap<String, Vec<u8>>, D::Error> {
-        let coded = BTreeMap::<String, String>::deserialize(from)?;
-        coded.into_iter().map(|(k, v)| Ok((k, STANDARD.decode(v).map_err(D::Error::custom)?))).collect()
-    }
 }

@@ -50,7 +50,7 @@ pub(crate) struct Work<'a> {
     /// Deadline, if there is one.
     pub(crate) deadline: Option<Instant>,
     /// Returns true if the user asked to stop.
-    pub(crate) interrupted: &'a dyn Fn() -> bool,
+    pub(crate) interrupted: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl Work<'_> {

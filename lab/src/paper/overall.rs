@@ -4,7 +4,7 @@
 use super::description::{BY_MODALITY, BY_VOLUMES, Paper, Rule};
 use super::interval;
 use super::judge::{NETWORK, OURS};
-use super::results::{CONSTANT, LVRP, Results, Row};
+use super::results::{CONSTANT, LVRP, Results, Row, box_of};
 use super::section::{Section, errors_table, seconds, title, title_of, with_interval};
 use super::volumes::in_words;
 use entire_report::{Axis, Chart, Mark, Series, Table};
@@ -129,17 +129,8 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
         return;
     }
     let names: Vec<String> = shown.iter().map(|r| title(paper, r)).collect();
-    let times: Vec<(f64, [f64; 5])> = shown
-        .iter()
-        .enumerate()
-        .filter_map(|(i, r)| {
-            let v = &r.facts.iter().find(|f| f.name == "times")?.values;
-            Some((
-                i as f64,
-                ["p5", "p25", "p50", "p75", "p95"].map(|k| v.get(k).copied().unwrap_or(f64::NAN)),
-            ))
-        })
-        .collect();
+    let times: Vec<(f64, [f64; 5])> =
+        shown.iter().enumerate().filter_map(|(i, r)| Some((i as f64, box_of(r.fact("times")?)))).collect();
     let axis = || Axis::categories("data set, renderer", names.clone());
     s.charts.push((
         Chart::new("Rendering times", axis(), Axis::log("seconds"))

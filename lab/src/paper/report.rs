@@ -7,6 +7,8 @@ use super::section::Section;
 use super::sections::{section, trials};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use entire_io::files::{make_folder, read_bytes, write_json};
 use entire_io::machine;
 use entire_report::{Column, Page, Table};
@@ -16,9 +18,6 @@ use std::time::Instant;
 
 /// Writes report.html and rows.json; returns the bars. `started` is the time at which the report was
 /// begun.
-///
-/// # Errors
-/// When a file cannot be written.
 pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -> Result<Vec<Bar>> {
     make_folder(out)?;
     let mut page = Page::new(
@@ -106,7 +105,7 @@ fn tables_and_charts(page: &mut Page, section: &Section) {
 /// Bytes of a picture that a step drew or the description names.
 pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     match material.pictures.get(file) {
-        Some(drawn) => Ok(drawn.clone()),
+        Some(drawn) => STANDARD.decode(drawn).with_context(|| format!("the kept picture {file} is damaged")),
         None => read_bytes(Path::new(file)).with_context(|| format!("cannot read the picture {file}")),
     }
 }

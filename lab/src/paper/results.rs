@@ -3,7 +3,9 @@
 use super::description::Panel;
 use super::interval::{self, ByVolume};
 use anyhow::{Context, Result};
+use entire_io::dataset::Table;
 use entire_io::files::{make_folder, read_text, write_json};
+use entire_io::metrics::percentile;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,7 +16,7 @@ pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
 pub(super) const LVRP: &str = "LVRP";
 
 /// Errors of a predictor on some frames.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
     /// The predictor.
     pub(crate) name: String,
@@ -86,6 +88,20 @@ pub(super) const MEASURED: &str = "measured";
 /// Quantity along x of curves with a point per frame.
 pub(super) const SORTED: &str = "frames, by their measured time";
 
+/// The percentiles of a box in a chart, by name.
+pub(super) const BOX: [(&str, f64); 5] =
+    [("p5", 0.05), ("p25", 0.25), ("p50", 0.5), ("p75", 0.75), ("p95", 0.95)];
+
+/// The percentiles of [`BOX`] of some ascending numbers.
+pub(super) fn percentiles(ascending: &[f64]) -> [(String, f64); 5] {
+    BOX.map(|(name, share)| (name.to_owned(), percentile(ascending, share)))
+}
+
+/// The percentiles of [`BOX`] among named numbers; NaN for missing ones.
+pub(super) fn box_of(values: &BTreeMap<String, f64>) -> [f64; 5] {
+    BOX.map(|(name, _)| values.get(name).copied().unwrap_or(f64::NAN))
+}
+
 /// Named numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Fact {
@@ -96,7 +112,7 @@ pub(crate) struct Fact {
 }
 
 /// Results of one part of the study for one data set and mode.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Results {
     /// Hash of the inputs of the computation.
     pub(crate) identity: String,
@@ -123,34 +139,24 @@ pub(crate) struct Results {
     /// Names of the pictures' files, with captions.
     #[serde(default)]
     pub(crate) pictures: Vec<(String, String)>,
-    /// Date of the computation.
-    pub(crate) made: String,
-    /// Version of the program.
-    pub(crate) program: String,
-    /// Seconds of the computation.
-    pub(crate) seconds: f64,
 }
 
 impl Results {
-    /// Empty results with the present date.
+    /// Empty results.
     pub(crate) fn new(panel: Panel, set: &str, mode: &str, identity: String) -> Self {
-        Self {
-            identity,
-            panel,
-            set: set.to_owned(),
-            mode: mode.to_owned(),
-            frames: BTreeMap::new(),
-            encoder: String::new(),
-            device: String::new(),
-            machine: String::new(),
-            rows: Vec::new(),
-            curves: Vec::new(),
-            facts: Vec::new(),
-            pictures: Vec::new(),
-            made: entire_io::machine::now(),
-            program: entire_io::machine::version(),
-            seconds: 0.0,
+        Self { identity, panel, set: set.to_owned(), mode: mode.to_owned(), ..Self::default() }
+    }
+
+    /// Takes device and machine from the manifest of a table.
+    pub(super) fn measured_as(&mut self, table: &Table) {
+        if let Some(m) = &table.manifest {
+            (self.device, self.machine) = (m.device.clone(), m.machine.clone());
         }
+    }
+
+    /// A group of numbers.
+    pub(super) fn fact(&self, name: &str) -> Option<&BTreeMap<String, f64>> {
+        self.facts.iter().find(|f| f.name == name).map(|f| &f.values)
     }
 
     /// Returns the interval of a row's RMSE divided by the RMSE of the constant baseline, [`CONSTANT`].
@@ -178,18 +184,12 @@ pub(super) fn path(out: &Path, panel: Panel, set: &str, mode: &str) -> PathBuf {
 }
 
 /// Writes results.
-///
-/// # Errors
-/// When the file cannot be written.
 pub(super) fn write(out: &Path, results: &Results) -> Result<()> {
     make_folder(&out.join("results"))?;
     write_json(&path(out, results.panel, &results.set, &results.mode), results)
 }
 
 /// True if the results of a part are stored and have this identity.
-///
-/// # Errors
-/// When the file cannot be read.
 pub(super) fn kept(out: &Path, panel: Panel, set: &str, mode: &str, identity: &str) -> Result<bool> {
     let path = path(out, panel, set, mode);
     Ok(path.exists() && one(&path)?.identity == identity)
@@ -201,9 +201,6 @@ fn one(path: &Path) -> Result<Results> {
 }
 
 /// Reads all results of a folder, and adds results from `kept` that the folder lacks.
-///
-/// # Errors
-/// When a file cannot be read.
 pub(super) fn read_all(out: &Path, kept: Vec<Results>) -> Result<Vec<Results>> {
     let key = |r: &Results| (r.panel, r.set.clone(), r.mode.clone());
     let mut all: BTreeMap<_, Results> = kept.into_iter().map(|r| (key(&r), r)).collect();

@@ -8,7 +8,7 @@ use super::interval;
 use super::judge::{NETWORK, OURS};
 use super::material::Material;
 use super::overall::{distributions, overall};
-use super::results::{CONSTANT, Curve, DRAWN_CHART, LVRP, ORBIT_CHART, Results, Row, SORTED};
+use super::results::{CONSTANT, Curve, DRAWN_CHART, LVRP, ORBIT_CHART, Results, Row, SORTED, box_of};
 use super::section::{Section, errors_table, mode_in_words, over, ratio, seconds, title, with_interval};
 use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;
@@ -99,8 +99,8 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
     );
     let mut parts = Vec::new();
     for r in of {
-        let Some(f) = r.facts.iter().find(|f| f.name == "times") else { continue };
-        let v = |k: &str| f.values.get(k).copied().unwrap_or(0.0);
+        let Some(times) = r.fact("times") else { continue };
+        let v = |k: &str| times.get(k).copied().unwrap_or(0.0);
         table.row(vec![
             title(paper, r).into(),
             v("members").to_string().into(),
@@ -156,13 +156,9 @@ fn orbits(paper: &Paper, of: &[&Results], s: &mut Section) {
 
 fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of {
-        let points: Vec<(f64, f64)> =
-            r.rows.iter().filter_map(|row| Some((*row.more.get("share")?, row.rmse))).collect();
-        let band: Vec<(f64, f64, f64)> = r
-            .rows
-            .iter()
-            .filter_map(|row| Some((*row.more.get("share")?, row.rmse - row.rmse_sd, row.rmse + row.rmse_sd)))
-            .collect();
+        let shares = r.rows.iter().filter_map(|row| Some((*row.more.get("share")?, row)));
+        let points: Vec<_> = shares.clone().map(|(x, row)| (x, row.rmse)).collect();
+        let band = shares.map(|(x, row)| (x, row.rmse - row.rmse_sd, row.rmse + row.rmse_sd)).collect();
         if points.is_empty() {
             continue;
         }
@@ -410,11 +406,7 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
             let boxes = NODES
                 .iter()
                 .enumerate()
-                .filter_map(|(i, n)| {
-                    let v = &fact(name, *n)?.values;
-                    let of = |q: &str| v.get(q).copied().unwrap_or(f64::NAN);
-                    Some((i as f64, ["p5", "p25", "p50", "p75", "p95"].map(of)))
-                })
+                .filter_map(|(i, n)| Some((i as f64, box_of(&fact(name, *n)?.values))))
                 .collect();
             chart = chart.series(Series::new(*name, Mark::Boxes(boxes)).color(k));
         }

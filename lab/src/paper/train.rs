@@ -1,20 +1,19 @@
 //! Training and evaluation of the networks of every part of the study.
 
 use super::collect::{DRAWN_ORBIT, EXPERIMENTS, ORBIT, PER_EXPERIMENT};
-use super::description::{BY_MODALITY, BY_VOLUMES, Panel, Paper, RAYCASTER_MODES};
+use super::description::{BY_MODALITY, BY_VOLUMES, Panel, Paper};
 use super::frames::{Loaded, SplitFrames, identity, main_encoder, of_panel, trained};
-use super::judge::{At, NETWORK, OURS, by_proxy, line_of};
-use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, write};
+use super::judge::{At, Judge, NETWORK, OURS};
+use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, percentiles, write};
 use super::volumes::{Parts, Place, in_words};
 use super::{Work, tuning};
-use crate::study::{Runner, clock};
+use crate::study::{Runner, by_proxy, clock, line_of};
 use anyhow::{Context, Result, bail};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::VolumeNet;
 use entire_io::dataset::feature_table::{code_column, encoder_id};
 use entire_io::files::open_model;
-use entire_io::metrics::percentile;
 use entire_io::progress::templated_bar;
 use entire_steer::predict::GroupKind;
 use entire_train::fit::{FitContext, Recipe};
@@ -39,9 +38,6 @@ const BY_SET: [Panel; 7] = [
 ];
 
 /// Computes the missing results of the selected parts (default: all).
-///
-/// # Errors
-/// When a table cannot be read, when a training fails, or when the study is stopped.
 pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     let wanted = |p: Panel| panels.is_empty() || panels.contains(&p);
@@ -74,16 +70,12 @@ pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
             work.go_on()?;
             let mark = identity(work, panel, &place.set.name, &loaded.tables, &loaded.low)?;
             if !kept(work.out, panel, &place.set.name, mode, &mark)? {
-                let started = Instant::now();
                 let mut results = Results::new(panel, &place.set.name, mode, mark);
                 let made = at.make(panel, &mut results);
                 // If the study was stopped, the error says so, even if the part ended with another error.
                 work.go_on()?;
                 made.with_context(|| format!("{} of {} in mode {mode}", panel.name(), place.set.name))?;
-                results.seconds = started.elapsed().as_secs_f64();
-                if let Some(m) = &loaded.tables[0].manifest {
-                    (results.device, results.machine) = (m.device.clone(), m.machine.clone());
-                }
+                results.measured_as(&loaded.tables[0]);
                 write(work.out, &results)?;
             }
             bar.inc(1);
@@ -99,16 +91,26 @@ pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
 
 impl At<'_> {
     fn make(&self, panel: Panel, results: &mut Results) -> Result<()> {
+        if panel == Panel::Overall {
+            return self.overall(results);
+        }
+        let split = self.main()?;
+        let frames = self.frames(split)?;
+        self.note_frames(results, split, &frames)?;
+        if panel == Panel::Varied {
+            return self.varied(results, split, &frames);
+        }
+        let mut judge = self.judge(split, &frames.test, &frames.training);
         match panel {
-            Panel::Overall => self.overall(results),
-            Panel::Ablation => self.ablation(results),
-            Panel::Varied => self.varied(results),
-            Panel::Samples => self.samples(results),
-            Panel::Depth => self.depth(results),
-            Panel::Encoders => self.encoders(results),
-            Panel::Final => self.finalists(results),
+            Panel::Ablation => self.ablation(split, &frames, &mut judge)?,
+            Panel::Samples => self.samples(split, &frames, &mut judge)?,
+            Panel::Depth => self.depth(split, &frames, &mut judge)?,
+            Panel::Encoders => self.encoders(&frames, &mut judge)?,
+            Panel::Final => self.finalists(&frames, &mut judge)?,
             other => bail!("{} is not trained on frames", other.name()),
         }
+        results.rows.append(&mut judge.rows);
+        Ok(())
     }
 
     fn paper(&self) -> &Paper {
@@ -168,14 +170,6 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Name and frames of the data set's main split, which are noted in the results.
-    fn main_frames(&self, results: &mut Results) -> Result<(&'static str, SplitFrames<'_>)> {
-        let split = self.main()?;
-        let frames = self.frames(split)?;
-        self.note_frames(results, split, &frames)?;
-        Ok((split, frames))
-    }
-
     fn overall(&self, results: &mut Results) -> Result<()> {
         let all = self.loaded.all(0, self.clock);
         let n = all.seconds.len() as f64;
@@ -202,12 +196,10 @@ impl At<'_> {
         ]
         .map(|(k, v)| (k.to_owned(), v))
         .into();
-        for (name, share) in [("p5", 0.05), ("p25", 0.25), ("p50", 0.5), ("p75", 0.75), ("p95", 0.95)] {
-            values.insert(name.into(), percentile(&sorted, share));
-        }
+        values.extend(percentiles(&sorted));
         results.facts.push(Fact { name: "times".into(), values });
         self.code_curves(results)?;
-        let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
+        let mut bench = self.bench()?;
         for parts in &self.place.splits {
             let frames = self.frames(parts.name)?;
             if frames.training.frames.is_empty() || frames.test.frames.is_empty() {
@@ -218,10 +210,7 @@ impl At<'_> {
             let ours = self.ours(parts.name, &frames)?;
             let mut judge = self.judge(parts.name, &frames.test, &frames.training);
             for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
-                judge.add(name, &self.predictions(models, &frames.test.frames)?);
-                if let (Some(bench), Some(row)) = (&mut bench, judge.rows.last_mut()) {
-                    row.latency = Some(bench.latency(&models[0])?.cold);
-                }
+                self.add(&mut judge, name, models, bench.as_mut())?;
             }
             results.rows.append(&mut judge.rows);
             if parts.name != BY_VOLUMES {
@@ -232,7 +221,7 @@ impl At<'_> {
                 let split = format!("{BY_MODALITY}: {title}");
                 let mut judge = self.judge(&split, &other, &frames.training);
                 for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
-                    judge.add(name, &self.predictions(models, &other.frames)?);
+                    self.add(&mut judge, name, models, None)?;
                 }
                 results.rows.append(&mut judge.rows);
             }
@@ -278,25 +267,20 @@ impl At<'_> {
         Ok(())
     }
 
-    fn ablation(&self, results: &mut Results) -> Result<()> {
-        let (split, frames) = self.main_frames(results)?;
-        let mut judge = self.judge(split, &frames.test, &frames.training);
-        let networks = self.networks(split, &frames)?;
-        judge.add(NETWORK, &self.predictions(&networks, &frames.test.frames)?);
+    fn ablation(&self, split: &str, frames: &SplitFrames<'_>, judge: &mut Judge<'_>) -> Result<()> {
+        self.add(judge, NETWORK, &self.networks(split, frames)?, None)?;
         for input in &self.paper().network.inputs {
-            let models = self.without(input, &frames)?;
-            judge.add(&format!("without {}", plain(input)), &self.predictions(&models, &frames.test.frames)?);
+            let models = self.without(input, frames)?;
+            self.add(judge, &format!("without {}", plain(input)), &models, None)?;
         }
-        results.rows.append(&mut judge.rows);
         Ok(())
     }
 
-    fn varied(&self, results: &mut Results) -> Result<()> {
+    fn varied(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
         let table = self.loaded.varied.context("no frames of one parameter varied at a time")?;
-        let (split, frames) = self.main_frames(results)?;
         let line = line_of(&self.loaded.low, &frames.training);
-        let networks = self.networks(split, &frames)?;
-        let ours = self.ours(split, &frames)?;
+        let networks = self.networks(split, frames)?;
+        let ours = self.ours(split, frames)?;
         let all = self.loaded.all(table, self.clock);
         let inputs = [
             GroupKind::VolumeFeatures,
@@ -306,15 +290,12 @@ impl At<'_> {
         ];
         for (i, (experiment, input)) in EXPERIMENTS.iter().zip(inputs).enumerate() {
             let of = all.parted(|f| f.number < ORBIT && f.number / PER_EXPERIMENT == i as u64).0;
-            let models = self.without(&input.to_string(), &frames)?;
+            let models = self.without(&input.to_string(), frames)?;
             let mut judge = self.judge(experiment, &of, &frames.training);
             let by_network = self.predictions(&networks, &of.frames)?;
             let by_ours = self.predictions(&ours, &of.frames)?;
             judge.add(NETWORK, &by_network);
-            judge.add(
-                &format!("without {}", plain(&input.to_string())),
-                &self.predictions(&models, &of.frames)?,
-            );
+            self.add(&mut judge, &format!("without {}", plain(&input.to_string())), &models, None)?;
             judge.add(OURS, &by_ours);
             results.rows.append(&mut judge.rows);
             let x = |k: usize| {
@@ -352,44 +333,33 @@ impl At<'_> {
         Ok(())
     }
 
-    fn samples(&self, results: &mut Results) -> Result<()> {
-        let (split, frames) = self.main_frames(results)?;
+    fn samples(&self, split: &str, frames: &SplitFrames<'_>, judge: &mut Judge<'_>) -> Result<()> {
         let (recipe, _) = self.network(split)?;
-        let mut judge = self.judge(split, &frames.test, &frames.training);
         for &share in self.paper().shares.iter().chain([&1.0]) {
             let count = ((share * frames.training.frames.len() as f64).round() as usize).max(2);
-            let predicted = if share < 1.0 {
+            let models = if share < 1.0 {
                 let key = format!("{split}-network-{share:.2}");
-                let models = self.runs(NETWORK, &key, &recipe, |run| {
+                self.runs(NETWORK, &key, &recipe, |run| {
                     (frames.training.sample(count, run as u64).0, frames.validation.clone())
-                })?;
-                self.predictions(&models, &frames.test.frames)?
+                })?
             } else {
-                self.predictions(&self.networks(split, &frames)?, &frames.test.frames)?
+                self.networks(split, frames)?
             };
-            judge.add(&format!("{share:.2}"), &predicted);
+            self.add(judge, &format!("{share:.2}"), &models, None)?;
             if let Some(row) = judge.rows.last_mut() {
                 row.more.insert("training frames".into(), count as f64);
                 row.more.insert("share".into(), share);
             }
         }
-        results.rows.append(&mut judge.rows);
         Ok(())
     }
 
-    fn depth(&self, results: &mut Results) -> Result<()> {
-        let (split, frames) = self.main_frames(results)?;
-        let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
-        let mut judge = self.judge(split, &frames.test, &frames.training);
+    fn depth(&self, split: &str, frames: &SplitFrames<'_>, judge: &mut Judge<'_>) -> Result<()> {
+        let mut bench = self.bench()?;
         for preset in &self.paper().depths {
-            let (network, _) = self.network(split)?;
-            let models = self.with_layers(preset, network, "", &frames)?;
-            judge.add(preset, &self.predictions(&models, &frames.test.frames)?);
-            if let (Some(bench), Some(row)) = (&mut bench, judge.rows.last_mut()) {
-                row.latency = Some(bench.latency(&models[0])?.cold);
-            }
+            let models = self.with_layers(preset, self.network(split)?.0, "", frames)?;
+            self.add(judge, preset, &models, bench.as_mut())?;
         }
-        results.rows.append(&mut judge.rows);
         Ok(())
     }
 
@@ -412,18 +382,16 @@ impl At<'_> {
         self.on_split(preset, &key, &recipe, frames)
     }
 
-    fn encoders(&self, results: &mut Results) -> Result<()> {
-        let (split, frames) = self.main_frames(results)?;
+    fn encoders(&self, frames: &SplitFrames<'_>, judge: &mut Judge<'_>) -> Result<()> {
         let set = &self.place.set.name;
-        let mut judge = self.judge(split, &frames.test, &frames.training);
         for encoder in trained(self.work, Some(set))? {
             let path = encoder.path(self.work.out);
             let name = format!("{}³F{}", encoder.size, encoder.features);
             let record = encoder.record(self.work.out)?.context("no record")?;
             let network = Recipe { volumenet: Some(path.clone()), ..self.paper().network.clone() };
             let key = format!("{}f{}-", encoder.size, encoder.features);
-            let models = self.with_layers(&self.paper().encoder_depth, network, &key, &frames)?;
-            judge.add(&name, &self.predictions(&models, &frames.test.frames)?);
+            let models = self.with_layers(&self.paper().encoder_depth, network, &key, frames)?;
+            self.add(judge, &name, &models, None)?;
             let Some(row) = judge.rows.last_mut() else { continue };
             row.latency = Some(self.encoding(&path)?);
             row.more.insert("size".into(), encoder.size as f64);
@@ -436,7 +404,6 @@ impl At<'_> {
                 }
             }
         }
-        results.rows.append(&mut judge.rows);
         Ok(())
     }
 
@@ -456,10 +423,8 @@ impl At<'_> {
         entire_io::metrics::median(&mut times).context("no time")
     }
 
-    fn finalists(&self, results: &mut Results) -> Result<()> {
-        let (split, frames) = self.main_frames(results)?;
+    fn finalists(&self, frames: &SplitFrames<'_>, judge: &mut Judge<'_>) -> Result<()> {
         let trained = trained(self.work, Some(&self.place.set.name))?;
-        let mut judge = self.judge(split, &frames.test, &frames.training);
         for (size, features, preset) in &self.paper().finalists {
             let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
                 entire_io::files::note(&format!(
@@ -470,13 +435,9 @@ impl At<'_> {
             };
             let path = encoder.path(self.work.out);
             let network = Recipe { volumenet: Some(path), ..self.paper().network.clone() };
-            let models = self.with_layers(preset, network, &format!("{size}f{features}-"), &frames)?;
-            judge.add(
-                &format!("{size}³F{features}→{preset}"),
-                &self.predictions(&models, &frames.test.frames)?,
-            );
+            let models = self.with_layers(preset, network, &format!("{size}f{features}-"), frames)?;
+            self.add(judge, &format!("{size}³F{features}→{preset}"), &models, None)?;
         }
-        results.rows.append(&mut judge.rows);
         Ok(())
     }
 }

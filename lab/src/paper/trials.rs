@@ -4,10 +4,10 @@
 
 use super::Work;
 use super::description::{Change, Panel, TrialTables, Validation};
-use super::frames::{Low, low_as_text, main_encoder};
-use super::judge::{Judge, line_of};
+use super::frames::{low_as_text, main_encoder};
+use super::judge::Judge;
 use super::results::{Results, kept, write};
-use crate::study::{Bounds, Runner, clock, twins};
+use crate::study::{Bounds, Low, Runner, clock, line_of, twins};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::GroupKind;
 use entire_core::nn::Target;
@@ -21,11 +21,11 @@ use entire_train::split::{GroupBy, TimedFrames};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 /// Name of the trial without a change.
 pub(super) const AS_IT_IS: &str = "as it is";
@@ -103,12 +103,14 @@ impl Measured {
     fn frames(&self, table: usize) -> TimedFrames<'_> {
         TimedFrames::of(&self.tables[table].frames, self.clock)
     }
+
+    /// The frames of the training table: those of held-out volumes, and all others.
+    fn held_out(&self) -> (TimedFrames<'_>, TimedFrames<'_>) {
+        self.frames(0).hold_out(GroupBy::Volume, 1)
+    }
 }
 
 /// Runs those of the requested trials whose results are missing.
-///
-/// # Errors
-/// When tables cannot be read, a training fails, and when the study is stopped.
 pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let clock = clock(&work.paper.clock)?;
     for panel in [Panel::Procedure, Panel::Frames].into_iter().filter(|p| panels.contains(p)) {
@@ -132,14 +134,10 @@ pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
 /// Trains the paper's network on the repository's frames of a mode, or finds it in the folder of models. These frames
 /// have none of the members that the recorded paths show, and come from the machine of the paths. `None` if the
 /// description names no tables of this mode, or if they are missing.
-///
-/// # Errors
-/// When a table cannot be read, when the training fails, and when the study is stopped.
 pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<PathBuf>> {
     let Some(tables) = work.paper.trials.tables.iter().find(|t| t.mode == mode) else { return Ok(None) };
     let Some(measured) = Measured::read(tables, clock(&work.paper.clock)?)? else { return Ok(None) };
-    let all = measured.frames(0);
-    let (validation, training) = all.hold_out(GroupBy::Volume, 1);
+    let (validation, training) = measured.held_out();
     let (shipped, _) = main_encoder(work, None)?;
     let recipe = Recipe { volumenet: Some(shipped), ..work.paper.network.clone() };
     let (hidden, none) = (ProgressBar::hidden(), TimedFrames::default());
@@ -155,16 +153,13 @@ pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<Pat
 /// Returns trials of the paper's recipe and, if `changed` is true, of every change of the recipe.
 fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
     let asked = &work.paper.trials;
-    let all = measured.frames(0);
-    let (held, training) = all.hold_out(GroupBy::Volume, 1);
+    let (held, training) = measured.held_out();
     let unchanged = Change { name: AS_IT_IS.into(), ..Change::default() };
     let changes = std::iter::once(&unchanged).chain(asked.changes.iter().filter(|_| changed));
     changes
         .map(|change| {
-            let few = u64::from(work.paper.frames.held_out);
-            let each = u64::from(work.paper.frames.training);
             let validation = match change.validation {
-                Validation::Few => held.parted(|f| f.number % each < few).0,
+                Validation::Few => held.parted(|f| work.paper.frames.is_of_few(f.number)).0,
                 Validation::All => held.clone(),
                 Validation::Training => TimedFrames::default(),
             };
@@ -186,17 +181,13 @@ fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
         return Ok(Vec::new());
     }
     let labels = [Table { root: Some(work.data.to_owned()), ..Table::read(path, 0)? }];
-    let held: Vec<String> = {
-        let (held, _) = measured.frames(0).hold_out(GroupBy::Volume, 1);
-        held.frames.iter().map(|f| f.scene.volume.clone()).collect()
-    };
+    let held: BTreeSet<&str> = measured.held_out().0.frames.iter().map(|f| f.scene.volume.as_str()).collect();
     let all = TimedFrames::of(&labels[0].frames, measured.clock);
-    let change = Change { validation: Validation::All, ..Change::default() };
     let mut out = Vec::new();
     for &(count, epochs) in &work.paper.trials.frames {
         let chosen = first_of_each(&all, count)?;
-        let (validation, training) = chosen.parted(|f| held.contains(&f.scene.volume));
-        let change = Change { name: count.to_string(), ..change.clone() };
+        let (validation, training) = chosen.parted(|f| held.contains(f.scene.volume.as_str()));
+        let change = Change { name: count.to_string(), validation: Validation::All, ..Change::default() };
         out.push(trial(work, measured, &labels, (&training, &validation), change, epochs)?);
     }
     Ok(out)
@@ -233,7 +224,7 @@ fn trial(
     let network = &work.paper.network;
     let recipe = Recipe { volumenet: Some(shipped), sorted_lobes: change.sorted_lobes, ..network.clone() };
     let layout = recipe.layout(training.timed())?.1;
-    let groups: Vec<(GroupKind, usize)> = layout.sizes().collect();
+    let groups = layout.groups.clone();
     let rows = |tables: &[Table], frames: &TimedFrames<'_>| {
         let plain = layout.rows(tables, &frames.frames, work.pool, &ProgressBar::hidden())?;
         let (inputs, width) = changed(&plain, &groups, &change);
@@ -324,17 +315,17 @@ impl Trial {
         }
     }
 
-    fn train(&self, recipe: &Recipe, run: usize, pool: &ThreadPool, stop: &AtomicBool) -> Result<Done> {
-        let started = Instant::now();
+    fn train(&self, work: &Work<'_>, run: usize, pool: &ThreadPool) -> Result<Done> {
+        let (started, recipe) = (Instant::now(), &work.paper.network);
         let settings = self.settings(recipe, run);
         let preset = recipe.preset.as_deref().context("the network of the description has no preset")?;
         let network = Network::<f32>::random(&preset_widths(preset, self.width)?, settings.seed)?;
         let go_on = |_: &Progress| {
-            if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            if work.stop() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         let (training, validation) = (self.training.samples(), self.validation.samples());
         let trained = train(pool, network, None, training, validation, &settings, go_on)?;
-        ensure!(!stop.load(Ordering::Relaxed), "stopped");
+        work.go_on()?;
         let mut predicted = trained.predict(pool, &self.test)?;
         ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.change.name);
         // A network may predict negative seconds, which are set to 0.
@@ -366,16 +357,14 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     let all: Vec<(&Trial, usize)> = (1..=runs).flat_map(|run| trials.iter().map(move |t| (t, run))).collect();
     let identities: Vec<String> = all.iter().map(|(t, run)| t.identity(work, *run)).collect::<Result<_>>()?;
     let todo: Vec<usize> = (0..all.len()).filter(|i| !file(&identities[*i]).exists()).collect();
-    let started = Instant::now();
     let bar = templated_bar("trials [{bar:30}] {pos}/{len}  {wide_msg}");
     bar.set_length(todo.len() as u64);
-    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let network = &work.paper.network;
+    let next = AtomicUsize::new(0);
     let worker = || -> Result<()> {
         let pool = thread_pool(Some(1))?;
         while let Some(&i) = todo.get(next.fetch_add(1, Ordering::Relaxed)) {
             let (trial, run) = all[i];
-            let done = trial.train(network, run, &pool, &stop)?;
+            let done = trial.train(work, run, &pool)?;
             write_json(&file(&identities[i]), &done)?;
             bar.set_message(format!("{}, run {run}: {:.0} s", trial.change.name, done.seconds));
             bar.inc(1);
@@ -383,10 +372,13 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
         Ok(())
     };
     let threads = work.pool.current_num_threads().min(todo.len());
-    let ended = side_by_side(threads, &worker, &stop, &|| work.stop());
+    let ended: Vec<Result<()>> = std::thread::scope(|scope| {
+        let handles: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+        handles.into_iter().map(|h| h.join().unwrap_or_else(|_| bail!("a training panicked"))).collect()
+    });
     bar.finish_and_clear();
-    ended?;
     work.go_on()?;
+    ended.into_iter().collect::<Result<()>>()?;
     let mut inputs = identities.concat();
     for table in &measured.tables {
         inputs += &format!(" {:016x}", table.hash);
@@ -397,7 +389,6 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
         return Ok(());
     }
     let mut results = Results::new(panel, SETS, mode, mark);
-    results.seconds = started.elapsed().as_secs_f64();
     results.encoder = main_encoder(work, None)?.1;
     let read = |i: usize| -> Result<Done> {
         let path: PathBuf = file(&identities[i]);
@@ -439,31 +430,8 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
         judge.add(AS_IT_IS, &unchanged.iter().map(pick).collect::<Vec<Vec<f64>>>());
         results.rows.append(&mut judge.rows);
     }
-    if let Some(m) = &measured.tables[0].manifest {
-        (results.device, results.machine) = (m.device.clone(), m.machine.clone());
-    }
+    results.measured_as(&measured.tables[0]);
     write(work.out, &results)
-}
-
-/// Runs workers in parallel until all of them have ended; sets `stop` once `asked` returns true.
-fn side_by_side(
-    count: usize,
-    worker: &(dyn Fn() -> Result<()> + Sync),
-    stop: &AtomicBool,
-    asked: &dyn Fn() -> bool,
-) -> Result<()> {
-    std::thread::scope(|scope| {
-        let handles: Vec<_> = (0..count).map(|_| scope.spawn(worker)).collect();
-        while handles.iter().any(|h| !h.is_finished()) {
-            if asked() {
-                stop.store(true, Ordering::Relaxed);
-            }
-            std::thread::sleep(Duration::from_millis(50));
-        }
-        let ended: Vec<Result<()>> =
-            handles.into_iter().map(|h| h.join().unwrap_or_else(|_| bail!("a training panicked"))).collect();
-        if asked() { Ok(()) } else { ended.into_iter().collect() }
-    })
 }
 
 #[cfg(test)]
@@ -505,20 +473,5 @@ mod tests {
         orders.sort();
         orders.dedup();
         assert_eq!(orders.len(), 6);
-    }
-
-    #[test]
-    fn workers_end_when_asked_and_errors_are_told() {
-        let stop = AtomicBool::new(false);
-        let waits = || {
-            while !stop.load(Ordering::Relaxed) {
-                std::thread::yield_now();
-            }
-            bail!("stopped")
-        };
-        side_by_side(2, &waits, &stop, &|| true).unwrap();
-        let fails = || bail!("diverged");
-        let error = side_by_side(2, &fails, &AtomicBool::new(false), &|| false).unwrap_err();
-        assert_eq!(error.to_string(), "diverged");
     }
 }

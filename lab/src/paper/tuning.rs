@@ -5,11 +5,11 @@
 use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::Panel;
-use super::frames::{Loaded, Low, identity};
+use super::frames::{Loaded, identity};
 use super::judge::{NETWORK, OURS};
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::volumes::{Selection, places, roots};
-use crate::study::{Bounds, Runner};
+use crate::study::{Bounds, Low, Runner};
 use anyhow::{Context, Result};
 use entire_cli::calibrate::calibrate_to_frames;
 use entire_core::model::ModelFile;
@@ -22,7 +22,6 @@ use entire_train::split::TimedFrames;
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// Name of the data set in results on other renderers and kinds of volumes.
 const TOGETHER: &str = "all";
@@ -64,9 +63,6 @@ const MOST_DRAWN: usize = 100;
 const LEAST_DRAWN: f64 = 1e-4;
 
 /// Computes the missing results of fine-tuning.
-///
-/// # Errors
-/// When tables cannot be read, a training fails, and when the study is stopped.
 pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result<()> {
     let paper = work.paper;
     let mode = &paper.tuning.mode;
@@ -139,7 +135,6 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     if todo.is_empty() {
         return Ok(());
     }
-    let started = Instant::now();
     let hidden = ProgressBar::hidden();
     let context = FitContext { tables: &tables, pool: work.pool, bar: &hidden, stop: runner.stop };
     let (mut training, mut validation) = (TimedFrames::default(), TimedFrames::default());
@@ -152,10 +147,9 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         match place.main_split() {
             Some(parts) => {
                 training = training.and(of_table(*t).parted(|f| parts.training.contains(&f.scene.volume)).0);
-                let each = u64::from(paper.frames.training);
-                let few = u64::from(paper.frames.held_out);
-                let wanted =
-                    |f: &TimedFrame| parts.validation.contains(&f.scene.volume) && f.number % each < few;
+                let wanted = |f: &TimedFrame| {
+                    parts.validation.contains(&f.scene.volume) && paper.frames.is_of_few(f.number)
+                };
                 validation = validation.and(of_table(*t).parted(wanted).0);
             }
             None => {
@@ -197,10 +191,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
         results.encoder =
             format!("as shipped; {NETWORK} and {OURS} are pre-trained on all data sets together");
-        results.seconds = started.elapsed().as_secs_f64();
-        if let Some(m) = tables.first().and_then(|t| t.manifest.as_ref()) {
-            (results.device, results.machine) = (m.device.clone(), m.machine.clone());
-        }
+        results.measured_as(&tables[0]);
         write(work.out, &results)?;
     }
     Ok(())
@@ -236,18 +227,19 @@ impl Pretrained<'_> {
                     seed,
                     ..(*recipe).clone()
                 };
-                let (tuned, _) = runner.made(&key("tuned"), &tuned, context, (&few, &none), &bounds)?;
-                found.entry("fine-tuned").or_default().push(rmse(&tuned)?);
                 let alone = Recipe { epochs: work.paper.tuning.epochs, seed, ..(*recipe).clone() };
-                let (alone, _) = runner.made(&key("alone"), &alone, context, (&few, &none), &bounds)?;
-                found.entry("from nothing").or_default().push(rmse(&alone)?);
-                let (how, moved) = (
-                    "ours, calibrated",
-                    calibrate_to_frames(std::slice::from_ref(ours), context, few.timed())?,
-                );
-                found.entry(how).or_default().push(rmse(&moved)?);
+                let parts = (&few, &none);
+                let moved = calibrate_to_frames(std::slice::from_ref(ours), context, few.timed())?;
+                let made = [
+                    ("fine-tuned", runner.made(&key("tuned"), &tuned, context, parts, &bounds)?.0),
+                    ("from nothing", runner.made(&key("alone"), &alone, context, parts, &bounds)?.0),
+                    ("ours, calibrated", moved),
+                ];
+                for &(how, ref file) in &made {
+                    found.entry(how).or_default().push(rmse(file)?);
+                }
                 if run == 1 {
-                    last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];
+                    last = made.into();
                 }
             }
             for (how, mut errors) in found {

@@ -85,7 +85,7 @@ impl Place {
     /// Returns the number of frames of a volume: that of training volumes if a split trains on the volume,
     /// else that of held-out volumes.
     pub(crate) fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
-        let name = name_of(job);
+        let name = job.name();
         let learned = self.splits.iter().any(|s| s.training.contains(&name));
         if learned { paper.frames.training } else { paper.frames.held_out }
     }
@@ -105,11 +105,6 @@ impl Place {
 /// Returns the folders to which names of volumes may be relative.
 pub(super) fn roots(data: &Path) -> [PathBuf; 2] {
     [data.join("ensembles"), data.to_owned()]
-}
-
-/// A volume's name: its path from the data set's root.
-pub(super) fn name_of(job: &Job) -> String {
-    job.path.to_string_lossy().into_owned()
 }
 
 fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
@@ -153,14 +148,14 @@ fn tenths<'a>(names: impl Iterator<Item = &'a String>) -> (BTreeSet<String>, BTr
 }
 
 fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
-    let all: BTreeSet<String> = jobs.iter().map(name_of).collect();
+    let all: BTreeSet<String> = jobs.iter().map(Job::name).collect();
     ensure!(all.len() >= 3, "{} has {} volumes; at least 3 are needed", set.name, all.len());
     let (test, validation) = tenths(all.iter());
     let training = all.iter().filter(|n| !test.contains(*n) && !validation.contains(*n)).cloned().collect();
     let mut out = vec![Parts { name: BY_VOLUMES, training, validation, test }];
     if let Some(members) = &set.members {
         let of = |wanted: &BTreeSet<String>| -> BTreeSet<String> {
-            jobs.iter().filter(|j| wanted.contains(&j.member)).map(name_of).collect()
+            jobs.iter().filter(|j| wanted.contains(&j.member)).map(Job::name).collect()
         };
         let test = of(&members.test);
         let mut validation = of(&members.validation);
@@ -227,7 +222,7 @@ mod tests {
     #[test]
     fn variants_of_a_volume_are_in_the_same_part() {
         let variants = |j: Job| {
-            let name = name_of(&j);
+            let name = j.name();
             let of =
                 |share: &str| Job::from_path(Path::new(&name.replace(".nrrd", &format!(".s{share}.nrrd"))));
             [j.clone(), of("50"), of("80")]

@@ -4,7 +4,7 @@
 use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::YT;
-use super::volumes::{Place, name_of};
+use super::volumes::Place;
 use anyhow::{Context, Result, ensure};
 use entire_cli::collection::Job;
 use entire_io::dataset::{Manifest, Scene, Table, Writer};
@@ -16,7 +16,7 @@ use std::process::Command;
 
 /// Path of the table of one volume's frames.
 fn part(work: &Work<'_>, job: &Job, low: bool) -> PathBuf {
-    let name = name_of(job).replace(['/', '.'], "-");
+    let name = job.name().replace(['/', '.'], "-");
     work.out.join("tables").join("yt").join(format!("{name}{}.csv", if low { "-low" } else { "" }))
 }
 
@@ -39,7 +39,7 @@ pub(crate) fn collect(work: &Work<'_>, place: &Place) -> Result<()> {
             let to = part(work, job, low);
             if !to.exists() {
                 work.go_on()?;
-                bar.set_message(name_of(job));
+                bar.set_message(job.name());
                 of_volume(work, place, job, low, &to)?;
             }
             bar.inc(1);
@@ -68,7 +68,7 @@ fn of_volume(work: &Work<'_>, place: &Place, job: &Job, low: bool, to: &std::pat
         .args(["--min-size", &yt.min_size.to_string(), "--max-size", &yt.max_size.to_string()])
         .arg("--out")
         .arg(&begun)
-        .arg(name_of(job))
+        .arg(job.name())
         .current_dir(&place.root);
     if low {
         command.args(["--proxy", &work.paper.proxy.to_string()]);
@@ -78,7 +78,7 @@ fn of_volume(work: &Work<'_>, place: &Place, job: &Job, low: bool, to: &std::pat
         output.status.success(),
         "{} failed on {}: {}; name a Python with yt by --python (pip install yt)",
         yt.script.display(),
-        name_of(job),
+        job.name(),
         String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or_default()
     );
     let rename = |from: PathBuf, to: PathBuf| {

@@ -1,11 +1,11 @@
 //! Sessions without a model that start anywhere on a path, as in a program that knows only its own frame times.
 
-use super::{Replayable, Trial, replay};
+use super::{LIMITS, Replayable, Trial, replay};
 use crate::bars::Bar;
 use anyhow::Result;
 use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::play::Contender;
-use entire_steer::control::{Hybrid, HybridOptions, Prior, Session, StepLimits};
+use entire_steer::control::{Hybrid, HybridOptions, Prior, Session};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use std::ops::Range;
 
@@ -37,15 +37,12 @@ pub(crate) fn without_model(options: HybridOptions) -> Contender {
 
 /// Returns the bar of the cold start: sessions without a model start at several frames of every trial. The
 /// value is the share of sessions whose second frame took no longer than the upper bound of its plan.
-///
-/// # Errors
-/// When a prediction fails.
-pub(crate) fn second_in_bound(traces: &[Replayable], trials: &[Trial], limits: StepLimits) -> Result<Bar> {
+pub(crate) fn second_in_bound(traces: &[Replayable], trials: &[Trial]) -> Result<Bar> {
     let (mut seconds, mut inside) = (0u32, 0u32);
     for trial in trials {
         for frames in starts(trial.targets.len(), 2) {
             let mut who = without_model(HybridOptions::default());
-            let played = replay(&traces[trial.trace], &mut who, &[], &trial.targets, limits, 1, frames)?;
+            let played = replay(&traces[trial.trace], &mut who, &[], &trial.targets, LIMITS, 1, frames)?;
             seconds += 1;
             inside += u32::from(played[1].seconds <= played[1].upper);
         }

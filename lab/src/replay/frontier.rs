@@ -4,34 +4,14 @@
 use super::Replayable;
 use crate::trace::{TRACE_SCALES, TracePoint};
 use entire_io::metrics::median;
-use entire_steer::calibrate::{FittedQuality, Picture, fit_quality};
+use entire_steer::calibrate::{Picture, fit_quality};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Mean structural similarity of the settings that each rule picks among those that meet the target, on
-/// traces of volumes that the quality law was not fitted to.
-pub(crate) struct Frontier {
-    pub(super) law: FittedQuality,
-    frames: usize,
-    by_model: f64,
-    by_step: f64,
-    best: f64,
-}
-
-impl Frontier {
-    /// The result in a sentence.
-    pub(crate) fn sentence(&self) -> String {
-        format!(
-            "Quality model (step and image size) on {} choices of volumes that it was not fitted to: mean \
-             SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
-            self.frames, self.by_model, self.by_step, self.best
-        )
-    }
-}
-
-/// Fits the quality law to every second trace and tests it on the traces of other volumes; `None` if the law cannot be fitted
-/// or no frame has a choice.
-pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
+/// Fits the quality law to every second trace, and tests it on the traces of other volumes. Returns a sentence with the
+/// mean structural similarity of the settings that each rule picks among those that meet the target; `None` if the law
+/// cannot be fitted or no frame has a choice.
+pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<String> {
     let fitted: BTreeSet<&Path> =
         traces.iter().step_by(2).flat_map(|t| &t.trace.volumes).map(|v| v.file.as_path()).collect();
     // Returns the points of every frame that was also drawn with both a coarser step and a smaller image: in traces
@@ -67,7 +47,7 @@ pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option
         })
         .collect();
     let law = fit_quality(&pictures).ok()?;
-    let (mut frames, mut by_model, mut by_step, mut best) = (0, 0.0, 0.0, 0.0);
+    let (mut frames, mut by_model, mut by_step, mut best) = (0usize, 0.0, 0.0, 0.0);
     for frame in points(true) {
         for (target, _) in targets {
             let seconds = |p: &TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
@@ -87,11 +67,13 @@ pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option
         }
     }
     let n = frames as f64;
-    (frames > 0).then(|| Frontier {
-        law,
-        frames,
-        by_model: by_model / n,
-        by_step: by_step / n,
-        best: best / n,
+    (frames > 0).then(|| {
+        format!(
+            "Quality model (step and image size) on {frames} choices of volumes that it was not fitted to: mean \
+             SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
+            by_model / n,
+            by_step / n,
+            best / n
+        )
     })
 }

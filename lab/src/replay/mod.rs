@@ -33,6 +33,9 @@ use std::sync::Arc;
 /// motion of the camera.
 pub const SETTLING: usize = 3;
 
+/// Allowed ray steps of the commands, reference steps. Rules that act on image resolution have their own ranges.
+const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 16.0 };
+
 /// A trace that is ready to be replayed.
 #[derive(Clone)]
 pub struct Replayable {
@@ -257,8 +260,8 @@ pub fn replay(
 }
 
 /// True for a useful target of a trace: some allowed step meets it exactly in at least half of the frames.
-fn worth_playing(recorded: &Replayable, target: f64, limits: StepLimits) -> bool {
-    let (finest, coarsest) = (f64::from(limits.finest), f64::from(limits.coarsest));
+fn worth_playing(recorded: &Replayable, target: f64) -> bool {
+    let (finest, coarsest) = (f64::from(LIMITS.finest), f64::from(LIMITS.coarsest));
     let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();
     2 * reachable >= recorded.curves.len()
 }

@@ -1,6 +1,5 @@
-//! Output of a replay: tables, charts and files.
+//! Output of a replay: tables and files.
 
-use super::frontier::Frontier;
 use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial};
 use crate::fitted::Calibrated;
 use crate::fitted::candidates_table;
@@ -8,13 +7,12 @@ use anyhow::Result;
 use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::play::ActsOn;
-use entire_cli::steering::report::{ResponseCurve, color};
+use entire_cli::steering::report::ResponseCurve;
 use entire_cli::steering::rivals::StepResponse;
 use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
-use entire_report::{Axis, Cell, Chart, Mark, Page, Rule, Series, Table};
+use entire_report::{Cell, Page, Table};
 use serde_json::json;
-use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Results of all replays, for reports.
@@ -31,7 +29,7 @@ pub(crate) struct Results<'a> {
     pub(crate) scores: &'a [Score],
 }
 
-/// Controllers in the charts of single paths and in the table of all trials.
+/// Controllers in the table of all trials.
 const SHOWN: [ControllerKind; 4] =
     [ControllerKind::Hybrid, ControllerKind::Olp, ControllerKind::Algorithm1, ControllerKind::Unreal];
 
@@ -104,8 +102,7 @@ impl Results<'_> {
             columns += &format!(" | #{name}: > 1.1 T | #|t-T|/T | #quality");
         }
         let mut table = Table::headed(&columns);
-        for o in self.outcomes {
-            let trial = &self.trials[o.trial];
+        for (trial, o) in self.trials.iter().zip(self.outcomes) {
             let frames = &o.frames[0];
             let reachable = frames.iter().filter(|f| f.reachable).count() as f64 / frames.len() as f64;
             let mut row: Vec<Cell> = vec![
@@ -127,34 +124,13 @@ impl Results<'_> {
     }
 
     /// Writes every frame as CSV.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub(crate) fn write_csv(&self, path: &Path) -> Result<()> {
         let mut out = csv::Writer::from_writer(Vec::new());
-        out.write_record([
-            "trace",
-            "target",
-            "controller",
-            "frame",
-            "target_s",
-            "seconds",
-            "predicted_s",
-            "upper_s",
-            "step_ref",
-            "image_scale",
-            "oracle_step_ref",
-            "psnr_db",
-            "oracle_psnr_db",
-            "ssim",
-            "oracle_ssim",
-            "switched",
-            "calm",
-            "reason",
-        ])?;
+        let header = "trace,target,controller,frame,target_s,seconds,predicted_s,upper_s,step_ref,image_scale,\
+                      oracle_step_ref,psnr_db,oracle_psnr_db,ssim,oracle_ssim,switched,calm,reason";
+        out.write_record(header.split(','))?;
         let known = |v: f64| if v.is_nan() { String::new() } else { v.to_string() };
-        for o in self.outcomes {
-            let trial = &self.trials[o.trial];
+        for (trial, o) in self.trials.iter().zip(self.outcomes) {
             for (player, frames) in self.players.iter().zip(&o.frames) {
                 for (i, f) in frames.iter().enumerate() {
                     let (step, distance) = player.acts_on.drawn(f.step as f32);
@@ -185,9 +161,6 @@ impl Results<'_> {
     }
 
     /// Writes scores as JSON.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub(crate) fn write_json(&self, path: &Path, calibrated: &Calibrated) -> Result<()> {
         let by_name = |scores: Vec<Score>| -> serde_json::Map<String, serde_json::Value> {
             self.players.iter().zip(scores).map(|(p, s)| (p.kind.name().to_owned(), json!(s))).collect()
@@ -195,10 +168,10 @@ impl Results<'_> {
         let acts_on: serde_json::Map<String, serde_json::Value> =
             self.players.iter().map(|p| (p.kind.name().to_owned(), json!(p.acts_on_name()))).collect();
         let trials: Vec<serde_json::Value> = self
-            .outcomes
+            .trials
             .iter()
-            .map(|o| {
-                let trial = &self.trials[o.trial];
+            .zip(self.outcomes)
+            .map(|(trial, o)| {
                 json!({
                     "trace": self.traces[trial.trace].trace.name,
                     "target": trial.label,
@@ -224,7 +197,7 @@ impl Results<'_> {
         calibrated: &Calibrated,
         response: &StepResponse,
         samples: &[Sample],
-        frontier: Option<&Frontier>,
+        frontier: Option<&str>,
     ) -> Page {
         let frames = self.scores.first().map_or(0, |s| s.frames);
         let mut page = Page::new(
@@ -252,64 +225,9 @@ impl Results<'_> {
                  reference step, divided by the oracle's. The best value of each column is bold."
             ),
         );
-        let mut chart = Chart::new(
-            "Misses and quality",
-            Axis::linear("frames over 1.1 T / %"),
-            Axis::linear("quality / %").to(101.0),
-        )
-        .size(900.0, 420.0)
-        .rule(Rule::Vertical(3.0, "3 %".into()))
-        .rule(Rule::Horizontal(92.0, "92 %".into()));
-        let labels: BTreeSet<&str> = self.trials.iter().map(|t| t.label.as_str()).collect();
-        for (k, Player { kind, .. }) in self.players.iter().enumerate() {
-            let points = labels
-                .iter()
-                .map(|label| {
-                    let mut sum = Tally::default();
-                    for o in self.outcomes.iter().filter(|o| self.trials[o.trial].label == *label) {
-                        sum.merge(&o.tallies[k]);
-                    }
-                    let s = sum.score();
-                    (100.0 * s.all.missed, 100.0 * s.all.quality, String::new())
-                })
-                .collect();
-            chart = chart.series(Series::new(kind.title(), Mark::Points(points)).color(color(kind.name())));
-        }
-        page.chart(
-            &chart,
-            "One point per controller and target, over all traces on which the target was \
-             played. Points further up and left are better.",
-        );
-        for (t, trace) in self.traces.iter().enumerate() {
-            let of_trace: Vec<&Outcome> =
-                self.outcomes.iter().filter(|o| self.trials[o.trial].trace == t).collect();
-            let single: Vec<&&Outcome> =
-                of_trace.iter().filter(|o| self.trials[o.trial].label != "changing").collect();
-            let Some(middle) = single.get(single.len() / 2) else { continue };
-            let trial = &self.trials[middle.trial];
-            page.heading(&format!("{} at {}", trace.trace.name, trial.label));
-            self.charts(&mut page, middle, trace);
-        }
         if let Some(f) = frontier {
             page.heading("Step and image size together");
-            page.paragraph(&f.sentence());
-            let curve = |error: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
-                (0..=40).map(|i| 1.0 + f64::from(i) * 0.2).map(|x| (x, error(x))).collect()
-            };
-            let law = f.law.quality;
-            let chart = Chart::new(
-                "Picture error over step and image size",
-                Axis::linear("step over the reference step, or full side over image side"),
-                Axis::linear("distance from full quality over that at twice the step").from(0.0),
-            )
-            .size(900.0, 260.0)
-            .series(Series::new("coarser step", Mark::Line(curve(&|x| law.error(x, 1.0)))))
-            .series(Series::new("smaller image", Mark::Line(curve(&|x| law.error(1.0, x)))));
-            page.chart(
-                &chart,
-                "The quality law, fitted to 1 - SSIM of every second trace. Settings are tried in the order \
-                 of its error; the first one whose expected time meets the target is drawn.",
-            );
+            page.paragraph(f);
         }
         page.heading("Every trial");
         page.table(&self.per_trial(), "Shares in percent, as in the first table.");
@@ -350,60 +268,5 @@ impl Results<'_> {
         facts.extend(Provenance::of("replayed".into()).facts());
         page.facts(facts);
         page
-    }
-
-    fn charts(&self, page: &mut Page, outcome: &Outcome, trace: &Replayable) {
-        let line = |k: usize, f: &dyn Fn(&Replayed) -> f64| -> Vec<(f64, f64)> {
-            outcome.frames[k].iter().enumerate().map(|(i, r)| (i as f64, f(r))).collect()
-        };
-        let draw = |mut chart: Chart,
-                    on: &dyn Fn(ActsOn) -> bool,
-                    f: &dyn Fn(&Replayed) -> f64,
-                    oracle: Option<&dyn Fn(&Replayed) -> f64>| {
-            for (i, s) in trace.switches.iter().enumerate() {
-                if *s {
-                    chart = chart.rule(Rule::Vertical(i as f64, String::new()));
-                }
-            }
-            if let Some(oracle) = oracle {
-                chart = chart.series(Series::new("oracle", Mark::Line(line(0, oracle))).color(6));
-            }
-            for kind in SHOWN {
-                if let Some(k) = self.players.iter().position(|p| p.kind == kind && on(p.acts_on)) {
-                    chart = chart
-                        .series(Series::new(kind.title(), Mark::Line(line(k, f))).color(color(kind.name())));
-                }
-            }
-            chart
-        };
-        let time = Chart::new("Time over target", Axis::linear("frame"), Axis::log("t / T"))
-            .size(900.0, 280.0)
-            .rule(Rule::Horizontal(1.0, "target".into()))
-            .rule(Rule::Horizontal(1.1, String::new()));
-        page.chart(&draw(time, &|_| true, &|r| r.seconds / r.target, None), "Vertical line: abrupt change.");
-        let step = Chart::new("Ray step", Axis::linear("frame"), Axis::log("step / reference steps"))
-            .size(900.0, 260.0);
-        page.chart(
-            &draw(step, &|on| on == ActsOn::RayStep, &|r| r.step, Some(&|r| r.oracle_step)),
-            "Finer is better while the target is met.",
-        );
-        let on_images = |on: ActsOn| on != ActsOn::RayStep;
-        if self.players.iter().any(|p| SHOWN.contains(&p.kind) && on_images(p.acts_on)) {
-            let image = Chart::new(
-                "Image resolution",
-                Axis::linear("frame"),
-                Axis::linear("image side / full side").from(0.0),
-            )
-            .size(900.0, 220.0);
-            page.chart(
-                &draw(image, &on_images, &|r| 1.0 / r.step.sqrt(), None),
-                "Of controllers that act on image resolution, at the reference step.",
-            );
-        }
-        let ssim = Chart::new("Picture", Axis::linear("frame"), Axis::linear("SSIM")).size(900.0, 240.0);
-        page.chart(
-            &draw(ssim, &|_| true, &|r| r.ssim, Some(&|r| r.oracle_ssim)),
-            "Structural similarity to the picture at the reference step.",
-        );
     }
 }

@@ -1,13 +1,13 @@
 //! Trials: traces with targets, played under every controller.
 
 use super::cold::hybrid;
-use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
+use super::{LIMITS, Player, Replayable, Replayed, Tally, replay, worth_playing};
 use crate::fitted::Calibrated;
 use anyhow::Result;
 use entire_cli::steering::contenders::contender;
 use entire_cli::steering::rivals::StepResponse;
 use entire_io::metrics::median;
-use entire_steer::control::{HybridOptions, Prior, StepLimits};
+use entire_steer::control::{HybridOptions, Prior};
 
 /// One trace with one target or a series of targets.
 pub(crate) struct Trial {
@@ -21,8 +21,6 @@ pub(crate) struct Trial {
 
 /// Outcome of a trial, per controller.
 pub(crate) struct Outcome {
-    /// Index of the trial.
-    pub(crate) trial: usize,
     /// Frames of the first round, by controller.
     pub(crate) frames: Vec<Vec<Replayed>>,
     /// Sums over all rounds, by controller.
@@ -31,12 +29,11 @@ pub(crate) struct Outcome {
 
 /// Returns trials of every trace with each of its useful targets, and with a series of these targets. A
 /// target is useful for a trace if some allowed step meets it exactly in at least half of the trace's frames.
-pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits) -> Vec<Trial> {
+pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)]) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {
         let n = trace.path.frames.len();
-        let worth: Vec<&(f64, &str)> =
-            targets.iter().filter(|(t, _)| worth_playing(trace, *t, limits)).collect();
+        let worth: Vec<&(f64, &str)> = targets.iter().filter(|(t, _)| worth_playing(trace, *t)).collect();
         for (target, label) in &worth {
             out.push(Trial { trace: i, label: (*label).to_owned(), targets: vec![*target; n] });
         }
@@ -53,17 +50,13 @@ pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: Ste
 /// that some allowed step meets exactly in at least half of the frames). The target of this trial is halfway,
 /// in ln(seconds), between the trace's median frame times at the finest and at the coarsest step. Also
 /// returns the names of the traces for which this target is not useful either; they have no trial.
-pub(crate) fn trials_of_all(
-    traces: &[Replayable],
-    targets: &[(f64, &str)],
-    limits: StepLimits,
-) -> (Vec<Trial>, Vec<String>) {
-    let (mut out, mut unplayed) = (trials(traces, targets, limits), Vec::new());
+pub(crate) fn trials_of_all(traces: &[Replayable], targets: &[(f64, &str)]) -> (Vec<Trial>, Vec<String>) {
+    let (mut out, mut unplayed) = (trials(traces, targets), Vec::new());
     for (i, trace) in traces.iter().enumerate() {
         if out.iter().any(|t| t.trace == i) {
             continue;
         }
-        match own_target(trace, limits).filter(|t| worth_playing(trace, *t, limits)) {
+        match own_target(trace).filter(|t| worth_playing(trace, *t)) {
             Some(target) => out.push(Trial {
                 trace: i,
                 label: format!("its own, {:.1} ms", 1e3 * target),
@@ -78,27 +71,21 @@ pub(crate) fn trials_of_all(
 
 /// Returns a target that depends on the trace alone: halfway, in ln(seconds), between its median frame times
 /// at the finest and at the coarsest allowed step.
-fn own_target(trace: &Replayable, limits: StepLimits) -> Option<f64> {
+fn own_target(trace: &Replayable) -> Option<f64> {
     let middle = |step: f32| {
         let mut seconds: Vec<f64> = trace.curves.iter().map(|c| c.seconds(f64::from(step))).collect();
         median(&mut seconds)
     };
-    Some((middle(limits.finest)? * middle(limits.coarsest)?).sqrt())
+    Some((middle(LIMITS.finest)? * middle(LIMITS.coarsest)?).sqrt())
 }
 
 /// Plays a trial under every controller, for several rounds, each with another draw of the measured noise.
-///
-/// # Errors
-/// When a prediction fails.
-#[expect(clippy::too_many_arguments, reason = "a trial is told everything once, in one place")]
 pub(crate) fn play(
-    index: usize,
     trial: &Trial,
     trace: &Replayable,
     players: &[Player],
     calibrated: &Calibrated,
     response: &StepResponse,
-    limits: StepLimits,
     rounds: u64,
 ) -> Result<Outcome> {
     let chosen = &calibrated.chosen().fitted;
@@ -112,9 +99,8 @@ pub(crate) fn play(
     // The controller with a fixed step uses the step at which the middle frame of the path meets the mean
     // target.
     let middle = &trace.curves[trace.curves.len() / 2];
-    let fixed = middle.oracle(mean, f64::from(limits.finest), f64::from(limits.coarsest)) as f32;
-    let mut outcome =
-        Outcome { trial: index, frames: Vec::new(), tallies: vec![Tally::default(); players.len()] };
+    let fixed = middle.oracle(mean, f64::from(LIMITS.finest), f64::from(LIMITS.coarsest)) as f32;
+    let mut outcome = Outcome { frames: Vec::new(), tallies: vec![Tally::default(); players.len()] };
     for (k, player) in players.iter().enumerate() {
         for round in 0..rounds {
             let prior: Prior = calibrated.prior();
@@ -126,7 +112,7 @@ pub(crate) fn play(
             };
             who.acts_on = player.acts_on;
             let all = 0..trial.targets.len();
-            let played = replay(trace, &mut who, &codes, &trial.targets, limits, round + 1, all)?;
+            let played = replay(trace, &mut who, &codes, &trial.targets, LIMITS, round + 1, all)?;
             outcome.tallies[k].merge(&Tally::of(&played));
             if round == 0 {
                 outcome.frames.push(played);
@@ -141,8 +127,6 @@ mod tests {
     use super::*;
     use crate::trace::Trace;
     use std::path::Path;
-
-    const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 16.0 };
 
     /// Returns a recorded path of the repository with other frame times, which `seconds` computes from the
     /// frame's index and its recorded seconds.
@@ -166,14 +150,14 @@ mod tests {
             path("castro-cuts", |_, s| s),
             path("nyx-orbit", |i, _| if i % 2 == 0 { 1.0 } else { 100.0 }),
         ];
-        assert!(trials(&paths[..1], &targets, LIMITS).is_empty());
-        let (trials, unplayed) = trials_of_all(&paths, &targets, LIMITS);
+        assert!(trials(&paths[..1], &targets).is_empty());
+        let (trials, unplayed) = trials_of_all(&paths, &targets);
         assert_eq!(unplayed, ["nyx-orbit"]);
         let labels = |trace: usize| -> Vec<&str> {
             trials.iter().filter(|t| t.trace == trace).map(|t| t.label.as_str()).collect()
         };
         assert_eq!(labels(0), ["its own, 6.2 ms"]);
-        assert!(worth_playing(&paths[0], trials[0].targets[0], LIMITS));
+        assert!(worth_playing(&paths[0], trials[0].targets[0]));
         assert_eq!(labels(1), ["60fps", "90fps", "changing"]);
         assert!(labels(2).is_empty());
         let bars: Vec<String> = super::super::played(3, &unplayed).iter().map(ToString::to_string).collect();

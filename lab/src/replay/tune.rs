@@ -14,11 +14,11 @@
 //! chance. It ends after a round in which no constant changed.
 
 use super::cold::{hybrid, starts, without_model};
-use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
+use super::{LIMITS, Replayable, Replayed, Tally, Three, Trial, replay, trials};
 use crate::fitted::Calibrated;
 use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
-use entire_steer::control::{CorrectionConstants, HybridConstants, HybridOptions, StepLimits};
+use entire_steer::control::{CorrectionConstants, HybridConstants, HybridOptions};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -95,9 +95,6 @@ pub(crate) struct Removed {
 }
 
 /// Effect of each constant: the paths' cost without it, with the others unchanged.
-///
-/// # Errors
-/// As [`Course::cost`].
 pub(crate) fn removed(
     courses: &[Course<'_>],
     paths: usize,
@@ -166,7 +163,6 @@ pub(crate) struct Course<'a> {
     calibrated: &'a Calibrated,
     /// Trials with the frame times of each [`Law`].
     trials: [Vec<Trial>; 3],
-    limits: StepLimits,
 }
 
 /// Cost of a path.
@@ -205,8 +201,8 @@ struct Coarse {
 }
 
 impl Coarse {
-    fn add(&mut self, frames: &[Replayed], finest: f32) {
-        let finest = f64::from(finest);
+    fn add(&mut self, frames: &[Replayed]) {
+        let finest = f64::from(LIMITS.finest);
         self.frames += frames.len() as f64;
         self.coarse += frames.iter().filter(|f| f.oracle_step <= finest && f.step > finest).count() as f64;
     }
@@ -237,10 +233,9 @@ impl<'a> Course<'a> {
         recorded: &'a [Replayable; 3],
         calibrated: &'a Calibrated,
         targets: &[(f64, &str)],
-        limits: StepLimits,
     ) -> Self {
-        let trials = recorded.each_ref().map(|r| trials(std::slice::from_ref(r), targets, limits));
-        Self { recorded, calibrated, trials, limits }
+        let trials = recorded.each_ref().map(|r| trials(std::slice::from_ref(r), targets));
+        Self { recorded, calibrated, trials }
     }
 
     /// True if no target is met by an allowed step in half of the path's frames.
@@ -249,9 +244,6 @@ impl<'a> Course<'a> {
     }
 
     /// Cost of the path with these constants.
-    ///
-    /// # Errors
-    /// When a prediction fails.
     pub(crate) fn cost(&self, constants: Constants) -> Result<Cost> {
         let chosen = &self.calibrated.chosen().fitted;
         let Constants { hybrid: constants, correction } = constants;
@@ -264,10 +256,9 @@ impl<'a> Course<'a> {
             for round in 1..=2 {
                 let mut who = hybrid(chosen.predictor()?, options);
                 let all = 0..trial.targets.len();
-                let played =
-                    replay(&self.recorded[0], &mut who, &[], &trial.targets, self.limits, round, all)?;
+                let played = replay(&self.recorded[0], &mut who, &[], &trial.targets, LIMITS, round, all)?;
                 fitted.merge(&Tally::of(&played));
-                fitted_coarse.add(&played, self.limits.finest);
+                fitted_coarse.add(&played);
             }
         }
         for (recorded, trial) in
@@ -275,9 +266,9 @@ impl<'a> Course<'a> {
         {
             for frames in starts(trial.targets.len(), COLD_FRAMES) {
                 let mut who = without_model(options);
-                let played = replay(recorded, &mut who, &[], &trial.targets, self.limits, 1, frames)?;
+                let played = replay(recorded, &mut who, &[], &trial.targets, LIMITS, 1, frames)?;
                 cold.merge(&Tally::of(&played[1..]));
-                cold_coarse.add(&played[1..], self.limits.finest);
+                cold_coarse.add(&played[1..]);
                 seconds += 1;
                 inside += u32::from(played[1].seconds <= played[1].upper);
             }
@@ -296,9 +287,6 @@ impl<'a> Course<'a> {
 }
 
 /// Cost of every path with these constants.
-///
-/// # Errors
-/// As [`Course::cost`].
 pub(crate) fn costs(courses: &[Course<'_>], constants: Constants) -> Result<Vec<Cost>> {
     courses.par_iter().map(|c| c.cost(constants)).collect()
 }
@@ -323,9 +311,6 @@ fn difference(paths: usize, before: &[Cost], after: &[Cost]) -> (f64, f64) {
 /// Searches from `constants`, with the costs `now`, for at most `rounds` rounds over the constants `tried`
 /// (by index). Returns the constants, their costs, and the changes that were taken. `done` is called after
 /// every tried value.
-///
-/// # Errors
-/// As [`Course::cost`].
 pub(crate) fn search(
     courses: &[Course<'_>],
     paths: usize,

@@ -27,8 +27,6 @@ fn result(split: &str, predictor: &str, off: f64) -> SplitResult {
         metrics: Metrics::new(&predicted, &measured).unwrap(),
         intervals: None,
         bound: None,
-        parts: Vec::new(),
-        log_errors: [0.0; 7],
     }
 }
 

@@ -46,34 +46,47 @@ impl Line {
     }
 }
 
+/// Seconds of the frames as rendered by the low-resolution proxy, by table and frame number.
+pub(crate) type Low = BTreeMap<(usize, u64), f64>;
+
+/// The line by which the low-resolution proxy predicts: seconds as a linear function of the seconds at low resolution,
+/// fitted to the training frames. `None` if too few training frames were rendered at low resolution.
+pub(crate) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
+    let pairs: Vec<(f64, f64)> = training
+        .frames
+        .iter()
+        .zip(&training.seconds)
+        .filter_map(|(f, t)| Some((*low.get(&(f.table, f.number))?, *t)))
+        .collect();
+    (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
+}
+
+/// Predictions of the low-resolution proxy; `None` for a frame that was not rendered at low resolution.
+pub(crate) fn by_proxy(low: &Low, line: Option<Line>, frames: &[&TimedFrame]) -> Vec<Option<f64>> {
+    frames.iter().map(|f| Some(line?.at(*low.get(&(f.table, f.number))?))).collect()
+}
+
+/// The frames for which the low-resolution proxy has a prediction.
+pub(crate) fn with_twins<'a>(all: &TimedFrames<'a>, proxy: &[Option<f64>]) -> TimedFrames<'a> {
+    let all = all.frames.iter().zip(&all.seconds).zip(proxy);
+    let (frames, seconds) = all.filter(|(_, p)| p.is_some()).map(|((f, t), _)| (*f, *t)).unzip();
+    TimedFrames { frames, seconds }
+}
+
 /// Evaluates the low-resolution proxy: it predicts seconds as a linear function of the seconds of the same
 /// frame on 64³ voxels.
-pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut Findings) -> Result<()> {
+pub(super) fn proxy(on: &OnSet<'_>, low: &Low, out: &mut Findings) -> Result<()> {
     let (set, training, splits) = (on.set, &on.data.one_step.all, &on.data.splits);
     if low.is_empty() {
         return Ok(());
     }
-    let paired = |part: &TimedFrames<'_>| -> Vec<(usize, f64)> {
-        part.frames
-            .iter()
-            .enumerate()
-            .filter_map(|(i, f)| Some((i, *low.get(&(f.table, f.number))?)))
-            .collect()
-    };
-    let pairs = paired(training);
-    ensure!(pairs.len() > 2, "set {}: low_resolution holds no frames of the training tables", set.name);
-    let line = Line::through(pairs.iter().map(|(i, l)| (*l, training.seconds[*i])));
+    let line = line_of(low, training);
+    ensure!(line.is_some(), "set {}: low_resolution holds no frames of the training tables", set.name);
     for (split, part) in set.splits.iter().zip(splits) {
-        let pairs = paired(part);
-        if pairs.is_empty() {
-            continue;
-        }
-        let sub = TimedFrames {
-            frames: pairs.iter().map(|(i, _)| part.frames[*i]).collect(),
-            seconds: pairs.iter().map(|(i, _)| part.seconds[*i]).collect(),
-        };
-        let predicted: Vec<f64> = pairs.iter().map(|(_, l)| line.at(*l)).collect();
-        out.results.extend(judge(&set.name, &split.name, PROXY, "baseline", &sub, &predicted, None));
+        let proxy = by_proxy(low, line, &part.frames);
+        let seconds: Vec<f64> = proxy.iter().copied().flatten().collect();
+        let part = with_twins(part, &proxy);
+        out.results.extend(judge(&set.name, &split.name, PROXY, "baseline", &part, &seconds, None));
     }
     let mut times: Vec<f64> = low.values().copied().collect();
     if let Some(t) = median(&mut times) {
@@ -87,12 +100,8 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut
 ///
 /// # Errors
 /// When a table cannot be read, or frames with the same number have different scenes.
-pub(super) fn low_resolution(
-    set: &Set,
-    tables: &[Table],
-    clock: Clock,
-) -> Result<BTreeMap<(usize, u64), f64>> {
-    let mut low = BTreeMap::new();
+pub(super) fn low_resolution(set: &Set, tables: &[Table], clock: Clock) -> Result<Low> {
+    let mut low = Low::new();
     for (index, table) in tables.iter().enumerate() {
         let Some(path) = set.low_resolution.get(&file_name(table)) else { continue };
         twins((index, table), path, clock, &mut low)?;
@@ -113,7 +122,7 @@ pub(crate) fn twins(
     (index, table): (usize, &Table),
     path: &std::path::Path,
     clock: Clock,
-    low: &mut BTreeMap<(usize, u64), f64>,
+    low: &mut Low,
 ) -> Result<()> {
     let name = file_name(table);
     let other = Table::read_without_features(path, 0)?;

@@ -25,9 +25,6 @@ const FRAMES_SEED: u64 = 13;
 /// Calibrates a predictor to [`CALIBRATION_FRAMES`] of one half of the set's calibration split, tests it on
 /// the other half, and vice versa. Does nothing for sets without such a split and for models that cannot be a
 /// prior.
-///
-/// # Errors
-/// When the model cannot be calibrated or cannot predict.
 pub(super) fn calibrated(
     on: &OnSet<'_>,
     predictor: &str,

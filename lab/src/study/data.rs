@@ -4,8 +4,7 @@ use super::{Set, Study};
 use anyhow::{Result, ensure};
 use entire_io::dataset::{Clock, Table, read_tables};
 use entire_train::fit::{FitContext, Recipe};
-use entire_train::split::{GroupBy, TimedFrames};
-use std::collections::BTreeSet;
+use entire_train::split::TimedFrames;
 use std::ops::Range;
 
 /// Minimum number of ensemble members for validation by a tenth of them rather than by a tenth of the volumes. With
@@ -51,39 +50,6 @@ pub(super) struct Learned<'a> {
     pub(super) validation: TimedFrames<'a>,
     /// Frames that weights are fitted to.
     pub(super) training: TimedFrames<'a>,
-}
-
-/// The folds of a cross-validation. Each consists of groups, which are ensemble members or volumes.
-pub(super) struct Folds {
-    /// Kind of the groups: ensemble members or volumes.
-    pub(super) by: GroupBy,
-    /// Groups of frames that make up each fold.
-    pub(super) groups: Vec<BTreeSet<String>>,
-}
-
-impl Folds {
-    /// Divides frames into folds; there are none if there are too few groups.
-    pub(super) fn of(frames: &TimedFrames<'_>) -> Self {
-        let (by, groups) = frames.folds();
-        Self { by, groups }
-    }
-
-    /// The frames of a fold.
-    pub(super) fn part<'a>(&self, k: usize, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
-        frames.parted(|f| self.groups[k].contains(&self.by.group(&f.scene))).0
-    }
-
-    /// Returns the training and validation frames that do not belong to the groups of a fold.
-    pub(super) fn without<'a>(&self, k: usize, all: &TimedFrames<'a>) -> (TimedFrames<'a>, TimedFrames<'a>) {
-        let (_, rest) = all.parted(|f| self.groups[k].contains(&self.by.group(&f.scene)));
-        let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
-        (training, validation)
-    }
-
-    /// The key of a predictor that is trained without a fold.
-    pub(super) fn key(of_all: &str, k: usize) -> String {
-        format!("{of_all}-without-{}", k + 1)
-    }
 }
 
 /// A set's frames with their seconds.
@@ -150,9 +116,6 @@ pub(super) struct OnSet<'a> {
 impl<'a> OnSet<'a> {
     /// Returns the training frames of a recipe: frames at all ray steps if its inputs contain the step, which
     /// the paper's inputs do not.
-    ///
-    /// # Errors
-    /// For unknown inputs.
     pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
         Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
     }

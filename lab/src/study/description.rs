@@ -167,9 +167,6 @@ fn yes() -> bool {
 }
 
 /// Reads a study.
-///
-/// # Errors
-/// When the file cannot be read or holds an invalid value.
 pub(crate) fn read(path: &Path) -> Result<Study> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut study: Study =
@@ -207,9 +204,6 @@ pub(crate) fn read(path: &Path) -> Result<Study> {
 }
 
 /// The clock by its name.
-///
-/// # Errors
-/// For an unknown name.
 pub(crate) fn clock(name: &str) -> Result<Clock> {
     [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu]
         .into_iter()

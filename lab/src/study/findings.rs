@@ -2,12 +2,10 @@
 
 use crate::latency::Latency;
 use entire_io::dataset::{NoiseFloor, TimedFrame};
-use entire_io::metrics::{BoundMetrics, Metrics, intervals_by_group, percentile};
+use entire_io::metrics::{BoundMetrics, Metrics, intervals_by_group};
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
-use entire_train::evaluation::by_kind;
-use entire_train::split::GroupBy;
-use entire_train::split::TimedFrames;
+use entire_train::split::{GroupBy, TimedFrames};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -98,10 +96,6 @@ pub(crate) struct SplitResult {
     pub(crate) intervals: Option<Intervals>,
     /// Figures of the upper bound, if the predictor has one.
     pub(crate) bound: Option<BoundMetrics>,
-    /// Errors by kind of frame: by image size, and with the eye near or inside the volume.
-    pub(crate) parts: Vec<(String, Metrics)>,
-    /// ln(predicted / measured) at the 1st, 5th, 25th, 50th, 75th, 95th and 99th percentile.
-    pub(crate) log_errors: [f64; 7],
 }
 
 /// Error of a predictor on other data after calibration to a hundred frames of that data.
@@ -174,7 +168,7 @@ pub(crate) const CONSTANT: &str = "constant (mean of 15 % probes)";
 pub(crate) const PROXY: &str = "LVRP (64³ render, linear fit)";
 
 /// Measures the errors of predictions on a split; `None` if the split has no frames.
-pub(super) fn judge(
+pub(crate) fn judge(
     set: &str,
     split: &str,
     predictor: &str,
@@ -185,13 +179,6 @@ pub(super) fn judge(
 ) -> Option<SplitResult> {
     let metrics = Metrics::new(predicted, &part.seconds)?;
     let bound = upper.and_then(|u| bound::judge(u, predicted, &part.seconds));
-    let parts = by_kind(&part.frames, predicted, &part.seconds)
-        .into_iter()
-        .map(|(name, m)| (name.to_owned(), m))
-        .collect();
-    let mut errors: Vec<f64> = bound::log_residuals(predicted, &part.seconds).iter().map(|e| -e).collect();
-    errors.sort_by(f64::total_cmp);
-    let log_errors = [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99].map(|q| percentile(&errors, q));
     Some(SplitResult {
         set: set.to_owned(),
         split: split.to_owned(),
@@ -200,7 +187,5 @@ pub(super) fn judge(
         intervals: Intervals::of(predicted, &part.seconds, &part.frames),
         metrics,
         bound,
-        parts,
-        log_errors,
     })
 }

@@ -17,11 +17,11 @@ mod runner;
 mod tests;
 
 pub(crate) use bars::bars;
-pub(crate) use baselines::{Line, twins};
+pub(crate) use baselines::{Line, Low, by_proxy, line_of, twins, with_twins};
 pub(crate) use cache::STUDY_KEY;
 pub(crate) use description::{Named, SELECTED, Set, Ship, Study, clock, read};
 pub(crate) use findings::{
-    CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult,
+    CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult, judge,
 };
 pub(crate) use rule::{SENTENCE, by_rule, shipped};
 pub(crate) use runner::{Bounds, Runner};

@@ -7,7 +7,7 @@ use anyhow::Result;
 use entire_io::files::{make_folder, write_json, write_whole};
 use entire_io::machine;
 use entire_io::metrics::BoundMetrics;
-use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table, bias_table};
+use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table};
 use std::path::Path;
 
 /// Definition of the intervals, for captions.
@@ -89,36 +89,31 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
     table
 }
 
-/// Chart of accuracy against latency, and a table of the predictors on the frontier with the gain per microsecond.
-fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
-    let mut points: Vec<(f64, f64, f64, String)> = models(found, set, split)
+/// Chart of accuracy against latency.
+fn frontier(found: &Findings, set: &str, split: &str) -> Chart {
+    let mut points: Vec<(f64, f64, &str)> = models(found, set, split)
         .filter_map(|r| {
-            Some((
-                1e6 * found.latency(set, &r.predictor)?.cold,
-                100.0 * r.metrics.mdape,
-                r.metrics.rmse_over_sd,
-                r.predictor.clone(),
-            ))
+            let cold = found.latency(set, &r.predictor)?.cold;
+            Some((1e6 * cold, r.metrics.rmse_over_sd, r.predictor.as_str()))
         })
         .collect();
     points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut front: Vec<&(f64, f64, f64, String)> = Vec::new();
+    let mut front: Vec<&(f64, f64, &str)> = Vec::new();
     for p in &points {
-        if front.last().is_none_or(|l| p.2 < l.2) {
+        if front.last().is_none_or(|l| p.1 < l.1) {
             front.push(p);
         }
     }
     // Only predictors on the frontier, the selected one and the paper's networks are labeled: other points are too
     // close to each other.
     let selected = found.selected.get(set);
-    let named = |p: &(f64, f64, f64, String)| {
-        let name = front.iter().any(|f| f.3 == p.3) || [PAPER, DISTILLED].contains(&p.3.as_str());
+    let named = |&(cold, error, name): &(f64, f64, &str)| {
         let text = match () {
-            () if selected == Some(&p.3) => format!("{} (selected)", p.3),
-            () if name => p.3.clone(),
+            () if selected.is_some_and(|s| s == name) => format!("{name} (selected)"),
+            () if front.iter().any(|f| f.2 == name) || [PAPER, DISTILLED].contains(&name) => name.to_owned(),
             () => String::new(),
         };
-        (p.0, p.2, text)
+        (cold, error, text)
     };
     let mut chart = Chart::new(
         format!("{set}, split by {split}"),
@@ -126,7 +121,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
         Axis::log("RMSE / SD"),
     )
     .size(860.0, 380.0)
-    .series(Series::new("frontier", Mark::Steps(front.iter().map(|p| (p.0, p.2)).collect())).color(0))
+    .series(Series::new("frontier", Mark::Steps(front.iter().map(|p| (p.0, p.1)).collect())).color(0))
     .series(Series::new("predictors", Mark::Points(points.iter().map(named).collect())).color(1));
     for (i, name) in [CONSTANT, PROXY].into_iter().enumerate() {
         if let Some(r) = found.of(set, split, name) {
@@ -134,73 +129,12 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
             chart = chart.rule(Rule::Horizontal(r.metrics.rmse_over_sd, short.into()));
         }
     }
-    let mut knee = Table::headed(
-        "on the frontier | #cold µs | #RMSE/SD | #median error, % | #RMSE/SD gained per additional µs",
-    );
-    let mut before: Option<&(f64, f64, f64, String)> = None;
-    for p in front {
-        let gain = before.map(|b| format!("{:.4}", (b.2 - p.2) / (p.0 - b.0).max(1e-9)));
-        knee.row(vec![
-            p.3.clone().into(),
-            format!("{:.2}", p.0).into(),
-            format!("{:.3}", p.2).into(),
-            format!("{:.1}", p.1).into(),
-            gain.into(),
-        ]);
-        before = Some(p);
-    }
-    (chart, knee)
-}
-
-fn parts_table(found: &Findings, set: &str, split: &str) -> Table {
-    let rows: Vec<&SplitResult> = models(found, set, split).collect();
-    let mut names: Vec<&str> = Vec::new();
-    for (name, _) in rows.iter().flat_map(|r| &r.parts) {
-        if !names.contains(&name.as_str()) {
-            names.push(name);
-        }
-    }
-    let columns: String = names.iter().map(|n| format!(" | #median error %, {n}")).collect();
-    let mut table = Table::headed(&format!("predictor{columns}"));
-    for r in rows {
-        let mut row = vec![r.predictor.clone().into()];
-        for name in &names {
-            let m = r.parts.iter().find(|(n, _)| n == name).map(|(_, m)| m);
-            row.push(m.map(|m| format!("{:.1} ({} frames)", 100.0 * m.mdape, m.frames)).into());
-        }
-        table.row(row);
-    }
-    table
-}
-
-fn spread(found: &Findings, set: &str, split: &str) -> Chart {
-    let rows: Vec<&SplitResult> = models(found, set, split).collect();
-    let names = rows.iter().map(|r| r.predictor.clone()).collect();
-    // The boxes' axis is the ratio predicted / measured.
-    let boxes = rows
-        .iter()
-        .enumerate()
-        .map(|(i, r)| {
-            let [_, a, b, c, d, e, _] = r.log_errors.map(f64::exp);
-            (i as f64, [a, b, c, d, e])
-        })
-        .collect();
-    Chart::new(
-        format!("Predicted over measured: {set}, split by {split}"),
-        Axis::categories("predictor", names),
-        Axis::log("predicted / measured"),
-    )
-    .rule(Rule::Horizontal(1.0, "exact".into()))
-    .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(boxes)).color(0))
+    chart
 }
 
 /// Writes the report of a study into a folder: report.html, study.json and the charts as SVG.
-///
-/// # Errors
-/// When a file cannot be written.
 pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
     make_folder(out)?;
-    let put = |name: &str, text: &str| write_whole(&out.join(name), text.as_bytes());
     write_json(&out.join("study.json"), &serde_json::json!({ "study": study, "findings": found }))?;
     let mut page = Page::new(
         study.title.as_str(),
@@ -226,7 +160,7 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                 ),
             );
         }
-        for (i, split) in set.splits.iter().enumerate() {
+        for split in &set.splits {
             let (s, p) = (set.name.as_str(), split.name.as_str());
             page.heading(&format!("{s}: split by {p}"));
             if let Some((_, _, n, frames)) = found.noise.iter().find(|n| n.0 == s && n.1 == p) {
@@ -237,36 +171,20 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                     100.0 * found.noise_mdape(s, p)
                 ));
             }
-            let (chart, knee) = frontier(found, s, p);
-            put(
-                &format!("frontier-{}-{}.svg", s.replace(' ', "-"), p.replace(' ', "-")),
-                &chart.to_svg_file(),
-            )?;
+            let chart = frontier(found, s, p);
+            let file = format!("frontier-{}-{}.svg", s.replace(' ', "-"), p.replace(' ', "-"));
+            write_whole(&out.join(file), chart.to_svg_file().as_bytes())?;
             page.chart(
                 &chart,
                 "Points further down and left are better. The frontier joins predictors that are better than all \
                  faster ones.",
             );
-            page.table(&knee, "");
             page.table(&main_table(found, s, p, Some("main")), INTERVALS);
             for panel in ["ablation", "architecture"] {
                 if found.results.iter().any(|r| r.set == s && r.split == p && r.panel == panel) {
                     page.table(&main_table(found, s, p, Some(panel)), panel);
                 }
             }
-            let boxes = spread(found, s, p);
-            put(&format!("errors-{}-{}.svg", s.replace(' ', "-"), i + 1), &boxes.to_svg_file())?;
-            page.chart(&boxes, "");
-            let rows: Vec<_> = models(found, s, p).map(|r| (r.predictor.as_str(), &r.metrics)).collect();
-            page.table(
-                &bias_table(&rows),
-                "Median of predicted / measured - 1, in %, for each tenth of the frames, from the fastest to the \
-                 slowest.",
-            );
-            page.table(
-                &parts_table(found, s, p),
-                "Errors by image size, and of frames whose eye is near or inside the volume.",
-            );
         }
         let calibrated: Vec<_> = found.calibrated.iter().filter(|c| c.set == set.name).collect();
         if !calibrated.is_empty() {

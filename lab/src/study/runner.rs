@@ -4,7 +4,7 @@ use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
 use super::cache::{STUDY_KEY, identity, kept, path_of};
 use super::calibrated::calibrated;
-use super::data::{Folds, OnSet, SetData, SetTables};
+use super::data::{MEMBERS, OnSet, SetData, SetTables};
 use super::description::main_panel;
 use super::findings::judge;
 use super::rule::{by_rule, numbers};
@@ -190,21 +190,22 @@ impl Runner<'_> {
         all: &TimedFrames<'_>,
         judged: &TimedFrames<'_>,
     ) -> Result<Option<Crossed>> {
-        let folds = Folds::of(judged);
+        let (by, folds) = judged.folds();
         let (mut predicted, mut measured) = (Vec::new(), Vec::new());
         let (mut groups, mut volumes) = (Vec::new(), Vec::new());
-        for k in 0..folds.groups.len() {
-            let held = folds.part(k, judged);
-            let (training, validation) = folds.without(k, all);
+        for (k, fold) in folds.iter().enumerate() {
+            let inside = |f: &TimedFrame| fold.contains(&by.group(&f.scene));
+            let (held, rest) = (judged.parted(inside).0, all.parted(inside).1);
+            let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
             let none = TimedFrames::default();
-            let key = Folds::key(key, k);
+            let key = format!("{key}-without-{}", k + 1);
             let made = self.any(&key, method, context, (&training, &validation), &Bounds::Frames(&none))?;
             predicted.extend(made.predict(context, &held.frames)?);
-            groups.extend(held.frames.iter().map(|f| folds.by.group(&f.scene)));
+            groups.extend(held.frames.iter().map(|f| by.group(&f.scene)));
             volumes.extend(held.frames.iter().map(|f| GroupBy::Volume.group(&f.scene)));
             measured.extend(held.seconds);
         }
-        let folds = folds.groups.len();
+        let folds = folds.len();
         Ok((folds > 0).then_some(Crossed { predicted, measured, groups, volumes, folds }))
     }
 

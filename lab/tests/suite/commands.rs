@@ -1,25 +1,16 @@
 //! `entire-lab` as a process: help, wrong usage, and checks before any work.
 
-use std::path::Path;
-use std::process::{Command, Output};
-
-fn lab(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_entire-lab")).args(arguments).output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
-}
+use crate::{lab, printed};
 
 #[test]
 fn help_shows_examples_and_wrong_usage_exits_with_2() {
     for command in ["study", "record", "replay", "tune", "stress", "farm"] {
         let output = lab(&[command, "--help"]);
-        let help = text(&output.stdout);
+        let help = printed(&output.stdout);
         assert_eq!(output.status.code(), Some(0), "{command}");
         assert!(help.contains("Examples:") && help.contains(&format!("entire-lab {command}")), "{help}");
     }
-    assert!(text(&lab(&["--version"]).stdout).starts_with("entire-lab "));
+    assert!(printed(&lab(&["--version"]).stdout).starts_with("entire-lab "));
     for arguments in [&[][..], &["nonsense"], &["study"], &["farm"], &["record"]] {
         assert_eq!(lab(arguments).status.code(), Some(2), "{arguments:?}");
     }
@@ -27,30 +18,14 @@ fn help_shows_examples_and_wrong_usage_exits_with_2() {
 
 #[test]
 fn record_says_where_it_cannot_write_before_anything_is_drawn() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let volume = root.join("data/mr_banana.nrrd");
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("file");
     std::fs::write(&file, "x").unwrap();
     // A file in place of the folder stops every user, root included.
     let out = file.join("trace.json");
-    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
-        .args([
-            "record",
-            "--generate",
-            "orbit",
-            "--frames",
-            "8",
-            "--size",
-            "24x24",
-            "--device",
-            "cpu",
-            "--out",
-        ])
-        .args([&out, &volume])
-        .output()
-        .unwrap();
-    let said = text(&output.stderr);
+    let words = "record data/mr_banana.nrrd --generate orbit --frames 8 --size 24x24 --device cpu --out";
+    let output = lab(&words.split(' ').chain([out.to_str().unwrap()]).collect::<Vec<_>>());
+    let said = printed(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.starts_with("entire-lab: cannot make the folder") && said.lines().count() == 1, "{said}");
     assert!(said.contains(file.to_str().unwrap()), "{said}");
@@ -59,23 +34,18 @@ fn record_says_where_it_cannot_write_before_anything_is_drawn() {
 
 #[test]
 fn tune_says_what_recorded_paths_cost() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let tune = |traces: &[&str], targets: &str, more: &[&str]| {
-        Command::new(env!("CARGO_BIN_EXE_entire-lab"))
-            .arg("tune")
-            .args(traces.iter().map(|t| format!("data/steer/training/{t}.json.gz")))
-            .args(["--calibration", "data/steer/training/calibration.csv.gz", "--targets", targets])
-            .args(more)
-            .current_dir(&root)
-            .output()
-            .unwrap()
+        let traces: Vec<String> = traces.iter().map(|t| format!("data/steer/training/{t}.json.gz")).collect();
+        let traces: Vec<&str> = traces.iter().map(String::as_str).collect();
+        let rest = ["--calibration", "data/steer/training/calibration.csv.gz", "--targets", targets];
+        lab(&[&["tune"][..], &traces, &rest, more].concat())
     };
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("tune.json");
     let both = ["train-orbit", "train-series"];
     let output = tune(&both, "45fps,60fps", &["--rounds", "0", "--out", out.to_str().unwrap()]);
-    let said = text(&output.stdout);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = printed(&output.stdout);
+    assert!(output.status.success(), "{}", printed(&output.stderr));
     assert!(said.contains("train-orbit") && said.contains("no other value of any constant"), "{said}");
     let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(found["paths"], serde_json::json!(["train-orbit", "train-series"]));
@@ -93,14 +63,14 @@ fn tune_says_what_recorded_paths_cost() {
         (&both[..], "3600s", "train-orbit has no target that an allowed step meets"),
     ] {
         let output = tune(traces, targets, &["--rounds", "0"]);
-        let said = text(&output.stderr);
+        let said = printed(&output.stderr);
         assert_eq!(output.status.code(), Some(1));
         assert!(said.contains(why), "{said}");
     }
     // A search from another start, for one constant only.
     let more = ["--set", "damping=0.4", "--only", "damping", "--rounds", "1", "--out", out.to_str().unwrap()];
     let output = tune(&both, "45fps,60fps", &more);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(output.status.success(), "{}", printed(&output.stderr));
     let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(found["constants"]["full"], HybridConstants::default().full);
     assert!(found["constants"]["damping"].as_f64().unwrap() <= 0.4, "{found}");
@@ -109,16 +79,9 @@ fn tune_says_what_recorded_paths_cost() {
         HybridConstants::NAMES.len() + CorrectionConstants::NAMES.len()
     );
     // Beside another program that takes a core all the time, the same path costs more.
-    let more = [
-        "--rounds",
-        "0",
-        "--disturbances",
-        "data/steer/disturbances/steady.csv",
-        "--out",
-        out.to_str().unwrap(),
-    ];
-    let output = tune(&both, "45fps", &more);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    let more = "--rounds 0 --disturbances data/steer/disturbances/steady.csv --out".split(' ');
+    let output = tune(&both, "45fps", &more.chain([out.to_str().unwrap()]).collect::<Vec<_>>());
+    assert!(output.status.success(), "{}", printed(&output.stderr));
     let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(found["paths"][2], "train-orbit/steady");
     let missed = |path: usize| found["before"][path]["fitted"]["missed"].as_f64().unwrap();
@@ -129,7 +92,7 @@ fn tune_says_what_recorded_paths_cost() {
         ("--set", "far=-1", "far is -1; it must be a finite number and not negative"),
     ] {
         let output = tune(&both, "45fps", &[option, value]);
-        let said = text(&output.stderr);
+        let said = printed(&output.stderr);
         assert!(output.status.code() == Some(1) && said.contains(why), "{said}");
     }
 }

@@ -1,14 +1,10 @@
 //! `entire-lab record` and `entire-lab farm` as processes: a farm's tasks recorded, predicted and balanced.
 
+use crate::{lab, printed};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 #[path = "../../../cli/tests/support/ball.rs"]
 mod ball;
-
-fn lab(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_entire-lab")).args(arguments).output().unwrap()
-}
 
 fn setting() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
@@ -28,19 +24,18 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         let common =
             ["--generate", "orbit", "--device", "cpu", "--size", "24x24", "--steps", "1,2", "--repeats", "2"];
         let output = lab(&[&["record"][..], volumes, &common, &["--frames", frames, "--out", out]].concat());
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(output.status.success(), "{}", printed(&output.stderr));
     };
     record(&[volume, &second, "--hold", "20"], "40", &before);
     record(&[volume], "16", &tasks);
     let (list, report) = (file("tasks.csv"), file("report"));
     let run = |more: &[&str]| {
         let output = lab(&[&["farm", "--trace", &tasks, "--report", &report][..], more].concat());
-        let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        (output.status.code(), text + &String::from_utf8_lossy(&output.stderr))
+        (output.status.code(), printed(&output.stdout) + &printed(&output.stderr))
     };
     // The report compares every method, and states the limit by noise.
-    let (code, text) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
-    assert_eq!(code, Some(0), "{text}");
+    let (code, said) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
+    assert_eq!(code, Some(0), "{said}");
     for word in [
         "16 x 16 rays; each volume left out in turn",
         "factor learned from the view",
@@ -49,7 +44,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         "queue, any order (mean of 200)",
         "Effect of noise",
     ] {
-        assert!(text.contains(word), "{word}: {text}");
+        assert!(said.contains(word), "{word}: {said}");
     }
     assert!(Path::new(&report).join("report.html").is_file());
     let rows = std::fs::read_to_string(&list).unwrap();
@@ -61,13 +56,13 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
     // The saved task list can be planned and compared.
     assert_eq!(entire_farm::read_tasks(Path::new(&list)).unwrap().len(), 16);
     let output = lab(&["farm", &list, "--report", &report, "--bars"]);
-    let text = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(text.lines().filter(|l| l.starts_with("bar farm-")).count(), 4, "{text}");
+    let said = printed(&output.stdout);
+    assert_eq!(said.lines().filter(|l| l.starts_with("bar farm-")).count(), 4, "{said}");
 
-    let (code, text) = run(&["--training", &before, "--probe-side", "25"]);
-    assert!(code == Some(1) && text.contains("1 to 24"), "{text}");
-    let (code, text) = run(&[]);
-    assert!(code == Some(1) && text.contains("--training"), "{text}");
+    let (code, said) = run(&["--training", &before, "--probe-side", "25"]);
+    assert!(code == Some(1) && said.contains("1 to 24"), "{said}");
+    let (code, said) = run(&[]);
+    assert!(code == Some(1) && said.contains("--training"), "{said}");
 }
 
 #[test]
@@ -79,7 +74,7 @@ fn a_simulated_farm_does_all_tasks_and_pays_for_bundles() {
     std::fs::write(&list, "task,predicted_s,measured_s,volume,load_s\n".to_owned() + &rows).unwrap();
     let run = |more: &[&str]| -> serde_json::Value {
         let output = lab(&[&["farm-simulate", list.to_str().unwrap(), "--slots", "4"][..], more].concat());
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(output.status.success(), "{}", printed(&output.stderr));
         serde_json::from_slice(&output.stdout).unwrap()
     };
     let plain = run(&["--arrival"]);

@@ -1,6 +1,7 @@
 //! In a replay, rules that act on image resolution get the times of smaller images, and rules that act on the ray step
 //! those of coarser steps.
 
+use crate::recorded;
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::rivals::StepResponse;
@@ -8,17 +9,9 @@ use entire_lab::replay::{Player, Replayable, Replayed, replay};
 use entire_lab::trace::{Trace, TracePoint};
 use entire_steer::control::{Prior, StepLimits};
 use entire_steer::predict::AnalyticModel;
-use std::path::Path;
 
 /// A trace without smaller images.
-fn recorded() -> Replayable {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut trace = Trace::open(&here.join("tests/data/nyx-switches.json")).unwrap();
-    for volume in &mut trace.volumes {
-        volume.file = here.join("..").join(&volume.file);
-    }
-    Replayable::new(trace).unwrap()
-}
+const RECORDED: &str = "nyx-switches.json";
 
 /// Seconds of an image with 1 / s of the pixels, different from those at any ray step.
 fn seconds(s: f64) -> f64 {
@@ -29,9 +22,9 @@ fn ssim(s: f64) -> f64 {
     0.3 + 0.2 / s
 }
 
-/// The trace of [`recorded`] with smaller images, down to a sixteenth of the pixels.
+/// The trace [`RECORDED`] with smaller images, down to a sixteenth of the pixels.
 fn with_images() -> Replayable {
-    let mut trace = recorded().trace;
+    let mut trace = recorded(RECORDED, 1.0).trace;
     for frame in &mut trace.frames {
         for s in [1.0f64, 2.0, 4.0, 8.0, 16.0] {
             let image = TracePoint {
@@ -115,7 +108,7 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
 
 #[test]
 fn traces_without_images_open_and_rules_for_them_are_played_on_the_step_and_said_to_be() {
-    let old = recorded();
+    let old = recorded(RECORDED, 1.0);
     assert!(old.images.is_none());
     let both = [old, with_images()];
     let players = Player::all(&[ControllerKind::Filament, ControllerKind::Hybrid], &both);

@@ -11,3 +11,31 @@ mod study;
 
 #[path = "../../../cli/tests/support/reference.rs"]
 mod page;
+
+use entire_lab::replay::Replayable;
+use entire_lab::trace::Trace;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The repository's folder.
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Runs `entire-lab` in the repository's folder.
+fn lab(arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_entire-lab"));
+    command.args(arguments).current_dir(repository()).output().unwrap()
+}
+
+fn printed(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A recorded path of the tests' data, as drawn by a renderer that is slower by a factor.
+fn recorded(name: &str, times: f64) -> Replayable {
+    let mut trace = Trace::open(&repository().join("lab/tests/data").join(name)).unwrap();
+    trace.volumes.iter_mut().for_each(|v| v.file = repository().join(&v.file));
+    trace.frames.iter_mut().flatten().flat_map(|p| &mut p.seconds).for_each(|s| *s *= times);
+    Replayable::new(trace).unwrap()
+}

@@ -1,6 +1,7 @@
 //! Learning from observed frame times, on recorded times of a real renderer (software Vulkan, process-CPU time): a
 //! session without a model learns the costs of an unknown renderer, and a network is fine-tuned.
 
+use crate::recorded;
 use clap::Parser;
 use entire_cli::commands::train;
 use entire_cli::steering::play::ActsOn;
@@ -11,7 +12,6 @@ use entire_io::volume::Volume;
 use entire_lab::calibration::samples_of;
 use entire_lab::fitted::fit_network;
 use entire_lab::replay::{Replayable, Tally, replay};
-use entire_lab::trace::Trace;
 use entire_steer::control::{Session, StepLimits};
 use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::load;
@@ -24,21 +24,6 @@ struct Train {
     options: train::Options,
 }
 
-fn recorded(name: &str) -> Replayable {
-    slower(name, 1.0)
-}
-
-/// A path as drawn by a renderer that is slower by a factor.
-fn slower(name: &str, times: f64) -> Replayable {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut trace = Trace::open(&here.join("tests/data").join(name)).unwrap();
-    for volume in &mut trace.volumes {
-        volume.file = here.join("..").join(&volume.file);
-    }
-    trace.frames.iter_mut().flatten().flat_map(|p| &mut p.seconds).for_each(|s| *s *= times);
-    Replayable::new(trace).unwrap()
-}
-
 fn median(mut values: Vec<f64>) -> f64 {
     entire_io::metrics::median(&mut values).expect("values")
 }
@@ -48,7 +33,7 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
     // Factor on the recorded seconds, so that the renderer differs from the default costs of a session.
     const TIMES: f64 = 3.0;
     for (name, fps) in [("nyx-switches.json", 30.0), ("castro-cuts.json", 45.0)] {
-        let recorded = slower(name, TIMES);
+        let recorded = recorded(name, TIMES);
         let n = recorded.path.frames.len();
         let errors = |seed: u64| {
             let mut who = Contender {
@@ -104,7 +89,7 @@ fn row(recorded: &Replayable, index: usize, point: usize, law: impl Fn(f64) -> f
 #[test]
 fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
     let dir = tempfile::tempdir().unwrap();
-    let traces = [recorded("nyx-switches.json"), recorded("castro-cuts.json")];
+    let traces = [recorded("nyx-switches.json", 1.0), recorded("castro-cuts.json", 1.0)];
     let table = |name: &str, keep: &dyn Fn(usize, usize) -> bool, law: &dyn Fn(f64) -> f64| {
         let file = dir.path().join(name);
         let mut out = Writer::create(&file).unwrap();

@@ -1,13 +1,10 @@
 //! `entire-lab paper` end to end on the project's own volumes, with the smallest settings.
 
+use crate::{printed, repository};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-
-fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
 
 /// The committed description, reduced to two data sets, a few small frames and tiny networks.
 fn description(to: &Path) {
@@ -83,7 +80,7 @@ fn paper(folder: &Path, step: &str, more: &[&str]) -> (Output, String) {
         command.args(["--out", "out"]);
     }
     let output = command.args(more).current_dir(folder).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let said = printed(&output.stderr);
     assert!(!said.contains("panicked"), "{said}");
     (output, said)
 }
@@ -134,7 +131,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     // A report without results names every label as not measured.
     let (output, _) = paper(at, "report", &["--bars"]);
     assert_eq!(output.status.code(), Some(1));
-    let bars = String::from_utf8_lossy(&output.stdout).into_owned();
+    let bars = printed(&output.stdout);
     assert!(bars.contains("bar paper/castro_blast/network-over-constant - 0.2500 short"), "{bars}");
 
     std::fs::copy(&table, at.join("elsewhere.csv")).unwrap();
@@ -230,7 +227,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
 
     // The report has every label, with a command, and says which are not measured.
     let (output, said) = paper(at, "report", &["--bars", "--keep", "kept.json.gz"]);
-    let bars = String::from_utf8_lossy(&output.stdout).into_owned();
+    let bars = printed(&output.stdout);
     assert!(bars.contains("bar paper/castro_blast/none/ours-over-network"), "{bars} {said}");
     let rows: Vec<Value> =
         serde_json::from_str(&std::fs::read_to_string(at.join("out/rows.json")).unwrap()).unwrap();
@@ -326,7 +323,7 @@ fn the_books_page_is_what_the_kept_results_make() {
         .current_dir(repository())
         .output()
         .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{}", printed(&output.stderr));
     let page = |folder: &Path| std::fs::read_to_string(folder.join("paper-tables.md")).unwrap();
     assert!(
         page(&made) == page(&pages),

@@ -1,13 +1,10 @@
 //! `entire-lab study` end to end on a small part of the committed timing tables.
 
+use crate::{printed, repository};
 use entire_io::dataset::feature_table::FeatureTable;
 use entire_io::dataset::{Table, Writer};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-
-fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
 
 /// Writes every n-th frame of a committed table, with its features, into a folder.
 fn cut(name: &str, every: usize, folder: &Path) {
@@ -36,9 +33,9 @@ fn study(folder: &Path, more: &[&str]) -> (Output, String) {
         .current_dir(folder)
         .output()
         .unwrap();
-    let text = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(!String::from_utf8_lossy(&output.stderr).contains("panicked"));
-    (output, text)
+    assert!(!printed(&output.stderr).contains("panicked"));
+    let said = printed(&output.stdout);
+    (output, said)
 }
 
 fn models(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
@@ -127,6 +124,6 @@ fn a_small_study_goes_from_tables_to_bars() {
     // Stored features of a table that has changed since are refused.
     std::fs::copy(at.join("none-members.csv"), at.join("none-train.csv")).unwrap();
     let (output, _) = study(at, &[]);
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let said = printed(&output.stderr);
     assert!(output.status.code() == Some(1) && said.contains("`entire features`"), "{said}");
 }
