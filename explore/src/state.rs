@@ -208,6 +208,23 @@ impl State {
         }
     }
 
+    /// The state of a window without a volume.
+    #[cfg(test)]
+    pub(crate) fn empty(target: f64) -> Self {
+        let options = Options {
+            volumes: vec![],
+            target,
+            controller: "a".into(),
+            shading: Shading::None,
+            skipping: Skipping::Blocks,
+            termination: 0.99,
+            size: (640, 480),
+            script: None,
+            log: None,
+        };
+        Self::new(&options, Steer::new(vec![("a", "A")], 0, target))
+    }
+
     /// Shows a message.
     pub(crate) fn say(&mut self, text: impl Into<String>) {
         self.said = Some((text.into(), false));

@@ -313,27 +313,14 @@ fn numbers(ui: &mut Ui, state: &mut State) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::host::Options;
     use crate::scene::Facts;
     use crate::state::Changed;
-    use crate::steering::Steer;
     use crate::transfer::Edited;
-    use entire_core::scene::{Scalars, Shading, Skipping, VolumeOptions, VolumeView};
+    use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 
     #[test]
     fn showing_numbers_changes_none() {
-        let options = Options {
-            volumes: vec![],
-            target: 0.03,
-            controller: "a".into(),
-            shading: Shading::None,
-            skipping: Skipping::Blocks,
-            termination: 0.99,
-            size: (640, 480),
-            script: None,
-            log: None,
-        };
-        let mut state = State::new(&options, Steer::new(vec![("a", "A")], 0, 0.03));
+        let mut state = State::empty(0.03);
         // f32 rounds scalars of this range to a sixteenth.
         let range = Some((1e6, 1e6 + 10.0));
         let options = VolumeOptions { range, ..VolumeOptions::default() };

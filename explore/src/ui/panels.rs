@@ -3,7 +3,7 @@
 use crate::camera::{Axis, DISTANCES};
 use crate::recording::Recorder;
 use crate::state::{Command, State};
-use egui::{CollapsingHeader, ComboBox, DragValue, Slider, Ui};
+use egui::{CollapsingHeader, ComboBox, DragValue, Slider, SliderClamping, Ui};
 use entire_core::scene::{Shading, Skipping};
 
 pub(super) fn show(ui: &mut Ui, state: &mut State) {
@@ -22,7 +22,9 @@ fn steering(ui: &mut Ui, state: &mut State) {
     ui.strong("Frame time");
     let steer = &mut state.steer;
     let mut ms = steer.target * 1e3;
-    let slider = Slider::new(&mut ms, 2.0..=500.0).logarithmic(true).suffix(" ms").text("target");
+    // `--target` and scripts may set a target beyond the slider's ends, which is shown as it is.
+    let slider = Slider::new(&mut ms, 2.0..=500.0).logarithmic(true).clamping(SliderClamping::Edits);
+    let slider = slider.suffix(" ms").text("target");
     if ui.add(slider).changed() {
         steer.target = ms / 1e3;
         state.changed.settings = true;
@@ -244,5 +246,25 @@ fn about(ui: &mut Ui, state: &mut State) {
         }
         ui.label(format!("spacing {} × {} × {}", facts.spacing.x, facts.spacing.y, facts.spacing.z));
         ui.label(&state.bricks);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use egui::Shape;
+
+    #[test]
+    fn a_target_beyond_the_slider_is_shown_as_it_is() {
+        let mut state = State::empty(1.0);
+        let shown = egui::Context::default().run_ui(egui::RawInput::default(), |ui| steering(ui, &mut state));
+        let number = |shape: &Shape| match shape {
+            Shape::Text(text) => text.galley.text().trim_end_matches("ms").trim().parse::<f64>().ok(),
+            _ => None,
+        };
+        let found: Vec<f64> = shown.shapes.iter().filter_map(|s| number(&s.shape)).collect();
+        shown.drop_without_applying_deltas();
+        assert!(found.contains(&1000.0), "milliseconds: {found:?}");
+        assert!(state.steer.target == 1.0 && !state.changed.any());
     }
 }
