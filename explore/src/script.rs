@@ -32,6 +32,7 @@
 
 use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
+use serde_json::{Map, Value};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
@@ -83,13 +84,6 @@ pub(crate) struct Shot {
     pub(crate) size: [u32; 2],
 }
 
-#[derive(Deserialize)]
-struct Line {
-    frame: u64,
-    #[serde(flatten)]
-    action: Action,
-}
-
 /// Events in order.
 #[derive(Debug, Default)]
 pub(crate) struct Script {
@@ -116,8 +110,7 @@ impl Script {
         let mut events = VecDeque::new();
         let mut last = 0;
         for (i, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-            let Line { frame, action } =
-                serde_json::from_str(line).with_context(|| format!("line {}", i + 1))?;
+            let (frame, action) = event(line).with_context(|| format!("line {}", i + 1))?;
             ensure!(
                 frame >= last,
                 "line {} is for frame {frame}, after a line for frame {last}; order the lines by frame",
@@ -137,6 +130,22 @@ impl Script {
     pub(crate) fn is_done(&self) -> bool {
         self.events.is_empty()
     }
+}
+
+/// Reads a line: the number of the frame, and the only other field.
+fn event(line: &str) -> Result<(u64, Action)> {
+    let mut fields: Map<String, Value> = serde_json::from_str(line)?;
+    let frame =
+        fields.remove("frame").context("`frame` is missing, the frame before which the action runs")?;
+    let frame = serde_json::from_value(frame).context("`frame`")?;
+    let names: Vec<&str> = fields.keys().map(String::as_str).collect();
+    ensure!(
+        names.len() == 1,
+        "a line has one action, this one has {} ({}); give each action a line",
+        names.len(),
+        names.join(", ")
+    );
+    Ok((frame, serde_json::from_value(Value::Object(fields))?))
 }
 
 #[cfg(test)]
@@ -166,6 +175,7 @@ mod tests {
             ("{\"frame\": 1, \"spin\": [1, 2]}\n{\"frame\": 0, \"quit\": true}", "line 2 is for frame 0"),
             ("{\"frame\": 1, \"dance\": true}", "line 1"),
             ("{\"spin\": [1, 2]}", "line 1"),
+            ("{\"frame\": 1, \"spin\": [1, 2], \"preset\": \"core\"}", "(spin, preset)"),
         ] {
             let e = format!("{:#}", Script::parse(text).unwrap_err());
             assert!(e.contains(says), "{text}: {e}");
