@@ -61,6 +61,11 @@ impl Recorder {
         }
         self.panned |= view.target != glam::Vec3::ZERO;
         let mut camera = view.arcball();
+        if !view.orthographic {
+            // A path has one field of view: the distance is recorded at which it shows as much.
+            let half = |degrees: f32| (0.5 * degrees.to_radians()).tan();
+            camera.dz *= half(view.fov_y) / half(self.recording.fov_y_degrees);
+        }
         let mut switched = false;
         let parallel_scale = view.parallel_scale();
         if let Some((before, scale, _)) = &self.last {
@@ -142,6 +147,20 @@ mod tests {
         let scales: Vec<Option<f32>> = frames.iter().map(|f| f.parallel_scale).collect();
         assert_eq!(scales[..3], [None; 3]);
         assert!((scales[4].unwrap() / scales[3].unwrap() - 0.9).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_changed_field_of_view_is_recorded_as_the_distance_that_shows_as_much() {
+        let curve = Curve::preset("shell", &Histogram { counts: vec![5; 256] }).unwrap();
+        let mut view = Viewpoint::default();
+        let mut recorder = Recorder::new(view.fov_y);
+        recorder.note(&view, &curve, true).unwrap();
+        view.set_fov(90.0);
+        recorder.note(&view, &curve, true).unwrap();
+        let [before, after] = [0, 1].map(|i| &recorder.recording.frames[i]);
+        assert_eq!(before.camera.dz, Viewpoint::default().distance);
+        assert!((after.camera.dz / before.camera.dz - 1.0).abs() < 1e-5, "{after:?}");
+        assert!(view.distance < 0.5 * before.camera.dz && !after.camera_switched, "{after:?}");
     }
 
     #[test]
