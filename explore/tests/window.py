@@ -308,6 +308,51 @@ def a_series_plays_in_the_background(command, display, folder):
     assert len(log["open"]) == 3 and len(log["frame"]) >= 15
 
 
+def a_minimized_window_rests(command, display, folder):
+    """A minimized window draws nothing and keeps no processor busy; shown again, it continues."""
+    script, log = folder / "events.jsonl", folder / "frames.csv"
+    script.write_text(at(0, spin=[1, 0]) + "\n" + at(1_000_000, quit=True) + "\n")
+    program = subprocess.Popen(
+        list(map(str, [command, "explore", BANANA, "--size", "640x480", "--script", script, "--log", log])),
+        env={**display.environment, "XDG_STATE_HOME": str(folder / "state")},
+        cwd=folder,
+    )
+
+    def processor_seconds():
+        fields = Path(f"/proc/{program.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def within(seconds, happens):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if happens():
+                return True
+        return False
+
+    def grows():
+        before = log.stat().st_size
+        time.sleep(0.2)
+        return log.stat().st_size > before
+
+    def rests():
+        before = processor_seconds()
+        time.sleep(1)
+        return processor_seconds() - before < 0.1
+
+    try:
+        window = display.window("entire explore - ")
+        assert within(60, grows), "no frame was drawn"
+        display.minimize(window, True)
+        assert within(30, rests), "the minimized window keeps a processor busy"
+        assert not grows(), "the minimized window draws frames"
+        display.minimize(window, False)
+        display.xdotool("mousemove", "--window", window, 100, 200, "mousemove", "--window", window, 120, 220)
+        assert within(30, grows), "the window that is shown again draws no frame"
+    finally:
+        program.kill()
+        program.wait()
+
+
 def without_a_display_it_says_so(command, display, folder):
     """Without a display, the command prints one line with the remedy."""
     environment = {k: v for k, v in display.environment.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
@@ -336,6 +381,7 @@ TESTS = [
     screenshots_are_those_of_render,
     a_script_switches_everything,
     a_series_plays_in_the_background,
+    a_minimized_window_rests,
     a_person_explores,
 ]
 

@@ -4,6 +4,7 @@ Only the standard library: the tests run wherever Xvfb, xdotool and a Vulkan dri
 """
 
 import csv
+import ctypes
 import os
 import shutil
 import struct
@@ -64,6 +65,20 @@ class Display:
         command = ["xdotool", *map(str, arguments)]
         done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=30)
         return done.stdout.strip()
+
+    def minimize(self, window, minimized):
+        """Marks a window as minimized or not, as window managers do; this display has none."""
+        x = ctypes.CDLL("libX11.so.6")
+        x.XOpenDisplay.restype, x.XInternAtom.restype = ctypes.c_void_p, ctypes.c_ulong
+        server = ctypes.c_void_p(x.XOpenDisplay(self.name.encode()))
+        state, hidden = (
+            ctypes.c_ulong(x.XInternAtom(server, name, 0)) for name in (b"_NET_WM_STATE", b"_NET_WM_STATE_HIDDEN")
+        )
+        # The property is an array of atoms (type 4) of 32 bits; mode 0 replaces it.
+        x.XChangeProperty(
+            server, ctypes.c_ulong(int(window)), state, ctypes.c_ulong(4), 32, 0, ctypes.byref(hidden), int(minimized)
+        )
+        x.XCloseDisplay(server)
 
     def window(self, title, seconds=60):
         """Waits for a window with this title and returns its id."""

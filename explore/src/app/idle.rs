@@ -27,6 +27,10 @@ impl App {
     /// Works for at most one slice; returns the time at which the event loop continues.
     pub(super) fn idle(&mut self) -> Result<ControlFlow> {
         if self.is_scripted() || self.state.changed.any() || !self.state.commands.is_empty() {
+            // A minimized window draws nothing until an event shows it again.
+            if self.window.as_ref().is_some_and(|w| w.is_minimized() == Some(true)) {
+                return Ok(ControlFlow::Wait);
+            }
             self.redraw();
             return Ok(ControlFlow::Poll);
         }
