@@ -1,7 +1,9 @@
 //! Min–max blocks, their emptiness under a transfer function, and the distance of each block to the nearest
 //! block of the other kind (empty or not).
 
+use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
+use crate::renderer::Preparation;
 use crate::table::Classifier;
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;
@@ -84,8 +86,20 @@ pub(crate) struct SkipMap {
 }
 
 impl SkipMap {
+    /// Makes the map of a volume and a transfer function. Stores the times of its occupancy and of its
+    /// distances in `preparation`.
+    pub(crate) fn new(blocks: &BlockMap, classifier: &Classifier, preparation: &mut Preparation) -> Self {
+        let watch = Stopwatch::start();
+        let mut map = Self::occupancy(blocks, classifier);
+        preparation.occupancy = Some(watch.wall());
+        let watch = Stopwatch::start();
+        map.add_distances();
+        preparation.distance_map = Some(watch.wall());
+        map
+    }
+
     /// Makes a map that marks the empty blocks; all its distances are 1.
-    pub(crate) fn occupancy(blocks: &BlockMap, classifier: &Classifier) -> Self {
+    fn occupancy(blocks: &BlockMap, classifier: &Classifier) -> Self {
         let bytes = blocks
             .ranges
             .par_iter()
@@ -95,7 +109,7 @@ impl SkipMap {
     }
 
     /// Computes the distances.
-    pub(crate) fn add_distances(&mut self) {
+    fn add_distances(&mut self) {
         let to_occupied = distances(&self.bytes, self.dims, 0);
         let to_empty = distances(&self.bytes, self.dims, EMPTY_BIT);
         for ((b, o), e) in self.bytes.iter_mut().zip(to_occupied).zip(to_empty) {

@@ -63,13 +63,7 @@ impl CpuRaycaster {
     /// of its distances in `preparation`.
     fn update_skip_map(&mut self, preparation: &mut Preparation) {
         if let (Some((_, blocks)), Some(classifier)) = (&self.volume, &self.classifier) {
-            let watch = Stopwatch::start();
-            let mut skip = SkipMap::occupancy(blocks, classifier);
-            preparation.occupancy = Some(watch.wall());
-            let watch = Stopwatch::start();
-            skip.add_distances();
-            preparation.distance_map = Some(watch.wall());
-            self.skip = Some(skip);
+            self.skip = Some(SkipMap::new(blocks, classifier, preparation));
         }
     }
 }

@@ -189,51 +189,48 @@ fn quality(times: &[FrameTime]) -> Option<TimestampQuality> {
     })
 }
 
-struct Prober<'a> {
-    renderer: &'a mut dyn Renderer,
+/// Times a scene. If `scene.grows` is true, its image grows until a frame takes
+/// [`ProbeOptions::frame_seconds`]. Returns the median time in seconds, all times, and the CPU version's
+/// counts.
+fn time(
+    renderer: &mut dyn Renderer,
     options: ProbeOptions,
-}
-
-impl Prober<'_> {
-    /// Times a scene. If `scene.grows` is true, its image grows until a frame takes
-    /// [`ProbeOptions::frame_seconds`]. Returns the median time in seconds, all times, and the CPU version's
-    /// counts.
-    fn time(&mut self, scene: &Scene<'_>) -> Result<(f64, Vec<FrameTime>, WorkCounts)> {
-        self.renderer.set_volume(&scene.view)?;
-        self.renderer.set_transfer(&scene.table)?;
-        self.renderer.count_work(false);
-        let mut edge = 64;
-        loop {
-            let frame = (scene.frame)(edge)?;
-            // The first frames compile shaders and fill caches.
-            for _ in 0..2 {
-                self.renderer.render(&frame)?;
-            }
-            let mut times = vec![self.renderer.render(&frame)?.time];
-            let long = times[0].seconds() >= self.options.frame_seconds;
-            if scene.grows && !long && edge < LARGEST_IMAGE {
-                edge *= 2;
-                continue;
-            }
-            for _ in 1..self.options.repeats.max(1) {
-                times.push(self.renderer.render(&frame)?.time);
-            }
-            let mut twin = CpuRaycaster::new();
-            twin.set_volume(&scene.view)?;
-            twin.set_transfer(&scene.table)?;
-            // Counts are proportional to the number of pixels, so they are computed from a smaller image of
-            // the same view.
-            let counted = edge.min(256);
-            let (_, counts) = twin.render_linear(&(scene.frame)(counted)?)?;
-            let ratio = u64::from(edge / counted).pow(2);
-            let counts = WorkCounts {
-                rays: counts.rays * ratio,
-                samples: counts.samples * ratio,
-                skips: counts.skips * ratio,
-                shaded: counts.shaded * ratio,
-            };
-            return Ok((median(times.iter().map(FrameTime::seconds).collect()), times, counts));
+    scene: &Scene<'_>,
+) -> Result<(f64, Vec<FrameTime>, WorkCounts)> {
+    renderer.set_volume(&scene.view)?;
+    renderer.set_transfer(&scene.table)?;
+    renderer.count_work(false);
+    let mut edge = 64;
+    loop {
+        let frame = (scene.frame)(edge)?;
+        // The first frames compile shaders and fill caches.
+        for _ in 0..2 {
+            renderer.render(&frame)?;
         }
+        let mut times = vec![renderer.render(&frame)?.time];
+        let long = times[0].seconds() >= options.frame_seconds;
+        if scene.grows && !long && edge < LARGEST_IMAGE {
+            edge *= 2;
+            continue;
+        }
+        for _ in 1..options.repeats.max(1) {
+            times.push(renderer.render(&frame)?.time);
+        }
+        let mut twin = CpuRaycaster::new();
+        twin.set_volume(&scene.view)?;
+        twin.set_transfer(&scene.table)?;
+        // Counts are proportional to the number of pixels, so they are computed from a smaller image of
+        // the same view.
+        let counted = edge.min(256);
+        let (_, counts) = twin.render_linear(&(scene.frame)(counted)?)?;
+        let ratio = u64::from(edge / counted).pow(2);
+        let counts = WorkCounts {
+            rays: counts.rays * ratio,
+            samples: counts.samples * ratio,
+            skips: counts.skips * ratio,
+            shaded: counts.shaded * ratio,
+        };
+        return Ok((median(times.iter().map(FrameTime::seconds).collect()), times, counts));
     }
 }
 
@@ -258,14 +255,10 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
     let view = |data| VolumeView::new(Scalars::U8(data), dims).map_err(from_core);
     let agreement = agree(renderer, &view(&blobs)?)?;
 
-    let mut prober = Prober { renderer, options };
+    let mut time = |scene: Scene<'_>| time(renderer, options, &scene);
     let faint = table(&[(0.0, 0.001), (1.0, 0.002)])?;
-    let (frame_seconds, ..) = prober.time(&Scene {
-        view: view(&blobs)?,
-        table: faint.clone(),
-        frame: turned_away,
-        grows: false,
-    })?;
+    let (frame_seconds, ..) =
+        time(Scene { view: view(&blobs)?, table: faint.clone(), frame: turned_away, grows: false })?;
     let positive = |what: &str, seconds: f64| {
         if seconds > 0.0 {
             return Ok(seconds);
@@ -277,7 +270,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
             seconds * -1e3
         )))
     };
-    let (seconds, _, counts) = prober.time(&Scene {
+    let (seconds, _, counts) = time(Scene {
         view: view(&blobs)?,
         table: table(&[(0.0, 1.0)])?,
         frame: |edge| {
@@ -287,7 +280,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         grows: true,
     })?;
     let ray = positive("a frame of rays", seconds - frame_seconds)? / counts.rays.max(1) as f64;
-    let (seconds, times, counts) = prober.time(&Scene {
+    let (seconds, times, counts) = time(Scene {
         view: view(&blobs)?,
         table: faint,
         frame: |edge| Ok(Frame { skipping: Skipping::None, ..frame((0.0, 0.0, 50.0), 1.0, edge)? }),
@@ -299,7 +292,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
     let coherent =
         counts.samples.saturating_sub(counts.rays) as f64 / rest("a frame of samples", seconds, &counts)?;
     let timestamps = quality(&times);
-    let (seconds, _, counts) = prober.time(&Scene {
+    let (seconds, _, counts) = time(Scene {
         view: view(&specks)?,
         table: table(&[(0.0, 0.001), (0.2, 0.002), (0.5, 1.0)])?,
         frame: |edge| {
@@ -311,7 +304,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
     })?;
     let divergent = counts.samples.saturating_sub(counts.rays) as f64
         / rest("a frame of diverging rays", seconds, &counts)?;
-    let (seconds, _, counts) = prober.time(&Scene {
+    let (seconds, _, counts) = time(Scene {
         view: view(&empty)?,
         table: table(&[(0.0, 0.0), (0.5, 0.0), (1.0, 1.0)])?,
         frame: |edge| Ok(Frame { skipping: Skipping::Blocks, ..frame((20.0, 30.0, 50.0), 2.0, edge)? }),

@@ -202,9 +202,13 @@ fn options() -> Result<VulkanOptions, Failed> {
     Ok(VulkanOptions { longest_wait: Some(WAIT), ..VulkanOptions::from_env()? })
 }
 
-fn open() -> Result<VulkanRaycaster, Failed> {
+fn open_with(options: VulkanOptions) -> entire_vk_raycaster::Result<VulkanRaycaster> {
     // SAFETY: each function of `wrap` passes its arguments to the device's own function or returns an error.
-    Ok(unsafe { VulkanRaycaster::with_device_functions(options()?, &wrap) }?)
+    unsafe { VulkanRaycaster::with_device_functions(options, &wrap) }
+}
+
+fn open() -> Result<VulkanRaycaster, Failed> {
+    Ok(open_with(options()?)?)
 }
 
 fn small_frame() -> Frame {
@@ -249,10 +253,7 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     assert!(calls > 50, "{calls} calls");
     for after in 0..calls {
         set(Fault::Lost(after));
-        // SAFETY: each function of `wrap` passes its arguments to the device's own function or returns an
-        // error.
-        let opened = unsafe { VulkanRaycaster::with_device_functions(options()?, &wrap) };
-        let mut gpu = match opened {
+        let mut gpu = match open_with(options()?) {
             Ok(gpu) => gpu,
             Err(error) => {
                 assert!(error.to_string().contains("ERROR_DEVICE_LOST"), "call {after}: {error}");
@@ -369,9 +370,7 @@ fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
 /// first dispatch of a shader does not count, since the driver compiles the shader in it.
 fn slow_frames_halve_the_tiles_once_each() -> Outcome {
     set(Fault::Slow);
-    let slow = VulkanOptions { tile: Some(256), ..options()? };
-    // SAFETY: each function of `wrap` passes its arguments to the device's own function or returns an error.
-    let mut gpu = unsafe { VulkanRaycaster::with_device_functions(slow, &wrap) }?;
+    let mut gpu = open_with(VulkanOptions { tile: Some(256), ..options()? })?;
     let dims = [9, 8, 7];
     let voxels = field_bytes(dims);
     gpu.set_volume(&VolumeView::new(Scalars::U8(&voxels), dims)?)?;
@@ -400,29 +399,19 @@ fn main() {
     }
     let timed = device.as_ref().is_ok_and(VulkanRaycaster::has_timestamps);
     drop(device);
-    type Test = (&'static str, fn() -> Outcome);
-    let tests: [Test; 5] = [
-        (
-            "a_device_lost_in_any_call_is_an_error_that_names_it",
-            a_device_lost_in_any_call_is_an_error_that_names_it,
-        ),
-        (
-            "frames_in_flight_of_a_lost_device_fail_one_by_one",
-            frames_in_flight_of_a_lost_device_fail_one_by_one,
-        ),
-        (
-            "a_hanging_device_is_waited_for_once_and_left_alone",
-            a_hanging_device_is_waited_for_once_and_left_alone,
-        ),
-        ("a_device_that_answers_again_renders_again", a_device_that_answers_again_renders_again),
-        (
-            "a_frame_that_takes_too_long_is_given_up_while_it_runs",
-            a_frame_that_takes_too_long_is_given_up_while_it_runs,
-        ),
+    /// Trials named as their functions; each is ignored if the value after its name is true.
+    macro_rules! trials {
+        ($($name:ident: $ignored:expr),* $(,)?) => {
+            vec![$(Trial::test(stringify!($name), $name).with_ignored_flag($ignored)),*]
+        };
+    }
+    let trials = trials![
+        a_device_lost_in_any_call_is_an_error_that_names_it: none,
+        frames_in_flight_of_a_lost_device_fail_one_by_one: none,
+        a_hanging_device_is_waited_for_once_and_left_alone: none,
+        a_device_that_answers_again_renders_again: none,
+        a_frame_that_takes_too_long_is_given_up_while_it_runs: none,
+        slow_frames_halve_the_tiles_once_each: !timed,
     ];
-    let mut trials: Vec<Trial> =
-        tests.into_iter().map(|(name, run)| Trial::test(name, run).with_ignored_flag(none)).collect();
-    let slow = "slow_frames_halve_the_tiles_once_each";
-    trials.push(Trial::test(slow, slow_frames_halve_the_tiles_once_each).with_ignored_flag(!timed));
     libtest_mimic::run(&arguments, trials).exit();
 }

@@ -12,6 +12,7 @@ use entire_vk_raycaster::{
     VulkanRaycaster, WorkCounts,
 };
 use libtest_mimic::{Arguments, Failed, Trial};
+use std::collections::VecDeque;
 
 /// Upper bound of the difference of a channel between device and CPU version, in units of 1/255.
 const LARGEST: u8 = 2;
@@ -27,26 +28,31 @@ fn open(options: VulkanOptions) -> Result<VulkanRaycaster, Failed> {
 }
 
 /// Opens a renderer, with the validation layer if it is installed.
-fn open_validated(fetch: Option<VoxelFetch>) -> Result<VulkanRaycaster, Failed> {
-    let options = |validation| VulkanOptions { validation, fetch, count_work: true, ..Default::default() };
+fn open_validated(
+    fetch: Option<VoxelFetch>,
+    largest_texture: Option<u32>,
+) -> Result<VulkanRaycaster, Failed> {
+    let options = |validation| VulkanOptions {
+        validation,
+        fetch,
+        count_work: true,
+        largest_texture,
+        ..Default::default()
+    };
     open(options(true)).or_else(|_| open(options(false)))
 }
 
 fn expect_silence(gpu: &VulkanRaycaster) -> Outcome {
     let messages = gpu.shared_device().validation_messages();
-    if messages.is_empty() { Ok(()) } else { Err(format!("validation: {}", messages.join("\n")).into()) }
+    assert!(messages.is_empty(), "validation: {}", messages.join("\n"));
+    Ok(())
 }
 
-struct Scene {
-    name: &'static str,
-    frame: Frame,
-    table: TransferTable,
-}
-
-/// Scenes with various cameras, sizes, steps and transfer functions; the tests draw each in every mode.
-fn scenes() -> Vec<Scene> {
+/// Scenes (name, frame, transfer function) with various cameras, sizes and steps; the tests draw each in every
+/// mode.
+fn scenes() -> Vec<(&'static str, Frame, TransferTable)> {
     let mut all = vec![];
-    let mut add = |name, frame: Frame, table| all.push(Scene { name, frame, table });
+    let mut add = |name, frame: Frame, table| all.push((name, frame, table));
     add("transparent", frame(20.0, 35.0, 3.0, 61, 47), transparent());
     add("medium", frame(-40.0, 120.0, 2.5, 61, 47), medium());
     add("opaque", frame(70.0, -20.0, 3.0, 61, 47), opaque());
@@ -101,21 +107,14 @@ impl Data {
     }
 
     fn views(&self) -> Vec<(&'static str, VolumeView<'_>)> {
+        let options = VolumeOptions { spacing: [1.0, 1.4, 0.8], ..VolumeOptions::default() };
         [
             ("u8", Scalars::U8(&self.bytes)),
             ("u16", Scalars::U16(&self.words)),
             ("i16", Scalars::I16(&self.signed)),
             ("f32", Scalars::F32(&self.floats)),
         ]
-        .map(|(name, s)| {
-            let view = VolumeView::with(
-                s,
-                self.dims,
-                VolumeOptions { spacing: [1.0, 1.4, 0.8], ..VolumeOptions::default() },
-            )
-            .unwrap();
-            (name, view)
-        })
+        .map(|(name, s)| (name, VolumeView::with(s, self.dims, options).unwrap()))
         .to_vec()
     }
 }
@@ -156,55 +155,64 @@ impl Both {
     fn draw(&mut self, name: &str, frame: &Frame, mean: f64) -> Result<(Rendered, Rendered), Failed> {
         let (a, b) = (self.gpu.render(frame)?, self.twin.render(frame)?);
         let (largest, off) = difference(&a.image.rgba, &b.image.rgba);
-        if largest > LARGEST || off > mean {
-            return Err(format!("{name}: differs by up to {largest}/255, mean {off:.3}/255").into());
-        }
+        let alike = largest <= LARGEST && off <= mean;
+        assert!(alike, "{name}: differs by up to {largest}/255, mean {off:.3}/255");
         Ok((a, b))
     }
 }
 
 /// Compares device and CPU version in all scenes and modes, with one source of voxels in the shader.
 fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
-    let mut both = Both::new(open_validated(Some(fetch))?);
+    let mut both = Both::new(open_validated(Some(fetch), None)?);
     let exact = fetch != VoxelFetch::Sampler && both.gpu.is_software();
     let data = Data::new([37, 53, 29]);
     for (kind, view) in data.views().into_iter().take(if bytes_only { 1 } else { 4 }) {
         both.set_volume(&view)?;
         // Bytes are tested with all scenes, the other types with the first three.
         for scene in scenes().into_iter().take(if kind == "u8" { usize::MAX } else { 3 }) {
-            both.set_transfer(&scene.table)?;
-            for shading in Shading::ALL {
-                for skipping in Skipping::ALL {
-                    let frame = Frame { shading, skipping, ..scene.frame };
-                    let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
-                    let (a, b) = both.draw(&name, &frame, MEAN)?;
-                    let counts = (a.counts.ok_or("no counts")?, b.counts.ok_or("no counts")?);
-                    if exact && counts.0 != counts.1 {
-                        return Err(format!("{name}: device {:?}, twin {:?}", counts.0, counts.1).into());
-                    }
-                    check_counts(&name, counts)?;
-                }
-            }
+            compare_modes(&mut both, kind, &scene, &Shading::ALL, |name, a, b| {
+                assert!(!exact || a == b, "{name}: device {a:?}, twin {b:?}");
+                check_counts(name, a.expect("counts"), b.expect("counts"));
+            })?;
         }
     }
     expect_silence(&both.gpu)
 }
 
+/// Draws a scene with both in some shading modes and every skipping mode, and passes the name of the mode and
+/// both counts to `check`.
+fn compare_modes(
+    both: &mut Both,
+    kind: &str,
+    (scene, frame, table): &(&str, Frame, TransferTable),
+    shadings: &[Shading],
+    check: impl Fn(&str, Option<WorkCounts>, Option<WorkCounts>),
+) -> Outcome {
+    both.set_transfer(table)?;
+    for &shading in shadings {
+        for skipping in Skipping::ALL {
+            let name = format!("{kind}, {scene}, {shading}, {skipping}");
+            let (a, b) = both.draw(&name, &Frame { shading, skipping, ..*frame }, MEAN)?;
+            check(&name, a.counts, b.counts);
+        }
+    }
+    Ok(())
+}
+
 /// Checks that the counts of device and CPU version are close. They may differ in a few samples: those at the
 /// borders of the box and of blocks, and some that are barely visible.
-fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome {
+fn check_counts(name: &str, device: WorkCounts, twin: WorkCounts) {
     let close = |a: u64, b: u64, share: f64| a.abs_diff(b) as f64 <= 4.0 + share * b as f64;
-    if close(device.rays, twin.rays, 0.01)
-        && close(device.samples, twin.samples, 0.02)
-        && close(device.shaded, twin.shaded, 0.05)
-    {
-        return Ok(());
-    }
-    Err(format!("{name}: device {device:?}, twin {twin:?}").into())
+    assert!(
+        close(device.rays, twin.rays, 0.01)
+            && close(device.samples, twin.samples, 0.02)
+            && close(device.shaded, twin.shaded, 0.05),
+        "{name}: device {device:?}, twin {twin:?}"
+    );
 }
 
 fn odd_volumes() -> Outcome {
-    let mut both = Both::new(open_validated(None)?);
+    let mut both = Both::new(open_validated(None, None)?);
     for dims in [[1, 1, 1], [16, 9, 1], [1, 17, 3], [2, 2, 2], [8, 8, 8], [65, 3, 2]] {
         let data = Data::new(dims);
         for (kind, view) in data.views() {
@@ -222,7 +230,7 @@ fn odd_volumes() -> Outcome {
 }
 
 fn blocks_of_every_edge_match_the_twin() -> Outcome {
-    let mut both = Both::new(open_validated(None)?);
+    let mut both = Both::new(open_validated(None, None)?);
     let data = Data::new([37, 53, 29]);
     let mut pictures = vec![];
     for edge in BLOCK_EDGES {
@@ -235,8 +243,8 @@ fn blocks_of_every_edge_match_the_twin() -> Outcome {
                 let f = Frame { skipping, shading: Shading::Local, ..frame(20.0, 35.0, 2.5, 61, 47) };
                 let name = format!("{edge}, {kind}, {skipping}");
                 let (a, b) = both.draw(&name, &f, f64::INFINITY)?;
-                if both.gpu.is_software() && a.counts != b.counts {
-                    return Err(format!("{name}: {:?} {:?}", a.counts, b.counts).into());
+                if both.gpu.is_software() {
+                    assert_eq!(a.counts, b.counts, "{name}");
                 }
                 if kind == "u8" {
                     pictures.push(a.image);
@@ -244,13 +252,10 @@ fn blocks_of_every_edge_match_the_twin() -> Outcome {
             }
         }
     }
-    if pictures.windows(2).any(|w| w[0] != w[1]) {
-        return Err("the picture depends on the edge of the blocks".into());
-    }
+    let same = pictures.windows(2).all(|w| w[0] == w[1]);
+    assert!(same, "the picture depends on the edge of the blocks");
     for renderer in [&mut both.gpu as &mut dyn Renderer, &mut both.twin] {
-        if !renderer.set_block_edge(5).is_err_and(|e| e.to_string().contains("4, 8 or 16")) {
-            return Err("blocks of five cells were accepted".into());
-        }
+        assert!(renderer.set_block_edge(5).is_err_and(|e| e.to_string().contains("4, 8 or 16")));
     }
     expect_silence(&both.gpu)
 }
@@ -265,16 +270,15 @@ fn homogeneous_slab() -> Outcome {
             let f = Frame { step, termination: 1.0, ..frame(0.0, 0.0, 3.0, 1, 1) };
             let found = gpu.render(&f)?.image.rgba[3];
             let want = (1.0 - (1.0 - f64::from(alpha)).powi(32)) * 255.0;
-            if (f64::from(found) - want).abs() > 1.0 {
-                return Err(format!("opacity {alpha}, step {step}: {found} for {want}").into());
-            }
+            let near = (f64::from(found) - want).abs() <= 1.0;
+            assert!(near, "opacity {alpha}, step {step}: {found} for {want}");
         }
     }
     Ok(())
 }
 
 fn skipping_changes_nothing() -> Outcome {
-    let mut gpu = open_validated(None)?;
+    let mut gpu = open_validated(None, None)?;
     let dims = [45, 37, 61];
     let data = field_bytes(dims);
     gpu.set_volume(&VolumeView::new(Scalars::U8(&data), dims).unwrap())?;
@@ -283,13 +287,10 @@ fn skipping_changes_nothing() -> Outcome {
         let f = frame(25.0, -50.0, 2.5, 64, 48);
         let [none, blocks, distance] = Skipping::ALL.map(|s| gpu.render(&Frame { skipping: s, ..f }));
         let (none, blocks, distance) = (none?, blocks?, distance?);
-        if none.image != blocks.image || none.image != distance.image {
-            return Err("the pictures differ".into());
-        }
+        assert!(none.image == blocks.image && none.image == distance.image, "the pictures differ");
         let (n, b, d) = (none.counts.unwrap(), blocks.counts.unwrap(), distance.counts.unwrap());
-        if !(b.samples < n.samples && d.samples == b.samples && d.skips <= b.skips) {
-            return Err(format!("{n:?} {b:?} {d:?}").into());
-        }
+        let less = b.samples < n.samples && d.samples == b.samples && d.skips <= b.skips;
+        assert!(less, "{n:?} {b:?} {d:?}");
     }
     expect_silence(&gpu)
 }
@@ -297,40 +298,20 @@ fn skipping_changes_nothing() -> Outcome {
 /// Compares volumes that are larger than a texture: the texture limit is lowered so far that the test volume
 /// is cut into bricks.
 fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
-    let validated = |validation| {
-        let largest_texture = Some(21);
-        open(VulkanOptions {
-            validation,
-            fetch: Some(fetch),
-            count_work: true,
-            largest_texture,
-            ..Default::default()
-        })
-    };
-    let mut both = Both::new(validated(true).or_else(|_| validated(false))?);
+    let mut both = Both::new(open_validated(Some(fetch), Some(21))?);
     let exact = fetch != VoxelFetch::Sampler && both.gpu.is_software();
     let data = Data::new([37, 53, 29]);
     for (kind, view) in data.views().into_iter().take(2) {
         both.set_volume(&view)?;
         for scene in scenes() {
-            both.set_transfer(&scene.table)?;
-            for shading in [Shading::None, Shading::Local] {
-                for skipping in Skipping::ALL {
-                    let frame = Frame { shading, skipping, ..scene.frame };
-                    let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
-                    let (a, b) = both.draw(&name, &frame, MEAN)?;
-                    if exact && a.counts != b.counts {
-                        return Err(format!("{name}: device {:?}, twin {:?}", a.counts, b.counts).into());
-                    }
-                }
-            }
+            compare_modes(&mut both, kind, &scene, &[Shading::None, Shading::Local], |name, a, b| {
+                assert!(!exact || a == b, "{name}: device {a:?}, twin {b:?}");
+            })?;
         }
     }
     for shading in [Shading::Scatter, Shading::LocalScatter] {
         let scatter = both.gpu.render(&Frame { shading, ..frame(0.0, 0.0, 3.0, 8, 8) });
-        if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
-            return Err(format!("shading {shading} in bricks was accepted").into());
-        }
+        assert!(scatter.is_err_and(|e| e.to_string().contains("one texture")), "{shading}");
     }
     // A smaller volume takes one texture again, and supports scattering.
     let small = Data::new([20, 21, 8]);
@@ -345,16 +326,14 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
 /// Checks that regions have the pixels of the whole frame, and that drawing into a picture on the device
 /// causes no validation message.
 fn regions_are_parts_of_the_whole() -> Outcome {
-    let mut gpu = open_validated(None)?;
+    let mut gpu = open_validated(None, None)?;
     let data = field_bytes([40; 3]);
     gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap())?;
     gpu.set_transfer(&medium())?;
     let f = Frame { jitter: true, shading: Shading::Local, ..frame(25.0, 70.0, 2.2, 75, 61) };
     let whole = gpu.render(&f)?;
     let mut picture = Picture::new(&gpu.shared_device(), 80, 64)?;
-    if !picture.is_fresh() {
-        return Err("a new picture is not fresh".into());
-    }
+    assert!(picture.is_fresh(), "a new picture");
     let mut samples = 0;
     for (x, y, width, height) in [(0, 0, 75, 20), (0, 20, 33, 41), (33, 20, 42, 41)] {
         let region = Region { x, y, width, height };
@@ -366,32 +345,23 @@ fn regions_are_parts_of_the_whole() -> Outcome {
                 start..start + 4 * width as usize
             };
             let found = &part.image.rgba[bytes(row * width, width)];
-            if found != &whole.image.rgba[bytes((y + row) * 75 + x, width)] {
-                return Err(format!("row {row} of {region:?}").into());
-            }
+            let same = found == &whole.image.rgba[bytes((y + row) * 75 + x, width)];
+            assert!(same, "row {row} of {region:?}");
         }
-        if gpu.render_to(&f, region, &mut picture)?.wall <= 0.0 || picture.is_fresh() {
-            return Err("nothing was drawn".into());
-        }
+        assert!(gpu.render_to(&f, region, &mut picture)?.wall > 0.0 && !picture.is_fresh());
     }
-    if samples != whole.counts.unwrap_or_default().samples {
-        return Err(format!("{samples} samples, {:?}", whole.counts).into());
-    }
+    assert_eq!(samples, whole.counts.unwrap_or_default().samples);
     let beyond = Region { x: 70, y: 0, width: 6, height: 1 };
-    if gpu.render_region(&f, beyond).is_ok() || gpu.render_to(&f, beyond, &mut picture).is_ok() {
-        return Err("a region beyond the frame was accepted".into());
-    }
+    assert!(gpu.render_region(&f, beyond).is_err() && gpu.render_to(&f, beyond, &mut picture).is_err());
     let large = frame(25.0, 70.0, 2.2, 90, 61);
-    if gpu.render_to(&large, Region::whole(&large), &mut picture).is_ok() {
-        return Err("a frame beyond the picture was accepted".into());
-    }
+    assert!(gpu.render_to(&large, Region::whole(&large), &mut picture).is_err());
     expect_silence(&gpu)
 }
 
 /// Checks that several raycasters of one device, each in a thread, draw the same pictures as one raycaster
 /// alone.
 fn raycasters_share_a_device() -> Outcome {
-    let gpu = open_validated(None)?;
+    let gpu = open_validated(None, None)?;
     let device = gpu.shared_device();
     let data = field_bytes([40; 3]);
     let view = VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap();
@@ -408,9 +378,7 @@ fn raycasters_share_a_device() -> Outcome {
         threads.map(|t| t.join().expect("a thread that draws"))
     });
     for (found, wanted) in together.into_iter().zip(alone) {
-        if found? != wanted {
-            return Err("the pictures differ from those of one raycaster alone".into());
-        }
+        assert!(found? == wanted, "the pictures differ from those of one raycaster alone");
     }
     expect_silence(&gpu)
 }
@@ -418,7 +386,7 @@ fn raycasters_share_a_device() -> Outcome {
 /// Checks that frames in flight equal the frames of `render`, in order, even if volume and transfer function
 /// change meanwhile.
 fn frames_in_flight_are_the_rendered_ones() -> Outcome {
-    let mut gpu = open_validated(None)?;
+    let mut gpu = open_validated(None, None)?;
     let mut alone = open(VulkanOptions { count_work: true, ..Default::default() })?;
     let data = field_bytes([40; 3]);
     let view = VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap();
@@ -426,34 +394,25 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
         r.set_volume(&view)?;
         r.set_transfer(&medium())?;
     }
-    if gpu.collect()?.is_some() {
-        return Err("a frame was collected, but none was enqueued".into());
-    }
+    assert!(gpu.collect()?.is_none(), "no frame was enqueued");
     let frames: Vec<Frame> = (0..7u16)
         .map(|i| {
-            let size = 40 + 9 * u32::from(i);
-            Frame {
-                step: [1.0, 0.5, 2.0][usize::from(i) % 3],
-                ..frame(10.0, 20.0 * f32::from(i), 2.5, size, 50)
-            }
+            let step = [1.0, 0.5, 2.0][usize::from(i) % 3];
+            Frame { step, ..frame(10.0, 20.0 * f32::from(i), 2.5, 40 + 9 * u32::from(i), 50) }
         })
         .collect();
-    let mut wanted = std::collections::VecDeque::new();
-    let check = |gpu: &mut VulkanRaycaster, wanted: &mut std::collections::VecDeque<_>| -> Outcome {
-        let (found, want): (_, Rendered) =
-            (gpu.collect()?.ok_or("no frame")?, wanted.pop_front().ok_or("more frames than enqueued")?);
+    let mut wanted = VecDeque::new();
+    let check = |gpu: &mut VulkanRaycaster, wanted: &mut VecDeque<Rendered>| -> Outcome {
+        let found = gpu.collect()?.ok_or("no frame")?;
+        let want = wanted.pop_front().ok_or("more frames than enqueued")?;
         let timed = found.time.device.is_some() == gpu.has_timestamps() && found.time.wall > 0.0;
-        if found.image != want.image || found.counts != want.counts || !timed {
-            return Err(format!("{:?} {:?}", found.counts, want.counts).into());
-        }
+        assert!(timed && found.image == want.image, "{:?} {:?}", found.counts, want.counts);
+        assert_eq!(found.counts, want.counts);
         Ok(())
     };
     for (i, f) in frames.iter().enumerate() {
         if wanted.len() == VulkanRaycaster::FRAMES_IN_FLIGHT {
-            match gpu.enqueue(f) {
-                Err(e) if e.to_string().contains("in flight") => {}
-                _ => return Err("more frames in flight than the maximum".into()),
-            }
+            assert!(gpu.enqueue(f).is_err_and(|e| e.to_string().contains("in flight")));
             check(&mut gpu, &mut wanted)?;
         }
         if i == 4 {
@@ -476,45 +435,36 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     }
     // One slot is free for a frame that is rendered in between.
     check(&mut gpu, &mut wanted)?;
-    if gpu.render(&frames[0])?.image != alone.render(&frames[0])?.image {
-        return Err("a frame that was rendered beside a frame in flight differs".into());
-    }
+    assert!(gpu.render(&frames[0])?.image == alone.render(&frames[0])?.image, "beside a frame in flight");
     check(&mut gpu, &mut wanted)?;
     let large = frame(0.0, 0.0, 3.0, 4096, 8);
-    if !gpu.enqueue(&large).is_err_and(|e| e.to_string().contains("several dispatches")) {
-        return Err("a frame of several tiles was enqueued".into());
-    }
+    assert!(gpu.enqueue(&large).is_err_and(|e| e.to_string().contains("several dispatches")));
     expect_silence(&gpu)
 }
 
 /// Checks that frames with and without counts have the same bits. Frames without counts may use a shader
 /// variant in which the rays of a subgroup skip together.
 fn counting_changes_no_picture() -> Outcome {
-    let mut gpu = open_validated(Some(VoxelFetch::Packed))?;
+    let mut gpu = open_validated(Some(VoxelFetch::Packed), None)?;
     let data = Data::new([37, 53, 29]);
-    let view = VolumeView::with(
-        Scalars::U8(&data.bytes),
-        data.dims,
-        VolumeOptions { spacing: [1.0, 1.4, 0.8], ..VolumeOptions::default() },
-    )
-    .unwrap();
+    let (_, view) = data.views()[0];
     gpu.set_volume(&view)?;
-    for scene in scenes() {
-        gpu.set_transfer(&scene.table)?;
+    let compare = |gpu: &mut VulkanRaycaster, name: &str, frame: &Frame| -> Outcome {
+        let [counted, timed] = [true, false].map(|count| {
+            gpu.count_work(count);
+            gpu.render(frame)
+        });
+        let (counted, timed) = (counted?, timed?);
+        let off = difference(&counted.image.rgba, &timed.image.rgba);
+        assert!(counted.image == timed.image && timed.counts.is_none(), "{name}: {off:?}");
+        Ok(())
+    };
+    for (name, frame, table) in scenes() {
+        gpu.set_transfer(&table)?;
         for shading in Shading::ALL {
             for skipping in Skipping::ALL {
-                let frame = Frame { shading, skipping, ..scene.frame };
-                let [counted, timed] = [true, false].map(|count| {
-                    gpu.count_work(count);
-                    gpu.render(&frame)
-                });
-                let (counted, timed) = (counted?, timed?);
-                if counted.image != timed.image || timed.counts.is_some() {
-                    let name = format!("{}, {}, {}", scene.name, shading, skipping);
-                    return Err(
-                        format!("{name}: {:?}", difference(&counted.image.rgba, &timed.image.rgba)).into()
-                    );
-                }
+                let name = format!("{name}, {shading}, {skipping}");
+                compare(&mut gpu, &name, &Frame { shading, skipping, ..frame })?;
             }
         }
     }
@@ -522,28 +472,22 @@ fn counting_changes_no_picture() -> Outcome {
     let frame = Frame { step: 1.0 / 64.0, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 19, 14) };
     gpu.set_transfer(&transparent().with_unit_distance(16.0).unwrap())?;
     for skipping in Skipping::ALL {
-        let [counted, timed] = [true, false].map(|count| {
-            gpu.count_work(count);
-            gpu.render(&Frame { skipping, ..frame })
-        });
-        if counted?.image != timed?.image {
-            return Err(format!("windows, {}", skipping).into());
-        }
+        compare(&mut gpu, &format!("windows, {skipping}"), &Frame { skipping, ..frame })?;
     }
     expect_silence(&gpu)
 }
 
 /// Compares rays that need more loop iterations than a software device allows in one dispatch.
 fn long_rays_are_cast_in_windows() -> Outcome {
-    let mut both = Both::new(open_validated(None)?);
+    let mut both = Both::new(open_validated(None, None)?);
     let data = field_bytes([64; 3]);
     both.set_volume(&VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap())?;
     both.set_transfer(&transparent().with_unit_distance(4.0).unwrap())?;
     for skipping in Skipping::ALL {
         let f = Frame { step: 0.125, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 5, 4) };
         let (a, b) = both.draw(skipping.name(), &Frame { skipping, ..f }, f64::INFINITY)?;
-        if both.gpu.is_software() && a.counts != b.counts {
-            return Err(format!("{skipping}: {:?}, {:?}", a.counts, b.counts).into());
+        if both.gpu.is_software() {
+            assert_eq!(a.counts, b.counts, "{skipping}");
         }
     }
     expect_silence(&both.gpu)
@@ -561,37 +505,29 @@ fn tiles_join_without_seams() -> Outcome {
         gpu.set_transfer(&medium())?;
         images.push(gpu.render(&f)?.image);
     }
-    if images.windows(2).all(|w| w[0] == w[1]) { Ok(()) } else { Err("tiled images differ".into()) }
+    assert!(images.windows(2).all(|w| w[0] == w[1]), "tiled images differ");
+    Ok(())
 }
 
 fn times_are_plausible() -> Outcome {
     let mut gpu = open(VulkanOptions::default())?;
     let data = field_bytes([64; 3]);
     let p = gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap())?;
-    if !(p.upload.is_some() && p.block_map.is_some() && p.occupancy.is_none() && p.wall > 0.0) {
-        return Err(format!("{p:?}").into());
-    }
+    let told = p.upload.is_some() && p.block_map.is_some() && p.occupancy.is_none() && p.wall > 0.0;
+    assert!(told, "{p:?}");
     let p = gpu.set_transfer(&medium())?;
-    if !(p.occupancy.is_some() && p.distance_map.is_some()) {
-        return Err(format!("{p:?}").into());
-    }
+    assert!(p.occupancy.is_some() && p.distance_map.is_some(), "{p:?}");
     let r = gpu.render(&frame(10.0, 20.0, 2.5, 256, 256))?;
-    if r.counts.is_some() {
-        return Err("counts that were not requested".into());
-    }
-    match r.time.device {
-        Some(t) if gpu.has_timestamps() && t > 0.0 && t <= r.time.wall => Ok(()),
-        None if !gpu.has_timestamps() => Ok(()),
-        _ => Err(format!("{:?}", r.time).into()),
-    }
+    assert!(r.counts.is_none(), "counts that were not requested");
+    assert_eq!(r.time.device.is_some(), gpu.has_timestamps());
+    assert!(r.time.device.is_none_or(|t| t > 0.0 && t <= r.time.wall), "{:?}", r.time);
+    Ok(())
 }
 
 fn volume_and_table_may_change_between_frames() -> Outcome {
-    let mut both = Both::new(open_validated(None)?);
+    let mut both = Both::new(open_validated(None, None)?);
     let f = frame(20.0, 30.0, 2.5, 40, 40);
-    if !both.gpu.render(&f).is_err_and(|e| e.to_string().contains("no volume")) {
-        return Err("rendered without a volume".into());
-    }
+    assert!(both.gpu.render(&f).is_err_and(|e| e.to_string().contains("no volume")));
     for (dims, table) in [([20; 3], medium()), ([20; 3], opaque()), ([31, 9, 14], transparent())] {
         let data = field_bytes(dims);
         both.set_volume(&VolumeView::new(Scalars::U8(&data), dims).unwrap())?;
@@ -607,16 +543,11 @@ fn oversized_volumes_are_refused_with_size_and_limit() -> Outcome {
     let mut gpu = open(VulkanOptions::default())?;
     // A broadcast axis: a huge volume in one byte.
     let data = [1u8];
-    let view = VolumeView::with(
-        Scalars::U8(&data),
-        [1 << 20, 1, 1],
-        VolumeOptions { strides: Some([0, 0, 0]), ..VolumeOptions::default() },
-    )
-    .unwrap();
-    match gpu.set_volume(&view) {
-        Err(e) if e.to_string().contains("1048576 x 1 x 1") && e.to_string().contains("at most") => Ok(()),
-        other => Err(format!("{other:?}").into()),
-    }
+    let broadcast = VolumeOptions { strides: Some([0, 0, 0]), ..VolumeOptions::default() };
+    let view = VolumeView::with(Scalars::U8(&data), [1 << 20, 1, 1], broadcast).unwrap();
+    let error = gpu.set_volume(&view).expect_err("too many voxels").to_string();
+    assert!(error.contains("1048576 x 1 x 1") && error.contains("at most"), "{error}");
+    Ok(())
 }
 
 fn main() {
@@ -648,12 +579,10 @@ fn main() {
         ("volume_and_table_may_change_between_frames", volume_and_table_may_change_between_frames),
         ("oversized_volumes_are_refused", oversized_volumes_are_refused_with_size_and_limit),
         ("unknown_devices_are_refused_with_the_choice", || {
-            match VulkanRaycaster::new(VulkanOptions { device: Some("no such".into()), ..Default::default() })
-            {
-                Err(e) if e.to_string().contains("there are: 0: ") => Ok(()),
-                Err(e) => Err(e.to_string().into()),
-                Ok(_) => Err("an unknown device was opened".into()),
-            }
+            let unknown = VulkanOptions { device: Some("no such".into()), ..Default::default() };
+            let error = VulkanRaycaster::new(unknown).err().expect("no such device").to_string();
+            assert!(error.contains("there are: 0: "), "{error}");
+            Ok(())
         }),
     ];
     let mut trials: Vec<Trial> =

@@ -5,7 +5,7 @@ mod waiting;
 
 use super::gpu::{Gpu, NamedCall};
 use super::recording::{Command, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
-use super::resources::{Buffer, Image, Owned, Shape};
+use super::resources::{Buffer, Image, Owned, Shape, owned};
 use crate::error::{Error, Result};
 use crate::setup::FrameSetup;
 use ash::vk;
@@ -67,22 +67,6 @@ pub(crate) struct CastTile<'a> {
     pub(crate) image: &'a [u8],
     /// Bytes of the work counts; empty if the work was not counted.
     pub(crate) work: &'a [u8],
-}
-
-/// Makes a device object that is destroyed when its [`Owned`] drops.
-macro_rules! owned {
-    ($gpu:expr, $create:ident($info:expr), $destroy:ident, $call:literal) => {{
-        let gpu: &Arc<Gpu> = $gpu;
-        // SAFETY: the device is alive, pointers in the create info live until the call returns, and an
-        // `Owned` destroys the handle once.
-        let made = unsafe { gpu.device.$create($info, None) }.on(gpu, $call);
-        made.map(|handle| {
-            Owned::new(gpu, handle, |d, h| {
-                // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
-                unsafe { d.$destroy(h, None) }
-            })
-        })
-    }};
 }
 
 /// Resources of one submission. Each slot has its own, so that several submissions can run at the same time.

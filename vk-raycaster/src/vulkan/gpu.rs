@@ -1,6 +1,7 @@
 //! Loader, instance, device, queue and allocator.
 
 use crate::error::{Error, Result};
+use crate::renderer::DeviceLimits;
 use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::ffi::{CStr, CString, c_char, c_void};
@@ -36,22 +37,12 @@ pub(crate) struct GpuOptions<'a> {
     pub(crate) surface_extensions: &'a [CString],
 }
 
-/// Conversion of device timestamps to seconds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct TimestampClock {
-    /// Significant bits of a timestamp, 1…64.
-    pub(crate) valid_bits: u32,
-    /// Nanoseconds per tick.
-    pub(crate) period: f64,
-}
-
-impl TimestampClock {
-    /// Seconds from one timestamp to a later one; the counter may have wrapped once in between.
-    pub(crate) fn seconds(&self, begin: u64, end: u64) -> f64 {
-        let mask = if self.valid_bits >= 64 { u64::MAX } else { (1 << self.valid_bits) - 1 };
-        let ticks = end.wrapping_sub(begin) & mask;
-        ticks as f64 * self.period * 1e-9
-    }
+/// Seconds from one timestamp to a later one; the counter may have wrapped once in between. The clock is
+/// [`DeviceLimits::timestamps`].
+pub(crate) fn seconds_between((valid_bits, period): (u32, f64), begin: u64, end: u64) -> f64 {
+    let mask = if valid_bits >= 64 { u64::MAX } else { (1 << valid_bits) - 1 };
+    let ticks = end.wrapping_sub(begin) & mask;
+    ticks as f64 * period * 1e-9
 }
 
 /// Messages of the validation layer.
@@ -65,7 +56,6 @@ pub(crate) struct Gpu {
     properties: Properties,
     /// Locked while something is submitted to it or presented by it.
     queue: Mutex<vk::Queue>,
-    pub(crate) is_cpu: bool,
     /// Number of threads among which the device splits a dispatch into runs of successive workgroups; 1 if it is no
     /// software device.
     pub(crate) threads: u32,
@@ -182,16 +172,15 @@ impl Gpu {
         })?;
         // SAFETY: the device was made with one queue of this family.
         let queue = unsafe { device.get_device_queue(properties.family, 0) };
-        let is_cpu = properties.kind == vk::PhysicalDeviceType::CPU;
+        let is_software = properties.is_software;
         unfinished.instance = None;
         Ok(Self {
             instance,
             device,
             properties,
             queue: Mutex::new(queue),
-            is_cpu,
-            threads: if is_cpu { software_threads() } else { 1 },
-            longest_wait: options.longest_wait.unwrap_or(if is_cpu {
+            threads: if is_software { software_threads() } else { 1 },
+            longest_wait: options.longest_wait.unwrap_or(if is_software {
                 LONGEST_WAIT_SOFTWARE
             } else {
                 LONGEST_WAIT
@@ -400,18 +389,11 @@ pub(crate) struct Properties {
     pub(crate) physical: vk::PhysicalDevice,
     kind: vk::PhysicalDeviceType,
     pub(crate) family: u32,
-    pub(crate) timestamps: Option<TimestampClock>,
     pub(crate) limits: vk::PhysicalDeviceLimits,
-    /// Largest single allocation, bytes.
-    pub(crate) max_allocation: u64,
     /// True if compute shaders may compute minima and maxima over a subgroup.
     pub(crate) subgroup_arithmetic: bool,
-    pub(crate) subgroup_size: u32,
-    pub(crate) api_version: u32,
-    /// Bytes of the largest device-local heap.
-    pub(crate) memory: u64,
-    pub(crate) name: String,
-    pub(crate) driver: String,
+    /// The properties that users of the renderer see.
+    pub(crate) reported: DeviceLimits,
 }
 
 impl Deref for Gpu {
@@ -419,6 +401,14 @@ impl Deref for Gpu {
 
     fn deref(&self) -> &Properties {
         &self.properties
+    }
+}
+
+impl Deref for Properties {
+    type Target = DeviceLimits;
+
+    fn deref(&self) -> &DeviceLimits {
+        &self.reported
     }
 }
 
@@ -492,7 +482,8 @@ fn describe_device(
             instance.get_physical_device_queue_family_properties(physical),
         )
     };
-    if core.api_version < vk::API_VERSION_1_1 {
+    let version = core.api_version;
+    if version < vk::API_VERSION_1_1 {
         return None;
     }
     let needed =
@@ -503,7 +494,7 @@ fn describe_device(
     let mut subgroup = vk::PhysicalDeviceSubgroupProperties::default();
     let mut properties =
         vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance).push_next(&mut subgroup);
-    let has_driver_properties = core.api_version >= vk::API_VERSION_1_2;
+    let has_driver_properties = version >= vk::API_VERSION_1_2;
     if has_driver_properties {
         properties = properties.push_next(&mut driver);
     }
@@ -518,7 +509,6 @@ fn describe_device(
     let limits = core.limits;
     let valid_bits = families[family].timestamp_valid_bits;
     let period = f64::from(limits.timestamp_period);
-    let timestamps = (valid_bits > 0 && period > 0.0).then_some(TimestampClock { valid_bits, period });
     let text = |c: Option<&CStr>| c.map(|c| c.to_string_lossy().into_owned()).unwrap_or_default();
     let driver = if has_driver_properties {
         let (name, info) =
@@ -531,16 +521,26 @@ fn describe_device(
         physical,
         kind: core.device_type,
         family: u32::try_from(family).ok()?,
-        timestamps,
         limits,
-        max_allocation: maintenance.max_memory_allocation_size,
         subgroup_arithmetic: subgroup.supported_stages.contains(vk::ShaderStageFlags::COMPUTE)
             && subgroup.supported_operations.contains(vk::SubgroupFeatureFlags::ARITHMETIC),
-        subgroup_size: subgroup.subgroup_size,
-        api_version: core.api_version,
-        memory: heaps.iter().map(|h| h.size).max().unwrap_or(0),
-        name: text(core.device_name_as_c_str().ok()),
-        driver,
+        reported: DeviceLimits {
+            name: text(core.device_name_as_c_str().ok()),
+            driver,
+            api_version: format!(
+                "{}.{}.{}",
+                (version >> 22) & 0x7f,
+                (version >> 12) & 0x3ff,
+                version & 0xfff
+            ),
+            is_software: core.device_type == vk::PhysicalDeviceType::CPU,
+            max_image_3d: limits.max_image_dimension3_d,
+            max_storage_buffer: u64::from(limits.max_storage_buffer_range),
+            max_allocation: maintenance.max_memory_allocation_size,
+            memory: heaps.iter().map(|h| h.size).max().unwrap_or(0),
+            subgroup_size: subgroup.subgroup_size,
+            timestamps: (valid_bits > 0 && period > 0.0).then_some((valid_bits, period)),
+        },
     })
 }
 
@@ -563,14 +563,13 @@ mod tests {
 
     #[test]
     fn timestamps_are_masked_and_scaled() {
-        let clock = TimestampClock { valid_bits: 36, period: 52.08 };
-        assert!((clock.seconds(1000, 3000) - 2000.0 * 52.08e-9).abs() < 1e-15);
+        let clock = (36, 52.08);
+        assert!((seconds_between(clock, 1000, 3000) - 2000.0 * 52.08e-9).abs() < 1e-15);
         // The counter wrapped, and the bits above the valid ones are garbage.
         let begin = (0xabc << 36) | ((1 << 36) - 10);
         let end = (0xdef << 36) | 5;
-        assert!((clock.seconds(begin, end) - 15.0 * 52.08e-9).abs() < 1e-15);
-        let full = TimestampClock { valid_bits: 64, period: 1.0 };
-        assert_eq!(full.seconds(u64::MAX, 9), 10e-9);
+        assert!((seconds_between(clock, begin, end) - 15.0 * 52.08e-9).abs() < 1e-15);
+        assert_eq!(seconds_between((64, 1.0), u64::MAX, 9), 10e-9);
     }
 
     #[test]

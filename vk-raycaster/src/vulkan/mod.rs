@@ -231,7 +231,7 @@ impl VulkanRaycaster {
         let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
         let largest = (groups[0].min(groups[1]).saturating_mul(recording::GROUP_EDGE))
             .min(pixels.isqrt().try_into().unwrap_or(u32::MAX));
-        let default = if gpu.is_cpu { LARGEST_TILE_SOFTWARE } else { LARGEST_TILE };
+        let default = if gpu.is_software { LARGEST_TILE_SOFTWARE } else { LARGEST_TILE };
         let edge = options.tile.unwrap_or(default).clamp(recording::GROUP_EDGE, largest);
         Ok(Self {
             engine: Engine::new(gpu)?,
@@ -254,7 +254,7 @@ impl VulkanRaycaster {
 
     /// True if the device is a software implementation (llvmpipe, SwiftShader).
     pub fn is_software(&self) -> bool {
-        self.engine.gpu().is_cpu
+        self.engine.gpu().is_software
     }
 
     /// Source of the current volume's voxels.
@@ -400,10 +400,8 @@ impl VulkanRaycaster {
     fn update_skip_map(&mut self, preparation: &mut Preparation) -> Result<()> {
         self.has_skip_map = false;
         if let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) {
-            let watch = Stopwatch::start();
-            let mut map = SkipMap::occupancy(&volume.blocks, classifier);
             let limit = self.engine.gpu().limits.max_image_dimension3_d as usize;
-            if let Some(count) = map.dims.iter().find(|n| **n > limit) {
+            if let Some(count) = volume.blocks.dims.iter().find(|n| **n > limit) {
                 return Err(Error::new(format!(
                     "the skip map has {count} blocks along an axis, {} takes at most {limit}: set larger blocks than {} \
                      cells, or crop the volume",
@@ -411,10 +409,7 @@ impl VulkanRaycaster {
                     self.block_edge
                 )));
             }
-            preparation.occupancy = Some(watch.wall());
-            let watch = Stopwatch::start();
-            map.add_distances();
-            preparation.distance_map = Some(watch.wall());
+            let map = SkipMap::new(&volume.blocks, classifier, preparation);
             self.occupied = Some((map.bytes.len() - map.empty_blocks(), map.bytes.len()));
             let watch = Stopwatch::start();
             let fetch = volume.fetch;
@@ -445,25 +440,7 @@ impl Renderer for VulkanRaycaster {
     }
 
     fn limits(&self) -> Option<DeviceLimits> {
-        let gpu = self.engine.gpu();
-        let version = gpu.api_version;
-        Some(DeviceLimits {
-            name: gpu.name.clone(),
-            driver: gpu.driver.clone(),
-            api_version: format!(
-                "{}.{}.{}",
-                (version >> 22) & 0x7f,
-                (version >> 12) & 0x3ff,
-                version & 0xfff
-            ),
-            is_software: gpu.is_cpu,
-            max_image_3d: gpu.limits.max_image_dimension3_d,
-            max_storage_buffer: u64::from(gpu.limits.max_storage_buffer_range),
-            max_allocation: gpu.max_allocation,
-            memory: gpu.memory,
-            subgroup_size: gpu.subgroup_size,
-            timestamps: gpu.timestamps.map(|t| (t.valid_bits, t.period)),
-        })
+        Some(self.engine.gpu().reported.clone())
     }
 
     fn set_block_edge(&mut self, edge: usize) -> Result<()> {

@@ -33,13 +33,48 @@ impl<T: Copy> Drop for Owned<T> {
     }
 }
 
+/// Makes a device object that is destroyed when its [`Owned`] drops.
+macro_rules! owned {
+    ($gpu:expr, $create:ident($info:expr), $destroy:ident, $call:literal) => {{
+        let gpu: &Arc<Gpu> = $gpu;
+        // SAFETY: the device is alive, pointers in the create info live until the call returns, and an
+        // `Owned` destroys the handle once.
+        let made = unsafe { gpu.device.$create($info, None) }.on(gpu, $call);
+        made.map(|handle| {
+            Owned::new(gpu, handle, |d, h| {
+                // SAFETY: `Owned` calls this once, when the device no longer uses the handle.
+                unsafe { d.$destroy(h, None) }
+            })
+        })
+    }};
+}
+pub(crate) use owned;
+
+/// Memory of a buffer or image, which is freed when this value drops; on an abandoned device, it is leaked.
+struct Memory {
+    gpu: Arc<Gpu>,
+    allocation: Allocation,
+}
+
+impl Drop for Memory {
+    fn drop(&mut self) {
+        let allocation = std::mem::take(&mut self.allocation);
+        if self.gpu.is_abandoned() {
+            std::mem::forget(allocation);
+        } else {
+            // This fails only for an allocation of another allocator, which cannot happen here.
+            let _ = self.gpu.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
+        }
+    }
+}
+
 fn allocate(
-    gpu: &Gpu,
+    gpu: &Arc<Gpu>,
     name: &str,
     requirements: vk::MemoryRequirements,
     location: MemoryLocation,
     linear: bool,
-) -> Result<Allocation> {
+) -> Result<Memory> {
     if requirements.size > gpu.max_allocation {
         return Err(Error::new(format!(
             "the {name} needs {} bytes, but {} allocates at most {} at once; use a smaller volume or image",
@@ -56,6 +91,7 @@ fn allocate(
             linear,
             allocation_scheme: AllocationScheme::GpuAllocatorManaged,
         })
+        .map(|allocation| Memory { gpu: Arc::clone(gpu), allocation })
         .map_err(|e| {
             Error::new(format!(
                 "no memory for the {name}, {} bytes, on {}: {e}; use a smaller volume or image, or close \
@@ -65,18 +101,10 @@ fn allocate(
         })
 }
 
-/// Frees an allocation. This fails only for an allocation of another allocator, which cannot happen here.
-fn free(gpu: &Gpu, allocation: Option<Allocation>) {
-    if let Some(allocation) = allocation {
-        let _ = gpu.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
-    }
-}
-
 /// A buffer with its memory.
 pub(crate) struct Buffer {
-    gpu: Arc<Gpu>,
-    buffer: vk::Buffer,
-    allocation: Option<Allocation>,
+    buffer: Owned<vk::Buffer>,
+    memory: Memory,
     size: u64,
 }
 
@@ -90,22 +118,20 @@ impl Buffer {
     ) -> Result<Self> {
         let info =
             vk::BufferCreateInfo::default().size(size).usage(usage).sharing_mode(vk::SharingMode::EXCLUSIVE);
-        // SAFETY: the device is alive, and callers pass a size that is not 0.
-        let buffer = unsafe { gpu.device.create_buffer(&info, None) }.on(gpu, "vkCreateBuffer")?;
-        let mut this = Self { gpu: Arc::clone(gpu), buffer, allocation: None, size };
+        // Callers pass a size that is not 0.
+        let buffer = owned!(gpu, create_buffer(&info), destroy_buffer, "vkCreateBuffer")?;
         // SAFETY: the buffer was made from this device.
-        let requirements = unsafe { gpu.device.get_buffer_memory_requirements(buffer) };
-        let allocation = allocate(gpu, name, requirements, location, true)?;
+        let requirements = unsafe { gpu.device.get_buffer_memory_requirements(buffer.get()) };
+        let memory = allocate(gpu, name, requirements, location, true)?;
+        let at = &memory.allocation;
         // SAFETY: the allocation was made for this buffer's requirements and is bound once.
-        let bound =
-            unsafe { gpu.device.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
-        this.allocation = Some(allocation);
-        bound.on(gpu, "vkBindBufferMemory")?;
-        Ok(this)
+        unsafe { gpu.device.bind_buffer_memory(buffer.get(), at.memory(), at.offset()) }
+            .on(gpu, "vkBindBufferMemory")?;
+        Ok(Self { buffer, memory, size })
     }
 
     pub(crate) fn get(&self) -> vk::Buffer {
-        self.buffer
+        self.buffer.get()
     }
 
     pub(crate) fn size(&self) -> u64 {
@@ -114,9 +140,9 @@ impl Buffer {
 
     /// Returns the bytes, if the host can access them.
     pub(crate) fn bytes(&self) -> Result<&[u8]> {
-        self.allocation
-            .as_ref()
-            .and_then(Allocation::mapped_slice)
+        self.memory
+            .allocation
+            .mapped_slice()
             .map(|s| &s[..self.size as usize])
             .ok_or_else(|| Error::new("a buffer that the host reads is not mapped; this is a driver fault"))
     }
@@ -124,24 +150,11 @@ impl Buffer {
     /// As [`Buffer::bytes`], for writing.
     pub(crate) fn bytes_mut(&mut self) -> Result<&mut [u8]> {
         let size = self.size as usize;
-        self.allocation
-            .as_mut()
-            .and_then(Allocation::mapped_slice_mut)
+        self.memory
+            .allocation
+            .mapped_slice_mut()
             .map(|s| &mut s[..size])
             .ok_or_else(|| Error::new("a buffer that the host writes is not mapped; this is a driver fault"))
-    }
-}
-
-impl Drop for Buffer {
-    fn drop(&mut self) {
-        if self.gpu.is_abandoned() {
-            std::mem::forget(self.allocation.take());
-            return;
-        }
-        // SAFETY: the buffer was made from this device and is destroyed once. The holder ensures that the
-        // device no longer uses it.
-        unsafe { self.gpu.device.destroy_buffer(self.buffer, None) };
-        free(&self.gpu, self.allocation.take());
     }
 }
 
@@ -171,10 +184,9 @@ impl Shape {
 
 /// An image that shaders read, with its memory and a view of all of it.
 pub(crate) struct Image {
-    gpu: Arc<Gpu>,
-    image: vk::Image,
-    view: vk::ImageView,
-    allocation: Option<Allocation>,
+    view: Owned<vk::ImageView>,
+    image: Owned<vk::Image>,
+    _memory: Memory,
     pub(crate) shape: Shape,
 }
 
@@ -182,7 +194,11 @@ impl Image {
     /// Makes a 2-D or 3-D image that copies write and shaders read.
     pub(crate) fn new(gpu: &Arc<Gpu>, name: &str, shape: Shape) -> Result<Self> {
         let Shape { extent, format, storage } = shape;
-        let kind = if shape.is_flat() { vk::ImageType::TYPE_2D } else { vk::ImageType::TYPE_3D };
+        let (kind, view_kind) = if shape.is_flat() {
+            (vk::ImageType::TYPE_2D, vk::ImageViewType::TYPE_2D)
+        } else {
+            (vk::ImageType::TYPE_3D, vk::ImageViewType::TYPE_3D)
+        };
         let read = if storage { vk::ImageUsageFlags::STORAGE } else { vk::ImageUsageFlags::SAMPLED };
         let info = vk::ImageCreateInfo::default()
             .image_type(kind)
@@ -195,34 +211,27 @@ impl Image {
             .usage(read | vk::ImageUsageFlags::TRANSFER_DST)
             .sharing_mode(vk::SharingMode::EXCLUSIVE)
             .initial_layout(vk::ImageLayout::UNDEFINED);
-        // SAFETY: the caller has checked that the device supports this extent and format.
-        let image = unsafe { gpu.device.create_image(&info, None) }.on(gpu, "vkCreateImage")?;
-        let mut this =
-            Self { gpu: Arc::clone(gpu), image, view: vk::ImageView::null(), allocation: None, shape };
+        // The caller has checked that the device supports this extent and format.
+        let image = owned!(gpu, create_image(&info), destroy_image, "vkCreateImage")?;
         // SAFETY: the image was made from this device.
-        let requirements = unsafe { gpu.device.get_image_memory_requirements(image) };
-        let allocation = allocate(gpu, name, requirements, MemoryLocation::GpuOnly, false)?;
+        let requirements = unsafe { gpu.device.get_image_memory_requirements(image.get()) };
+        let memory = allocate(gpu, name, requirements, MemoryLocation::GpuOnly, false)?;
+        let at = &memory.allocation;
         // SAFETY: the allocation was made for this image's requirements and is bound once.
-        let bound = unsafe { gpu.device.bind_image_memory(image, allocation.memory(), allocation.offset()) };
-        this.allocation = Some(allocation);
-        bound.on(gpu, "vkBindImageMemory")?;
-        let view_type = if kind == vk::ImageType::TYPE_3D {
-            vk::ImageViewType::TYPE_3D
-        } else {
-            vk::ImageViewType::TYPE_2D
-        };
+        unsafe { gpu.device.bind_image_memory(image.get(), at.memory(), at.offset()) }
+            .on(gpu, "vkBindImageMemory")?;
+        // The image is bound to memory, and the view has the image's format and kind.
         let info = vk::ImageViewCreateInfo::default()
-            .image(image)
-            .view_type(view_type)
+            .image(image.get())
+            .view_type(view_kind)
             .format(format)
             .subresource_range(COLOR_RANGE);
-        // SAFETY: the image is bound to memory, and the view has the image's format and kind.
-        this.view = unsafe { gpu.device.create_image_view(&info, None) }.on(gpu, "vkCreateImageView")?;
-        Ok(this)
+        let view = owned!(gpu, create_image_view(&info), destroy_image_view, "vkCreateImageView")?;
+        Ok(Self { view, image, _memory: memory, shape })
     }
 
     pub(crate) fn get(&self) -> vk::Image {
-        self.image
+        self.image.get()
     }
 
     /// The image layout in which shaders read it.
@@ -231,23 +240,7 @@ impl Image {
     }
 
     pub(crate) fn view(&self) -> vk::ImageView {
-        self.view
-    }
-}
-
-impl Drop for Image {
-    fn drop(&mut self) {
-        if self.gpu.is_abandoned() {
-            std::mem::forget(self.allocation.take());
-            return;
-        }
-        // SAFETY: view and image were made from this device and are destroyed once (a null view is ignored).
-        // The holder ensures that the device no longer uses them.
-        unsafe {
-            self.gpu.device.destroy_image_view(self.view, None);
-            self.gpu.device.destroy_image(self.image, None);
-        }
-        free(&self.gpu, self.allocation.take());
+        self.view.get()
     }
 }
 

@@ -117,7 +117,7 @@ pub(crate) fn plan(
         && dims.iter().all(|&n| n <= limit)
         && packed.extent[..2].iter().all(|&n| n <= gpu.limits.max_image_dimension2_d)
         && u64::from(packed.extent[0]) * u64::from(packed.extent[1]) * 4 <= gpu.max_allocation;
-    let fetch = wish.unwrap_or(match (gpu.is_cpu, can_filter) {
+    let fetch = wish.unwrap_or(match (gpu.is_software, can_filter) {
         (true, _) if can_pack => VoxelFetch::Packed,
         (true, _) => VoxelFetch::Texels,
         (_, true) => VoxelFetch::Sampler,
@@ -133,7 +133,7 @@ pub(crate) fn plan(
             volume.geometry.dims, gpu.name
         ))),
         // Software samplers interpolate 8-bit textures in 8 bits; with 16 bits they keep the fractions.
-        VoxelFetch::Sampler if is_bytes && gpu.is_cpu && gpu.sampling(vk::Format::R16_UNORM).1 => {
+        VoxelFetch::Sampler if is_bytes && gpu.is_software && gpu.sampling(vk::Format::R16_UNORM).1 => {
             Ok((vk::Format::R16_UNORM, 255.0))
         }
         VoxelFetch::Packed => Ok((vk::Format::R32_UINT, 1.0)),

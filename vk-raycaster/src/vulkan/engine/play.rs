@@ -2,7 +2,7 @@
 
 use super::{Engine, Shader, Slot};
 use crate::error::{Error, Result};
-use crate::vulkan::gpu::NamedCall;
+use crate::vulkan::gpu::{NamedCall, seconds_between};
 use crate::vulkan::recording::{Command, Hazard, Target};
 use crate::vulkan::resources::{COLOR_RANGE, Image, Shape};
 use ash::vk;
@@ -239,7 +239,7 @@ impl Engine {
     /// Returns the seconds between the two timestamps of the slot's last submission, or `None` without
     /// timestamps.
     pub(super) fn read_seconds(&self, slot: usize) -> Result<Option<f64>> {
-        let (Some(queries), Some(clock)) = (&self.slots[slot].queries, &self.gpu.timestamps) else {
+        let (Some(queries), Some(clock)) = (&self.slots[slot].queries, self.gpu.timestamps) else {
             return Ok(None);
         };
         let mut ticks = [0u64; 2];
@@ -253,7 +253,7 @@ impl Engine {
             )
         }
         .on(&self.gpu, "vkGetQueryPoolResults")?;
-        Ok(Some(clock.seconds(ticks[0], ticks[1])))
+        Ok(Some(seconds_between(clock, ticks[0], ticks[1])))
     }
 }
 
