@@ -80,3 +80,21 @@ pub(crate) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
     let square = pairs.iter().map(|(p, t)| (p - t) * (p - t)).sum::<f64>() / n;
     Some(libm::sqrt(square / variance))
 }
+
+/// A deterministic source of noise for tests.
+#[cfg(test)]
+pub(crate) struct Noise(pub(crate) u64);
+
+#[cfg(test)]
+impl Noise {
+    /// A number over 0 and below 1.
+    pub(crate) fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+    }
+
+    /// A number from the standard normal distribution.
+    pub(crate) fn normal(&mut self) -> f64 {
+        (-2.0 * self.uniform().ln()).sqrt() * (core::f64::consts::TAU * self.uniform()).cos()
+    }
+}

@@ -1,17 +1,9 @@
 use super::correction::Corrected;
 use super::*;
+use crate::numeric::Noise;
 use crate::predict::{CostTerms, Source, TERMS};
 use alloc::vec::Vec;
 use entire_core::ErrorKind;
-
-struct Noise(u64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64
-    }
-}
 
 fn scene(noise: &mut Noise) -> [f64; TERMS] {
     let mut parts = [0.0; TERMS];

@@ -51,6 +51,21 @@ fn work(i: usize) -> [f64; COSTS] {
     })
 }
 
+/// Returns the observation of frame i: of one of six volumes, in turn.
+fn observed(i: usize, work: [f64; COSTS], seconds: f64) -> Observed {
+    Observed { row: vec![], work, seconds, group: i as u64 % 6 }
+}
+
+/// Fits the prior to frames of a software renderer.
+fn fitted(prior: &PriorModel, frames: &[Observed]) -> Chosen {
+    prior.choose(frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap()
+}
+
+/// The unit costs of a fitted linear model.
+fn costs_of(chosen: &Chosen) -> UnitCosts {
+    AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap().costs()
+}
+
 fn seconds_by(costs: &[f64; COSTS], work: &[f64; COSTS]) -> f64 {
     costs.iter().zip(work).map(|(c, w)| c * w).sum()
 }
@@ -67,19 +82,17 @@ fn a_calibration_finds_another_machines_unit_costs() {
     let mut machine = UnitCosts::SOFTWARE.seconds;
     (machine[1], machine[4], machine[13]) = (4.0 * machine[1], 2.0 * machine[4], 0.5 * machine[13]);
     let seconds = |i: usize| 1.7 * seconds_by(&machine, &work(i));
-    let frames: Vec<Observed> = (0..80)
-        .map(|i| Observed { row: vec![], work: work(i), seconds: seconds(i), group: i as u64 % 6 })
-        .collect();
-    let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
+    let frames: Vec<Observed> = (0..80).map(|i| observed(i, work(i), seconds(i))).collect();
+    let chosen = fitted(&prior, &frames);
     assert_eq!(chosen.folds, 6);
-    let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
+    let there = costs_of(&chosen).seconds;
     let mut errors: Vec<f64> =
-        (100..160).map(|i| (seconds_by(&there.costs().seconds, &work(i)) / seconds(i) - 1.0).abs()).collect();
+        (100..160).map(|i| (seconds_by(&there, &work(i)) / seconds(i) - 1.0).abs()).collect();
     let middle = median(&mut errors).unwrap();
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
     // Too few volumes for cross-validation: the errors are those of the fitted frames.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
-    assert_eq!(prior.choose(&few, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap().folds, 0);
+    assert_eq!(fitted(&prior, &few).folds, 0);
     assert!(prior.choose(&[], &[UnitCosts::SOFTWARE], Executor::Serial).is_err());
 }
 
@@ -99,15 +112,13 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
         let frames: Vec<Observed> = (0..120)
             .map(|i| {
                 let noise = 1.0 + 0.01 * ((i * 31 % 7) as f64 - 3.0);
-                let seconds = noise * seconds_by(&machine, &work(i));
-                Observed { row: vec![], work: work(i), seconds, group: i as u64 % 6 }
+                observed(i, work(i), noise * seconds_by(&machine, &work(i)))
             })
             .collect();
         let fitted = |renderers: &[UnitCosts]| {
             let chosen = prior.choose(&frames, renderers, Executor::Serial).unwrap();
-            let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
             let (median, rmse_over_sd) = chosen.errors(&frames);
-            (there.costs().seconds, (median * rmse_over_sd).sqrt())
+            (costs_of(&chosen).seconds, (median * rmse_over_sd).sqrt())
         };
         let ((plain, plain_error), (found, error)) =
             (fitted(&[UnitCosts::CONVERTING]), fitted(&UnitCosts::OF_UNKNOWN));
@@ -135,50 +146,34 @@ fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
     let mut machine = UnitCosts::SOFTWARE;
     for cached_voxels in [2e6, 8e6, 16e6] {
         machine.cached_voxels = cached_voxels;
-        let of = |i: usize| Observed {
-            row: vec![],
-            work: work(i),
-            seconds: machine.time(&work(i)),
-            group: i as u64 % 6,
-        };
-        let frames: Vec<Observed> = (0..150).map(of).collect();
-        let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
-        let model = chosen.file.to_model().unwrap();
-        let there = AnalyticModel::from_model(&model).unwrap().unwrap();
-        assert_eq!(there.costs().cached_voxels, cached_voxels);
+        let frames: Vec<Observed> = (0..150).map(|i| observed(i, work(i), machine.time(&work(i)))).collect();
+        let there = costs_of(&fitted(&prior, &frames));
+        assert_eq!(there.cached_voxels, cached_voxels);
         for i in 150..200 {
-            let error = there.costs().time(&work(i)) / machine.time(&work(i)) - 1.0;
+            let error = there.time(&work(i)) / machine.time(&work(i)) - 1.0;
             assert!(error.abs() < 0.01, "{cached_voxels} {error}");
         }
         // A learned factor takes the number over with its unit costs.
         let rows = frames.iter().map(|f| Observed { row: vec![0.0; 4], ..f.clone() }).collect::<Vec<_>>();
         let factor = PriorModel::new(&[unit_factor(PROBE_SIDE)], &UnitCosts::SOFTWARE).unwrap();
-        let chosen = factor.choose(&rows, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
+        let chosen = fitted(&factor, &rows);
         let costs = UnitCosts::of(&chosen.file.to_model().unwrap()).unwrap().unwrap();
         assert_eq!(costs.cached_voxels, cached_voxels);
         // Groups too few for cross-validation keep the prior's number.
         let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
         let kept = PriorModel::new(core::slice::from_ref(&chosen.file), &UnitCosts::SOFTWARE);
         assert_eq!(kept.unwrap().costs().cached_voxels, cached_voxels);
-        let chosen = prior.choose(&few, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
-        assert!(!chosen.file.metadata.contains_key(Key::CachedVoxels.name()));
+        assert!(!fitted(&prior, &few).file.metadata.contains_key(Key::CachedVoxels.name()));
     }
 }
 
 #[test]
 fn three_frames_set_the_speed_alone() {
     let prior = PriorModel::default();
-    let frames: Vec<Observed> = (0..3)
-        .map(|i| Observed {
-            row: vec![],
-            work: work(i),
-            seconds: 3.0 * seconds_by(&prior.costs().seconds, &work(i)),
-            group: i as u64,
-        })
-        .collect();
-    let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
-    let there = AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap();
-    for (found, known) in there.costs().seconds.iter().zip(&prior.costs().seconds) {
+    let frames: Vec<Observed> =
+        (0..3).map(|i| observed(i, work(i), 3.0 * seconds_by(&prior.costs().seconds, &work(i)))).collect();
+    let there = costs_of(&fitted(&prior, &frames));
+    for (found, known) in there.seconds.iter().zip(&prior.costs().seconds) {
         assert!(*known == 0.0 || (found / known / 3.0 - 1.0).abs() < 1e-3, "{found} {known}");
     }
 }
@@ -202,14 +197,8 @@ fn several_machines_make_one_prior_and_a_factor_stands_alone() {
     let ratio = prior.costs().seconds[2] / UnitCosts::SOFTWARE.seconds[2];
     assert!((0.1..1.0).contains(&ratio), "{ratio}");
     let factor = unit_factor(PROBE_SIDE);
-    assert_eq!(
-        PriorModel::new(core::slice::from_ref(&factor), &UnitCosts::SOFTWARE)
-            .unwrap()
-            .layout()
-            .unwrap()
-            .width(),
-        4
-    );
+    let alone = PriorModel::new(core::slice::from_ref(&factor), &UnitCosts::SOFTWARE).unwrap();
+    assert_eq!(alone.layout().unwrap().width(), 4);
     let error = PriorModel::new(&[factor, model(1.0)], &UnitCosts::SOFTWARE).err().unwrap().to_string();
     assert!(error.contains("--model-kind"), "{error}");
 }
@@ -223,14 +212,12 @@ fn a_factor_is_kept_and_its_costs_are_fitted() {
         row
     };
     let frames: Vec<Observed> = (0..40)
-        .map(|i| Observed {
-            row: row(i, &prior.costs().seconds),
-            work: work(i),
-            seconds: 3.0 * seconds_by(&prior.costs().seconds, &work(i)),
-            group: i as u64 % 3,
+        .map(|i| {
+            let seconds = 3.0 * seconds_by(&prior.costs().seconds, &work(i));
+            Observed { row: row(i, &prior.costs().seconds), work: work(i), seconds, group: i as u64 % 3 }
         })
         .collect();
-    let chosen = prior.choose(&frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap();
+    let chosen = fitted(&prior, &frames);
     for (p, f) in chosen.crossed.iter().zip(&frames) {
         assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
     }

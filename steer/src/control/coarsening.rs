@@ -61,11 +61,6 @@ impl Coarsening {
         }
     }
 
-    #[cfg(test)]
-    pub(super) fn steps(&self) -> StepLimits {
-        self.steps
-    }
-
     pub(super) fn set_steps(&mut self, steps: StepLimits) {
         self.steps = steps;
     }
@@ -188,7 +183,7 @@ mod tests {
     #[test]
     fn without_smaller_images_it_is_the_step() {
         let mut path = path(1.0, 8.0, 1.19, 1.0);
-        assert_eq!(path.limits(), path.steps());
+        assert_eq!(path.limits(), path.steps);
         for c in [1.0f32, 1.7, 8.0, 100.0] {
             assert_eq!(path.take(c), (c, 1.0));
         }
@@ -320,7 +315,7 @@ mod tests {
             for i in 0..=60 {
                 let c = c_at(i as f32 / 60.0);
                 let (step, _, by) = path.at(c);
-                prop_assert!(step >= finest && step <= path.steps().coarsest);
+                prop_assert!(step >= finest && step <= path.steps.coarsest);
                 prop_assert!(by <= f64::from(distance) * 1.0001);
                 let off = f64::from(step) * by * by / f64::from(c) - 1.0;
                 prop_assert!(off.abs() < if coarsening > 2.0 * alone { 1e-5 } else { 7.0 }, "{off}");

@@ -1,8 +1,9 @@
 //! Tests with frames that other programs slow down, and with machines whose speed changes permanently.
 
-use super::tests::Noise;
+use super::tests::{fitted, planned};
 use super::*;
 use crate::adapt::Prior;
+use crate::numeric::Noise;
 use crate::predict::Source;
 use std::vec::Vec;
 
@@ -21,39 +22,15 @@ fn played_with(
 ) -> Vec<Decision> {
     let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..options });
     let mut noise = Noise(17);
-    let mut cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
+    let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let play = |i: usize| {
         let changes = Changes { first: i == 0, ..changes(i) };
-        play_one(&mut hybrid, 32.0, changes, &mut cost, |_, _, terms| {
-            slowed(i) * terms.seconds() * (0.02 * noise.normal()).exp() as f32
-        })
+        let (plan, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
+        let seconds = slowed(i) * seen.seconds * (0.02 * noise.normal()).exp() as f32;
+        hybrid.observe(&Observed { seconds, ..seen });
+        plan
     };
     (0..frames).map(play).collect()
-}
-
-/// Plans a frame with a target of 20 ms and steps from 1 to `coarsest`, and observes it; `seconds` returns its
-/// time, from the controller, the plan and the terms at the plan's step.
-fn play_one(
-    hybrid: &mut Hybrid,
-    coarsest: f32,
-    changes: Changes,
-    cost: &mut dyn FnMut(f32) -> CostTerms,
-    seconds: impl FnOnce(&Hybrid, &Decision, &CostTerms) -> f32,
-) -> Decision {
-    let limits = StepLimits { finest: 1.0, coarsest };
-    let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost });
-    let terms = cost(plan.step);
-    let seconds = seconds(hybrid, &plan, &terms);
-    hybrid.observe(&Observed {
-        seconds,
-        step: plan.step,
-        target: 0.02,
-        changes,
-        terms,
-        scene: hybrid.scene(),
-        unusual: false,
-    });
-    plan
 }
 
 #[test]
@@ -89,21 +66,20 @@ fn an_ignored_load_changes_no_step_until_it_is_the_machines_speed() {
 
 #[test]
 fn settings_are_judged_by_the_bound_that_chooses_steps() {
-    let mut hybrid =
-        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
-    let mut cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
+    let mut hybrid = fitted(0.15);
+    let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let (mut judged, mut bounded) = (0, 0);
     for i in 0..120 {
         let changes = Changes { first: i == 0, ..Changes::default() };
-        play_one(&mut hybrid, 32.0, changes, &mut cost, |hybrid, plan, terms| {
-            if plan.reason == Reason::Fits {
-                let calm = Changes::default();
-                judged += usize::from(!hybrid.fits(&hybrid.judged(terms, calm), 0.02));
-                bounded += usize::from(!hybrid.fits(&hybrid.correct(terms, calm), 0.02));
-            }
-            // Every third frame stalls, so the upper bound is wide and the machine is not loaded.
-            terms.seconds() * if i % 3 == 2 { 3.0 } else { 1.0 }
-        });
+        let (plan, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
+        if plan.reason == Reason::Fits {
+            let calm = Changes::default();
+            judged += usize::from(!hybrid.fits(&hybrid.judged(&seen.terms, calm), 0.02));
+            bounded += usize::from(!hybrid.fits(&hybrid.correct(&seen.terms, calm), 0.02));
+        }
+        // Every third frame stalls, so the upper bound is wide and the machine is not loaded.
+        let slowed = if i % 3 == 2 { 3.0 } else { 1.0 };
+        hybrid.observe(&Observed { seconds: seen.seconds * slowed, ..seen });
     }
     assert_eq!(judged, 0);
     assert!(bounded > 5, "{bounded}");
@@ -113,21 +89,13 @@ fn settings_are_judged_by_the_bound_that_chooses_steps() {
 fn a_doubtful_first_frame_is_forecast_from_once_only() {
     let mut hybrid = Hybrid::new(HybridOptions::default());
     // Out of range, so recent frames lead.
-    let mut cost = |step: f32| CostTerms::whole(0.01 / step, 9.0, Source::Network);
+    let cost = |step: f32| CostTerms::whole(0.01 / step, 9.0, Source::Network);
     let mut steps = Vec::new();
     for i in 0..6 {
         let changes = Changes { first: i == 0, ..Changes::default() };
+        let (plan, seen) = planned(&mut hybrid, (0.02, 16.0), changes, cost);
         // The first frame includes two seconds of compilation.
-        let plan =
-            play_one(
-                &mut hybrid,
-                16.0,
-                changes,
-                &mut cost,
-                |_, _, terms| {
-                    if i == 0 { 2.0 } else { terms.seconds() }
-                },
-            );
+        hybrid.observe(&Observed { seconds: if i == 0 { 2.0 } else { seen.seconds }, ..seen });
         steps.push(plan.step);
     }
     // The second frame alone is forecast from the doubtful one.
@@ -160,36 +128,29 @@ fn a_machine_that_stays_slower_or_faster_is_learned_for_good() {
 
 #[test]
 fn a_prediction_that_knows_nothing_of_the_step_is_not_taken_for_a_load() {
-    let mut hybrid =
-        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.3 }, ..HybridOptions::default() });
+    let mut hybrid = fitted(0.3);
     // Predictions of a network trained on another renderer: they hardly depend on the step.
-    let mut cost = |step: f32| CostTerms::whole(0.02 * step.powf(-0.05), 0.0, Source::Network);
+    let cost = |step: f32| CostTerms::whole(0.02 * step.powf(-0.05), 0.0, Source::Network);
     for i in 0..60 {
         let changes = Changes { first: i == 0, ..Changes::default() };
-        let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
-        let decision = hybrid.plan(&mut PlanRequest { target: 0.03, limits, changes, cost: &mut cost });
-        let (step, terms, scene) = (decision.step, cost(decision.step), hybrid.scene());
-        let seconds = 0.003 + 0.1 / step;
+        let (decision, seen) = planned(&mut hybrid, (0.03, 16.0), changes, cost);
+        let seconds = 0.003 + 0.1 / decision.step;
         assert!(i < 30 || (0.02..0.033).contains(&seconds), "frame {i}: {seconds} {decision:?}");
-        hybrid.observe(&Observed { seconds, step, target: 0.03, changes, terms, scene, unusual: false });
+        hybrid.observe(&Observed { seconds, ..seen });
     }
 }
 
 #[test]
 fn where_the_time_hardly_depends_on_the_step_the_finest_step_that_fits_is_found_and_kept() {
-    let mut hybrid =
-        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..HybridOptions::default() });
+    let mut hybrid = fitted(0.15);
     // Takes 20 ms at step 2, 22 ms at step 1, and 18.2 ms at step 16.
-    let mut cost = |step: f32| CostTerms::whole(0.018 + 0.004 / step, 0.0, Source::Analytic);
-    let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
+    let cost = |step: f32| CostTerms::whole(0.018 + 0.004 / step, 0.0, Source::Analytic);
     let mut steps = Vec::new();
     for i in 0..60 {
         let changes = Changes { first: i == 0, ..Changes::default() };
-        let decision = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
-        let (step, terms, scene) = (decision.step, cost(decision.step), hybrid.scene());
-        let seconds = terms.seconds();
-        hybrid.observe(&Observed { seconds, step, target: 0.02, changes, terms, scene, unusual: false });
-        steps.push(step);
+        let (decision, seen) = planned(&mut hybrid, (0.02, 16.0), changes, cost);
+        hybrid.observe(&seen);
+        steps.push(decision.step);
     }
     assert!(steps[30..].iter().all(|s| (1.9..2.3).contains(s)), "{steps:?}");
 }

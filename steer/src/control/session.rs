@@ -2,7 +2,6 @@
 
 mod ladder;
 mod pictures;
-mod predictor;
 #[cfg(feature = "calibrate")]
 mod recording;
 mod state;

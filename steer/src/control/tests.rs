@@ -3,36 +3,31 @@
 use super::*;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
 use crate::features::{Setting, VolumeSummary};
+use crate::numeric::Noise;
 use crate::predict::{AnalyticModel, COSTS, Source, TERMS, UnitCosts};
 use entire_core::ErrorKind;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use std::boxed::Box;
 use std::vec::Vec;
 
-/// A deterministic source of noise.
-pub(super) struct Noise(pub(super) u64);
-
-impl Noise {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64
-    }
-
-    pub(super) fn normal(&mut self) -> f64 {
-        (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
-    }
+/// Returns a controller for a model whose errors have the standard deviation `log_sd`.
+pub(super) fn fitted(log_sd: f32) -> Hybrid {
+    Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd }, ..HybridOptions::default() })
 }
 
-/// Returns the observation of a frame that the controller planned last.
-fn drawn(
-    hybrid: &Hybrid,
-    step: f32,
-    target: f32,
+/// Plans a frame with steps from 1 to `coarsest`. Returns the plan, and the observation of the frame if it
+/// takes the predicted time.
+pub(super) fn planned(
+    hybrid: &mut Hybrid,
+    (target, coarsest): (f32, f32),
     changes: Changes,
-    terms: CostTerms,
-    seconds: f32,
-) -> Observed {
-    Observed { seconds, step, target, changes, terms, scene: hybrid.scene(), unusual: false }
+    mut cost: impl FnMut(f32) -> CostTerms,
+) -> (Decision, Observed) {
+    let limits = StepLimits { finest: 1.0, coarsest };
+    let plan = hybrid.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
+    let (step, terms, scene) = (plan.step, cost(plan.step), hybrid.scene());
+    let seconds = terms.seconds();
+    (plan, Observed { seconds, step, target, changes, terms, scene, unusual: false })
 }
 
 fn sphere(n: usize) -> Vec<u8> {
@@ -104,90 +99,70 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
 #[test]
 fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
     let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Unknown, ..HybridOptions::default() });
-    let mut cost =
+    let cost =
         |_: f32| CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };
-    let mut request = PlanRequest {
-        target: 0.02,
-        limits: StepLimits::default(),
-        changes: Changes::default(),
-        cost: &mut cost,
-    };
-    let d = hybrid.plan(&mut request);
+    let (d, _) = planned(&mut hybrid, (0.02, 16.0), Changes::default(), cost);
     assert_eq!((d.step, d.reason), (16.0, Reason::NoInformation));
 }
 
 #[test]
 fn an_impossible_target_is_said_and_leaves_nothing_behind() {
-    let mut hybrid =
-        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
-    let limits = StepLimits { finest: 1.0, coarsest: 16.0 };
-    let mut cost = |step: f32| CostTerms::whole(0.016 / step, 0.0, Source::Analytic);
-    let mut drive = |hybrid: &mut Hybrid, target: f32| {
-        let decision =
-            hybrid.plan(&mut PlanRequest { target, limits, changes: Changes::default(), cost: &mut cost });
-        let terms = cost(decision.step);
-        let seconds = terms.seconds();
-        hybrid.observe(&drawn(hybrid, decision.step, target, Changes::default(), terms, seconds));
-        decision
+    let mut hybrid = fitted(0.2);
+    let cost = |step: f32| CostTerms::whole(0.016 / step, 0.0, Source::Analytic);
+    // Draws some frames. Returns the last plan.
+    let mut drive = |frames: usize, target: f32| {
+        let mut last = None;
+        for _ in 0..frames {
+            let (plan, seen) = planned(&mut hybrid, (target, 16.0), Changes::default(), cost);
+            hybrid.observe(&seen);
+            last = Some(plan);
+        }
+        last.unwrap()
     };
-    for _ in 0..200 {
-        drive(&mut hybrid, 0.004);
-    }
+    drive(200, 0.004);
     for _ in 0..500 {
-        let d = drive(&mut hybrid, 1e-6);
+        let d = drive(1, 1e-6);
         assert_eq!((d.reason, d.step), (Reason::TargetUnreachable, 16.0));
     }
     // No windup: the step returns within a few damped frames.
-    for _ in 0..8 {
-        drive(&mut hybrid, 0.004);
-    }
-    let d = drive(&mut hybrid, 0.004);
+    let d = drive(9, 0.004);
     assert!((d.step / 4.0).ln().abs() < 0.1, "{d:?}");
-    for _ in 0..8 {
-        drive(&mut hybrid, 10.0);
-    }
-    let d = drive(&mut hybrid, 10.0);
+    let d = drive(9, 10.0);
     assert!(d.step < 1.05, "{d:?}");
 }
 
 #[test]
 fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
-    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
     // Random predictions, far out of range.
-    let mut hybrid =
-        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
+    let mut hybrid = fitted(0.2);
     let mut noise = Noise(11);
     let (mut history, mut misses) = (0, 0);
     for i in 0..300 {
         let nonsense = (1.5 * noise.normal()).exp() as f32;
-        let mut cost = |step: f32| CostTerms::whole(0.06 * nonsense / step, 9.0, Source::Network);
+        let cost = |step: f32| CostTerms::whole(0.06 * nonsense / step, 9.0, Source::Network);
         let changes = Changes { first: i == 0, ..Changes::default() };
-        let decision = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let (decision, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
         let seconds = (0.002 + 0.058 / decision.step) * (0.03 * noise.normal()).exp() as f32;
         history += i32::from(decision.reason == Reason::History);
         misses += i32::from(i > 5 && seconds > 0.022);
-        let terms = cost(decision.step);
-        hybrid.observe(&drawn(&hybrid, decision.step, 0.02, changes, terms, seconds));
+        hybrid.observe(&Observed { seconds, ..seen });
     }
     assert!(history > 280 && misses < 15, "{history} {misses}");
 }
 
 #[test]
 fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
-    let limits = StepLimits { finest: 1.0, coarsest: 32.0 };
     // The model was fitted to steps up to 4. It chooses step 3 in the first case and step 12 in the second.
     for (seconds, trusted) in [(0.06f32, true), (0.24, false)] {
-        let mut hybrid =
-            Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.1 }, ..HybridOptions::default() });
+        let mut hybrid = fitted(0.1);
         let score = |step: f32| if step > 4.0 { 3.0 } else { 0.0 };
-        let mut cost = |step: f32| CostTerms::whole(seconds / step, score(step), Source::Analytic);
+        let cost = |step: f32| CostTerms::whole(seconds / step, score(step), Source::Analytic);
         for i in 0..20 {
             let changes = Changes { first: i == 0, ..Changes::default() };
-            let d = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+            let (d, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
             assert_eq!(d.reason != Reason::History, trusted || i == 0, "{seconds} s, frame {i}: {d:?}");
             assert_eq!(d.out_of_range, score(d.step));
-            let terms = cost(d.step);
-            hybrid.observe(&drawn(&hybrid, d.step, 0.02, changes, terms, seconds / d.step));
+            hybrid.observe(&Observed { seconds: seconds / d.step, ..seen });
         }
     }
 }
@@ -196,13 +171,11 @@ fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
 fn state_survives_saving_and_damaged_state_is_refused() {
     let make = || Hybrid::new(HybridOptions::default());
     let mut hybrid = make();
-    let limits = StepLimits::default();
-    let mut cost = |step: f32| CostTerms::whole(0.1 / step, 0.0, Source::Analytic);
+    let cost = |step: f32| CostTerms::whole(0.1 / step, 0.0, Source::Analytic);
     for i in 0..50 {
         let changes = Changes { first: i == 0, ..Changes::default() };
-        let d = hybrid.plan(&mut PlanRequest { target: 0.05, limits, changes, cost: &mut cost });
-        let terms = cost(d.step);
-        hybrid.observe(&drawn(&hybrid, d.step, 0.05, changes, terms, 0.3 / d.step));
+        let (d, seen) = planned(&mut hybrid, (0.05, 16.0), changes, cost);
+        hybrid.observe(&Observed { seconds: 0.3 / d.step, ..seen });
     }
     let mut bytes = Vec::new();
     hybrid.save(&mut bytes);
@@ -232,17 +205,11 @@ fn the_state_stays_bounded_over_long_runs() {
     let mut noise = Noise(5);
     for i in 0..100_000u32 {
         let scale = [1e-6f32, 1.0, 1e3][(i / 20_000) as usize % 3];
-        let mut cost = |step: f32| CostTerms::whole(0.02 * scale / step, 0.0, Source::Analytic);
+        let cost = |step: f32| CostTerms::whole(0.02 * scale / step, 0.0, Source::Analytic);
         let changes = Changes { transfer: i % 1000 == 0, ..Changes::default() };
-        let d = hybrid.plan(&mut PlanRequest {
-            target: 0.01,
-            limits: StepLimits::default(),
-            changes,
-            cost: &mut cost,
-        });
-        let terms = cost(d.step);
-        let seconds = (terms.seconds() * (0.1 * noise.normal()).exp() as f32).max(1e-9);
-        hybrid.observe(&drawn(&hybrid, d.step, 0.01, changes, terms, seconds));
+        let (_, seen) = planned(&mut hybrid, (0.01, 16.0), changes, cost);
+        let seconds = (seen.seconds * (0.1 * noise.normal()).exp() as f32).max(1e-9);
+        hybrid.observe(&Observed { seconds, ..seen });
     }
     for f in hybrid.correction().factors() {
         assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction().factors());
@@ -521,15 +488,10 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
 
 #[test]
 fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
-    let mut hybrid =
-        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
-    let limits = StepLimits::default();
-    let mut cost = |step: f32| CostTerms::whole(0.05 / step, 0.0, Source::Analytic);
-    let mut drive = |hybrid: &mut Hybrid, transfer: bool| {
-        let changes = Changes { transfer, ..Changes::default() };
-        let d = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
-        let terms = cost(d.step);
-        drawn(hybrid, d.step, 0.02, changes, terms, terms.seconds())
+    let mut hybrid = fitted(0.2);
+    let cost = |step: f32| CostTerms::whole(0.05 / step, 0.0, Source::Analytic);
+    let drive = |hybrid: &mut Hybrid, transfer: bool| {
+        planned(hybrid, (0.02, 16.0), Changes { transfer, ..Changes::default() }, cost).1
     };
     for _ in 0..20 {
         let o = drive(&mut hybrid, false);
@@ -552,8 +514,7 @@ fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
         let terms = CostTerms::whole(wrong * old.terms.seconds(), 0.0, Source::Analytic);
         hybrid.observe(&Observed { terms, ..old });
     }
-    let changes = Changes::default();
-    let plan = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+    let (plan, _) = planned(&mut hybrid, (0.02, 16.0), Changes::default(), cost);
     assert_ne!(plan.reason, Reason::History);
 }
 

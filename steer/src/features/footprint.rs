@@ -3,8 +3,9 @@
 use entire_core::scene::Camera;
 use glam::Vec3;
 
-/// Region of the image covered by a box, in image coordinates u, v in [−1, 1] (u to the right, v up).
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Region of the image covered by a box, in image coordinates u, v in [−1, 1] (u to the right, v up). The
+/// default is that of a box outside the image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Zeroable)]
 pub(crate) struct Footprint {
     /// Share of the image's area that the box covers, 0…1.
     pub share: f32,
@@ -19,10 +20,6 @@ pub(crate) struct Footprint {
 }
 
 impl Footprint {
-    /// The footprint of a box outside the image.
-    pub(crate) const NOTHING: Self =
-        Self { share: 0.0, low: [0.0; 2], high: [0.0; 2], center: [0.0; 2], inside: false };
-
     /// Projects a box of half size `half_extent` about the origin into a `width` × `height` image.
     ///
     /// The back faces of the box are those through which rays leave it. For any position of the eye, they
@@ -36,7 +33,8 @@ impl Footprint {
         let [_, right, up] = if parallel { origin } else { direction };
         let (inv_u, inv_v) = (1.0 / right.length_squared(), 1.0 / up.length_squared());
         let inside = eye.abs().cmple(half_extent).all();
-        let mut out = Self { inside, low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2], ..Self::NOTHING };
+        let mut out =
+            Self { inside, low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2], ..Self::default() };
         let mut area = 0.0f32;
         let mut moment = [0.0f32; 2];
         for axis in 0..3 {
@@ -70,7 +68,7 @@ impl Footprint {
         }
         // The image has area 4 in image coordinates.
         if !(area > 0.0) {
-            return Self { inside, ..Self::NOTHING };
+            return Self { inside, ..Self::default() };
         }
         out.share = (0.25 * area).min(1.0);
         out.center = [moment[0] / area, moment[1] / area];

@@ -187,7 +187,7 @@ impl FrameFeatures {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
             level: Level::detect(),
-            probe: Probe::NOTHING,
+            probe: Probe::nothing(),
             pose: Arcball { rx: 0.0, ry: 0.0, dz: 0.0 },
             occupied_share: 0.0,
             visible_share: 0.0,
@@ -213,7 +213,7 @@ impl FrameFeatures {
         if frame.skipping == Skipping::Distance {
             transfer.prepare_distance();
         }
-        self.probe = Probe::on(self.level, volume, transfer, frame, self.probe_side);
+        self.probe = Probe::on(Some(self.level), volume, transfer, frame, self.probe_side);
         self.pose = frame.camera.to_arcball();
         self.occupied_share = transfer.occupied_share();
         self.visible_share = transfer.visible_share();

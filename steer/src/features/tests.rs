@@ -2,9 +2,9 @@
 
 use super::frame::UNSHARED_SHADING;
 use super::*;
+use entire_core::ErrorKind;
 use entire_core::kernels::Executor;
 use entire_core::scene::*;
-use entire_core::{ErrorKind, Result};
 use proptest::prelude::*;
 use std::vec::Vec;
 
@@ -110,45 +110,28 @@ fn bricks_give_the_same_bounds_as_voxels() {
     let dims = [24, 16, 9];
     let data = noise(24 * 16 * 9, 3);
     let s = summary(&data, dims, 48);
-    let mut bounds = Vec::new();
-    for z in 0..s.cells()[2] {
-        for y in 0..s.cells()[1] {
-            for x in 0..s.cells()[0] {
-                let (lo, hi) = s.cell_bounds(x, y, z);
-                bounds.push([f32::from(lo) / 255.0, f32::from(hi) / 255.0]);
-            }
-        }
+    let (low, high) = s.cell_ranges();
+    let bounds: Vec<[f32; 2]> =
+        low.iter().zip(high).map(|(lo, hi)| [lo, hi].map(|&entry| f32::from(entry) / 255.0)).collect();
+    let made = |dims, spacing, edge, bounds: &[[f32; 2]]| {
+        VolumeSummary::from_bricks(dims, spacing, ScalarType::U8, edge, bounds)
+    };
+    let b = made(dims, [1.0; 3], [8; 3], &bounds).unwrap();
+    let ((b_low, b_high), close) = (b.cell_ranges(), |(a, b): (&u8, &u8)| a.abs_diff(*b) <= 1);
+    assert!(
+        low.len() == b_low.len() && low.iter().zip(b_low).all(close) && high.iter().zip(b_high).all(close)
+    );
+    for (dims, spacing, edge, bounds, kind) in [
+        (dims, [1.0; 3], [8; 3], &bounds[1..], ErrorKind::SizeMismatch),
+        ([0, 1, 1], [1.0; 3], [8; 3], &[], ErrorKind::InvalidArgument),
+        (dims, [1.0, 0.0, 1.0], [8; 3], &bounds, ErrorKind::InvalidArgument),
+        (dims, [1.0; 3], [0, 8, 8], &bounds, ErrorKind::InvalidArgument),
+    ] {
+        assert_eq!(made(dims, spacing, edge, bounds).unwrap_err().kind(), kind);
     }
-    let b = VolumeSummary::from_bricks(dims, [1.0; 3], ScalarType::U8, [8; 3], &bounds).unwrap();
-    for z in 0..s.cells()[2] {
-        for y in 0..s.cells()[1] {
-            for x in 0..s.cells()[0] {
-                let (a, b) = (s.cell_bounds(x, y, z), b.cell_bounds(x, y, z));
-                assert!(a.0.abs_diff(b.0) <= 1 && a.1.abs_diff(b.1) <= 1);
-            }
-        }
-    }
-    let kind = |r: Result<VolumeSummary>| r.unwrap_err().kind();
-    let t = ScalarType::U8;
-    assert_eq!(
-        kind(VolumeSummary::from_bricks(dims, [1.0; 3], t, [8; 3], &bounds[1..])),
-        ErrorKind::SizeMismatch
-    );
-    assert_eq!(
-        kind(VolumeSummary::from_bricks([0, 1, 1], [1.0; 3], t, [8; 3], &[])),
-        ErrorKind::InvalidArgument
-    );
-    assert_eq!(
-        kind(VolumeSummary::from_bricks(dims, [1.0, 0.0, 1.0], t, [8; 3], &bounds)),
-        ErrorKind::InvalidArgument
-    );
-    assert_eq!(
-        kind(VolumeSummary::from_bricks(dims, [1.0; 3], t, [0, 8, 8], &bounds)),
-        ErrorKind::InvalidArgument
-    );
-    let nan = VolumeSummary::from_bricks([8; 3], [1.0; 3], t, [8; 3], &[[f32::NAN, f32::INFINITY]]).unwrap();
+    let nan = made([8; 3], [1.0; 3], [8; 3], &[[f32::NAN, f32::INFINITY]]).unwrap();
     assert_eq!(nan.cell_bounds(0, 0, 0), (0, 255));
-    assert!(VolumeSummary::from_bricks([usize::MAX, usize::MAX, 9], [1.0; 3], t, [1; 3], &[]).is_err());
+    assert!(made([usize::MAX, usize::MAX, 9], [1.0; 3], [1; 3], &[]).is_err());
 }
 
 /// Compares a summary with its definitions, voxel by voxel.

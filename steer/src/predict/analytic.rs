@@ -324,12 +324,6 @@ impl AnalyticModel {
         Ok(Some(out))
     }
 
-    /// Returns the predicted seconds for the given work: 1, then the quantities of [`COST_QUANTITIES`].
-    #[cfg(test)]
-    pub(crate) fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
-        self.costs.time(work)
-    }
-
     /// The unit costs.
     pub fn costs(&self) -> UnitCosts {
         self.costs
@@ -420,6 +414,7 @@ fn finite(v: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numeric::Noise;
 
     const TRUTH: [f64; COSTS] = [
         2e-4, 6e-8, 2e-8, 9e-9, 4e-9, 2e-9, 4e-8, 3e-8, 9e-10, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -439,11 +434,8 @@ mod tests {
 
     /// Simulated measurements: counts span several decades, and no frame scatters.
     fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
-        let mut state = 9u64;
-        let mut uniform = || {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
-        };
+        let mut noise_of = Noise(9);
+        let mut uniform = || noise_of.uniform();
         (0..n)
             .map(|i| {
                 let pixels = libm::exp(7.0 + 7.0 * uniform());
@@ -517,7 +509,7 @@ mod tests {
         assert!(report.median_error < 0.06, "{report:?}");
         let clean = measurements(50, 0.0, false);
         for m in &clean {
-            let error = model.seconds_of(&m.work) / m.seconds - 1.0;
+            let error = model.costs.time(&m.work) / m.seconds - 1.0;
             assert!(error.abs() < 0.15, "{error}");
         }
         assert!(model.calibration.factor() > 1.0);
@@ -528,10 +520,10 @@ mod tests {
         let one = measurements(1, 0.0, false)[0];
         let mut model = AnalyticModel::default();
         model.fit(&UnitCosts::SOFTWARE, &[one; 3]).unwrap();
-        assert!((model.seconds_of(&one.work) / one.seconds - 1.0).abs() < 0.02);
+        assert!((model.costs.time(&one.work) / one.seconds - 1.0).abs() < 0.02);
         let mut double = one.work;
         double.iter_mut().skip(1).for_each(|w| *w *= 2.0);
-        let ratio = model.seconds_of(&double) / one.seconds;
+        let ratio = model.costs.time(&double) / one.seconds;
         assert!(ratio > 1.1 && ratio < 2.05, "{ratio}");
     }
 

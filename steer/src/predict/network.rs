@@ -92,7 +92,6 @@ pub struct ModelPredictor {
     scratch: PredScratch,
     row: Vec<f32>,
     knows_step: bool,
-    probe_side: usize,
     calibration: UpperBound,
     /// Range to which the network's inputs are clamped.
     range: Option<InputRange>,
@@ -148,7 +147,6 @@ impl ModelPredictor {
         let scratch = net.scratch(1)?;
         Ok(Self {
             knows_step: layout.knows_step(),
-            probe_side: layout.probe_side,
             layout,
             net,
             spread,
@@ -273,7 +271,7 @@ impl Predictor for ModelPredictor {
     }
 
     fn probe_side(&self) -> usize {
-        self.probe_side
+        self.layout.probe_side
     }
 }
 
@@ -305,22 +303,22 @@ mod tests {
         norm: Option<Normalization>,
     ) -> ModelFile {
         let n: usize = groups.iter().map(|g| g.1).sum();
+        let weight = (0..n).map(|i| 0.001 * (i + 1) as f32).collect();
+        file_of(groups, features, &PredNetParts { input: norm, ..linear(weight, 0.5, target) })
+    }
+
+    /// A network of one layer.
+    fn linear(weight: Vec<f32>, bias: f32, target: Target) -> PredNetParts {
+        let inputs = weight.len();
+        let layer = DenseParts { inputs, outputs: 1, weight, bias: vec![bias], dtype: Dtype::F32 };
+        PredNetParts { layers: vec![layer], input: None, output: None, target }
+    }
+
+    fn file_of(groups: &[(&str, usize)], features: &[&str], parts: &PredNetParts) -> ModelFile {
         let mut file = ModelFile::default();
-        let parts = PredNetParts {
-            layers: vec![DenseParts {
-                inputs: n,
-                outputs: 1,
-                weight: (0..n).map(|i| 0.001 * (i + 1) as f32).collect(),
-                bias: vec![0.5],
-                dtype: Dtype::F32,
-            }],
-            input: norm,
-            output: None,
-            target,
-        };
         let inputs: Vec<InputGroup> =
             groups.iter().map(|&(name, size)| InputGroup { name: name.into(), size }).collect();
-        file.set_prednet(&parts, &inputs).unwrap();
+        file.set_prednet(parts, &inputs).unwrap();
         if !features.is_empty() {
             file.metadata
                 .insert(Key::SceneFeatures.into(), serde_json::Value::from(features.to_vec()).to_string());
@@ -409,17 +407,7 @@ mod tests {
     #[test]
     fn lobes_go_in_by_center_where_the_file_says_so() {
         let of = |order: Option<&str>| {
-            let layer = DenseParts {
-                inputs: 6,
-                outputs: 1,
-                weight: (0..6).map(|i| 0.1 * i as f32).collect(),
-                bias: vec![0.5],
-                dtype: Dtype::F32,
-            };
-            let parts =
-                PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
-            let mut file = ModelFile::default();
-            file.set_prednet(&parts, &[InputGroup { name: "transfer_function".into(), size: 6 }]).unwrap();
+            let mut file = model_file(&[("transfer_function", 6)], &[], Target::Seconds, None);
             if let Some(order) = order {
                 file.metadata.insert(Key::LobeOrder.into(), order.into());
             }
@@ -488,29 +476,12 @@ mod tests {
     #[test]
     fn a_model_says_how_fine_a_probe_it_needs() {
         let of = |features: &[&str], side: Option<&str>| {
-            let mut file = ModelFile::from_bytes(&bytes(features)).unwrap();
+            let mut file = model_file(&[("scene_features", features.len())], features, Target::Seconds, None);
             if let Some(side) = side {
                 file.metadata.insert(Key::ProbeSide.into(), side.into());
             }
             ModelPredictor::new(&file.to_model().unwrap()).map(|p| p.probe_side())
         };
-        fn bytes(features: &[&str]) -> Vec<u8> {
-            let mut file = ModelFile::default();
-            let n = features.len();
-            let layer = DenseParts {
-                inputs: n,
-                outputs: 1,
-                weight: vec![0.1; n],
-                bias: vec![0.5],
-                dtype: Dtype::F32,
-            };
-            let parts =
-                PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
-            file.set_prednet(&parts, &[InputGroup { name: "scene_features".into(), size: n }]).unwrap();
-            file.metadata
-                .insert(Key::SceneFeatures.into(), serde_json::Value::from(features.to_vec()).to_string());
-            file.to_bytes().unwrap()
-        }
         assert_eq!(of(&["step", "log_samples"], None).unwrap(), PROBE_SIDE);
         assert_eq!(of(&["step", "log_samples"], Some("7")).unwrap(), 7);
         assert_eq!(of(&["step", "log_pixels"], Some("7")).unwrap(), 0);
@@ -532,24 +503,9 @@ mod tests {
         assert_eq!(p.predict(&i).unwrap().out_of_range, 0.0);
         i.setting.width = 164;
         assert!((p.predict(&i).unwrap().out_of_range - 3.0).abs() < 1e-6);
-        let negative = {
-            let mut file = ModelFile::default();
-            let parts = PredNetParts {
-                layers: vec![DenseParts {
-                    inputs: 2,
-                    outputs: 1,
-                    weight: vec![-1.0; 2],
-                    bias: vec![0.0],
-                    dtype: Dtype::F32,
-                }],
-                input: None,
-                output: None,
-                target: Target::Seconds,
-            };
-            file.set_prednet(&parts, &[InputGroup { name: "resolution".into(), size: 2 }]).unwrap();
-            file.to_model().unwrap()
-        };
-        let seconds = ModelPredictor::new(&negative).unwrap().predict(&i).unwrap().seconds;
+        let negative = file_of(&[("resolution", 2)], &[], &linear(vec![-1.0; 2], 0.0, Target::Seconds));
+        let seconds =
+            ModelPredictor::new(&negative.to_model().unwrap()).unwrap().predict(&i).unwrap().seconds;
         assert!(seconds > 0.0 && seconds.is_finite());
     }
 

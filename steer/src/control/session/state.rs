@@ -1,9 +1,11 @@
-//! Saves a session's learned state as bytes, bound to the model, the renderer and the clock.
+//! Sets the model, the renderer and the clock to which a session's learned state is bound, and saves the state as
+//! bytes.
 
-use super::Session;
+use super::{HybridOptions, Recording, Session, controller_for};
 use crate::adapt::state::{Reader, Writer, seal, unseal};
-use crate::predict::Clock;
+use crate::predict::{Clock, Predictor};
 use alloc::borrow::ToOwned;
+use alloc::boxed::Box;
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
@@ -15,6 +17,38 @@ const TAG: [u8; 4] = *b"ENS2";
 const MAX_NAME: usize = 256;
 
 impl Session {
+    /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
+    /// limits, recorded frames and the probe of [`Session::with_probe`] stay. VolumeNet's output stays too;
+    /// for a predictor with another encoder, set the volume again with the output of that encoder
+    /// ([`Session::set_volume`]).
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] if frames are being recorded with another probe than the
+    /// predictor's.
+    pub fn set_predictor(
+        &mut self,
+        predictor: Box<dyn Predictor + Send>,
+        options: HybridOptions,
+    ) -> Result<()> {
+        let side = self.side_for(&*predictor);
+        let recorded = self.recording.as_ref().map(Recording::probe_side);
+        if let Some(recorded) = recorded.filter(|recorded| ![0, side].contains(recorded)) {
+            bail!(
+                InvalidArgument,
+                "frames are being recorded with a probe of {recorded} rays along each side, the new model's probe has \
+                 {side}; take a model with the same probe"
+            );
+        }
+        self.controller = controller_for(&*predictor, options);
+        self.predictor = predictor;
+        self.set_probe();
+        self.weigh_pictures();
+        self.converted = false;
+        self.reconcile_clocks();
+        self.reset();
+        Ok(())
+    }
+
     /// Names the renderer whose frames are observed and the clock of their times. Both names are empty
     /// initially. Learned state and recorded frames are of one renderer and clock, so they are forgotten if a
     /// name that was not empty changes. Saved states contain both names, and [`Session::load_state`] refuses states

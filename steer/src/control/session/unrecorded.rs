@@ -7,28 +7,22 @@ use entire_core::scene::TransferTable;
 /// Type without values: a session without the feature `calibrate` never holds a recording.
 pub(super) enum Recording {}
 
-impl Recording {
-    pub(super) fn probe_side(&self) -> usize {
-        match *self {}
-    }
+/// Methods of a recording, which are never called.
+macro_rules! methods {
+    ($($name:ident($($kind:ty),*) $(-> $out:ty)?;)*) => {
+        impl Recording {
+            $(pub(super) fn $name(&self, $(_: $kind),*) $(-> $out)? {
+                match *self {}
+            })*
+        }
+    };
+}
 
-    pub(super) fn clear(&mut self) {
-        match *self {}
-    }
-
-    pub(super) fn set_volume(&mut self, _: &VolumeSummary) {
-        match *self {}
-    }
-
-    pub(super) fn set_transfer(&mut self, _: &TransferTable) {
-        match *self {}
-    }
-
-    pub(super) fn plan(&mut self, _: u64, _: &Inputs<'_>) {
-        match *self {}
-    }
-
-    pub(super) fn observe(&mut self, _: u64, _: f32) {
-        match *self {}
-    }
+methods! {
+    probe_side() -> usize;
+    clear();
+    set_volume(&VolumeSummary);
+    set_transfer(&TransferTable);
+    plan(u64, &Inputs<'_>);
+    observe(u64, f32);
 }

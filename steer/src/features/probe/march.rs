@@ -163,42 +163,6 @@ pub(super) struct March<'a> {
     pub(super) distance_skips: ChordCounts,
 }
 
-/// Results of one ray, with the names of the fields above.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Ray {
-    pub(super) chord: f32,
-    pub(super) occupied: f32,
-    pub(super) empty: f32,
-    pub(super) visible: f32,
-    pub(super) runs: f32,
-    pub(super) depth: f32,
-    pub(super) shadow: f32,
-    pub(super) shadow_skips: f32,
-    pub(super) shadow_all: f32,
-    pub(super) segments: f32,
-    pub(super) shadow_segments: f32,
-    pub(super) busy: f32,
-    pub(super) terminated: bool,
-}
-
-impl Ray {
-    const MISS: Self = Self {
-        chord: 0.0,
-        occupied: 0.0,
-        empty: 0.0,
-        visible: 0.0,
-        runs: 0.0,
-        depth: 0.0,
-        shadow: 0.0,
-        shadow_skips: 0.0,
-        shadow_all: 0.0,
-        segments: 0.0,
-        shadow_segments: 0.0,
-        busy: 0.0,
-        terminated: false,
-    };
-}
-
 impl<'a> March<'a> {
     pub(super) fn new(
         volume: &'a VolumeSummary,
@@ -261,28 +225,20 @@ impl<'a> March<'a> {
 
     /// Marches the first `count` rays one by one.
     #[allow(clippy::needless_range_loop, reason = "the index runs over the arrays of all fields")]
-    pub(super) fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {
+    fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         for i in 0..count {
             let at = |[middle, right, up]: [Vec3; 3]| middle + rays[U][i] * right + rays[V][i] * up;
             let ray = self.ray(at(self.origin), at(self.direction), rays[DRAW][i]);
-            rays[CHORD][i] = ray.chord;
-            rays[OCCUPIED][i] = ray.occupied;
-            rays[EMPTY][i] = ray.empty;
-            rays[VISIBLE][i] = ray.visible;
-            rays[RUNS][i] = ray.runs;
-            rays[DEPTH][i] = ray.depth;
-            rays[TERMINATED][i] = f32::from(u8::from(ray.terminated));
-            rays[SHADOW][i] = ray.shadow;
-            rays[SHADOW_SKIPS][i] = ray.shadow_skips;
-            rays[SHADOW_ALL][i] = ray.shadow_all;
-            rays[SEGMENTS][i] = ray.segments;
-            rays[SHADOW_SEGMENTS][i] = ray.shadow_segments;
-            rays[BUSY][i] = ray.busy;
+            for (field, value) in rays.iter_mut().zip(ray).skip(CHORD) {
+                field[i] = value;
+            }
         }
     }
 
-    /// Marches one ray. `draw` in [0, 1) selects the visible point from which a shadow ray starts.
-    pub(super) fn ray(&mut self, origin: Vec3, direction: Vec3, mut draw: f32) -> Ray {
+    /// Marches one ray and returns its results, by field. `draw` in [0, 1) selects the visible point from
+    /// which a shadow ray starts.
+    fn ray(&mut self, origin: Vec3, direction: Vec3, mut draw: f32) -> [f32; FIELDS] {
+        let mut out = [0.0; FIELDS];
         let safe = Vec3::from_array(direction.to_array().map(|d| {
             let least = if d < 0.0 { -TINY } else { TINY };
             if d.abs() < TINY { least } else { d }
@@ -292,11 +248,11 @@ impl<'a> March<'a> {
         let t_enter = a.min(b).max_element().max(0.0);
         let t_exit = a.max(b).min_element();
         if !(t_enter < t_exit) {
-            return Ray::MISS;
+            return out;
         }
         // Reference steps per unit of t.
         let rate = direction.length() * self.per_step;
-        let mut out = Ray { chord: (t_exit - t_enter) * rate, ..Ray::MISS };
+        out[CHORD] = (t_exit - t_enter) * rate;
         let start = (origin + t_enter * safe + self.half_extent) * self.scale - self.shift;
         let mut walk = Walk::new(start, safe * self.scale, t_enter, self.grid);
         let mean_block_chord = self.block.map(|b| {
@@ -326,14 +282,14 @@ impl<'a> March<'a> {
                     (length, false)
                 };
                 let inside = used * here.occupied;
-                out.occupied += inside;
+                out[OCCUPIED] += inside;
                 // Ray directions have length 1 along the view axis, so t is the depth.
-                out.depth += inside * (t + t_next);
-                out.segments += used * here.looks * crossings;
-                out.runs += if was_occupied { 0.0 } else { 1.0 };
+                out[DEPTH] += inside * (t + t_next);
+                out[SEGMENTS] += used * here.looks * crossings;
+                out[RUNS] += if was_occupied { 0.0 } else { 1.0 };
                 was_occupied = true;
                 let shown = used * here.visible;
-                out.visible += shown;
+                out[VISIBLE] += shown;
                 if self.scatters && shown > 0.0 {
                     // After the loop, `miss` is the probability that none of the 2^LANES_LOG2 lanes hits a
                     // visible value, if the lanes sample the cell independently.
@@ -341,10 +297,10 @@ impl<'a> March<'a> {
                     for _ in 0..LANES_LOG2 {
                         miss *= miss;
                     }
-                    out.busy += used * (1.0 - miss);
+                    out[BUSY] += used * (1.0 - miss);
                     // Reservoir sampling keeps one visible point, each with a probability proportional to the
                     // visible length around it. `draw` is scaled to [0, 1) again for the next cell.
-                    let keep = shown / out.visible;
+                    let keep = shown / out[VISIBLE];
                     if draw < keep {
                         draw /= keep;
                         lit = t + draw * (t_next - t);
@@ -354,22 +310,22 @@ impl<'a> March<'a> {
                 }
                 if here.occupied < 1.0 {
                     let empty = used - inside;
-                    out.empty += empty;
+                    out[EMPTY] += empty;
                     if let Some(chord) = mean_block_chord {
                         let more = empty / chord * here.occupied;
-                        out.runs += more;
-                        out.segments += more;
+                        out[RUNS] += more;
+                        out[SEGMENTS] += more;
                         self.distance_skips.add_many(chord, empty);
                     }
                 }
                 if ends {
-                    out.terminated = true;
+                    out[TERMINATED] = 1.0;
                     break;
                 }
                 depth += d;
             } else {
                 was_occupied = false;
-                out.empty += length;
+                out[EMPTY] += length;
                 if mean_block_chord.is_none() {
                     self.block_skips.add_one(length);
                 }
@@ -390,17 +346,16 @@ impl<'a> March<'a> {
             t = t_next;
             walk.advance();
         }
-        out.depth *= 0.5;
+        out[DEPTH] *= 0.5;
         jump.finish(&mut self.distance_skips);
         if let Some(chord) = mean_block_chord {
-            self.block_skips.add_many(chord, out.empty);
+            self.block_skips.add_many(chord, out[EMPTY]);
         }
         if lit >= 0.0 {
-            let [occupied, all, skips, segments] = self.shadow(origin + lit * safe);
-            out.shadow_segments = out.visible * segments;
-            out.shadow = out.visible * occupied;
-            out.shadow_all = out.visible * all;
-            out.shadow_skips = out.visible * skips;
+            let found = self.shadow(origin + lit * safe);
+            for (field, value) in [SHADOW, SHADOW_ALL, SHADOW_SKIPS, SHADOW_SEGMENTS].into_iter().zip(found) {
+                out[field] = out[VISIBLE] * value;
+            }
         }
         out
     }

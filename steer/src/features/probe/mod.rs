@@ -37,7 +37,7 @@ const BINS: usize = 28;
 
 /// Mean work of the rays that meet the box, as lengths in reference steps; [`super::FrameFeatures::work`]
 /// converts the lengths to counts at a given step.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Zeroable)]
 pub(crate) struct Probe {
     pub(super) footprint: Footprint,
     /// Number of the probe's rays that met the box.
@@ -88,61 +88,19 @@ pub(crate) struct Probe {
 
 impl Probe {
     /// A probe that meets nothing.
-    pub(crate) const NOTHING: Self = Self {
-        footprint: Footprint::NOTHING,
-        rays: 0,
-        mean_chord: 0.0,
-        occupied: 0.0,
-        empty: 0.0,
-        visible: 0.0,
-        busy: 0.0,
-        runs: 0.0,
-        segments: 0.0,
-        spread: 0.0,
-        terminated: 0.0,
-        occupied_max: 0.0,
-        all_max: 0.0,
-        spacing: 1.0,
-        shadow: 0.0,
-        shadow_skips: 0.0,
-        shadow_all: 0.0,
-        shadow_segments: 0.0,
-        longest: Longest::NOTHING,
-        error: 0.0,
-        block_skips: Chords::NOTHING,
-        distance_skips: Chords::NOTHING,
-    };
-
-    /// As [`Probe::on`], with the best level of this CPU.
-    #[cfg(test)]
-    pub(crate) fn new(
-        volume: &VolumeSummary,
-        transfer: &mut TransferSummary,
-        frame: &Frame,
-        side: usize,
-    ) -> Self {
-        Self::on(Level::detect(), volume, transfer, frame, side)
+    pub(crate) fn nothing() -> Self {
+        Self { spacing: 1.0, ..bytemuck::Zeroable::zeroed() }
     }
 
-    /// Marches the probe's rays through a volume, with the instructions of a SIMD level. Results are
-    /// bit-identical on every level. The image's aspect ratio matters, its number of pixels does not.
+    /// Marches the probe's rays through a volume, with the instructions of a SIMD level; without a level, one
+    /// by one. Results are bit-identical in every case. The image's aspect ratio matters, its number of pixels
+    /// does not.
     ///
     /// A ray ends where its opacity reaches the frame's `termination`. `transfer` must be made from `volume`.
     /// `side` is the number of rays along each side of the footprint's bounding rectangle, reduced to
     /// [`MAX_PROBE_SIDE`] if larger. If `side` is 0 or `transfer` has another grid than `volume`, no ray is
     /// cast and only the footprint is computed.
     pub(super) fn on(
-        level: Level,
-        volume: &VolumeSummary,
-        transfer: &mut TransferSummary,
-        frame: &Frame,
-        side: usize,
-    ) -> Self {
-        Self::measured(Some(level), volume, transfer, frame, side)
-    }
-
-    /// As [`Probe::on`]; without a level, rays are marched one by one.
-    fn measured(
         level: Option<Level>,
         volume: &VolumeSummary,
         transfer: &mut TransferSummary,
@@ -152,7 +110,7 @@ impl Probe {
         let shape = volume.shape();
         let footprint = Footprint::new(shape.half_extent, &frame.camera, frame.width, frame.height);
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
-            return Self { footprint, ..Self::NOTHING };
+            return Self { footprint, ..Self::nothing() };
         }
         // The buffers' size follows the number of rays, so that small probes do not clear large buffers.
         match side {
@@ -166,7 +124,7 @@ impl Probe {
         }
     }
 
-    /// As [`Probe::measured`], with a given footprint and with buffers for `ROOM` rays, at least `side`².
+    /// As [`Probe::on`], with a given footprint and with buffers for `ROOM` rays, at least `side`².
     fn cast<const ROOM: usize>(
         level: Option<Level>,
         volume: &VolumeSummary,
@@ -204,7 +162,7 @@ impl Probe {
         let (block_skips, distance_skips) = (march.block_skips, march.distance_skips);
         let mapped = march.maps_distance();
         if hits == 0 {
-            return Self { footprint, ..Self::NOTHING };
+            return Self { footprint, ..Self::nothing() };
         }
         let inv = 1.0 / hits as f32;
         let total = |field: usize| sum(&rays[field][..count]);
@@ -269,17 +227,6 @@ impl Probe {
         true
     }
 
-    /// As [`Probe::on`], marching rays one by one.
-    #[cfg(test)]
-    pub(super) fn by_single_rays(
-        volume: &VolumeSummary,
-        transfer: &mut TransferSummary,
-        frame: &Frame,
-        side: usize,
-    ) -> Self {
-        Self::measured(None, volume, transfer, frame, side)
-    }
-
     /// Region of the image covered by the box.
     pub(crate) fn footprint(&self) -> &Footprint {
         &self.footprint
@@ -299,7 +246,7 @@ impl Probe {
 
 /// Largest value over all rays, for each kind of work. Units are those of the fields of [`Probe`] with the
 /// same names.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Zeroable)]
 pub(super) struct Longest {
     pub(super) occupied: f32,
     /// Sum of the lengths in occupied and in empty blocks.
@@ -310,22 +257,15 @@ pub(super) struct Longest {
     pub(super) shadow_segments: f32,
 }
 
-impl Longest {
-    const NOTHING: Self =
-        Self { occupied: 0.0, all: 0.0, segments: 0.0, shadow: 0.0, shadow_all: 0.0, shadow_segments: 0.0 };
-}
-
 /// Histogram of chords through empty space by length. Each bin holds the mean per ray of the number of
 /// chords, and the mean per ray of their total length in reference steps.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Zeroable)]
 struct Chords {
     count: [f32; BINS],
     length: [f32; BINS],
 }
 
 impl Chords {
-    const NOTHING: Self = Self { count: [0.0; BINS], length: [0.0; BINS] };
-
     /// Expected number of chords per ray that contain a sample position: Σ min(1, length / step).
     fn visited(&self, step: f32) -> f32 {
         let inv = 1.0 / step;

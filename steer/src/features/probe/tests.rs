@@ -27,9 +27,9 @@ fn packets_of_rays_find_what_single_rays_find_on_every_level() {
                 ] {
                     let frame = Frame { shading, ..Frame::new(camera, 320, 200).unwrap() };
                     for side in [1, 4, 11, 24] {
-                        let single = Probe::by_single_rays(&s, &mut transfer, &frame, side);
+                        let single = Probe::on(None, &s, &mut transfer, &frame, side);
                         for level in Level::available() {
-                            let packets = Probe::on(level, &s, &mut transfer, &frame, side);
+                            let packets = Probe::on(Some(level), &s, &mut transfer, &frame, side);
                             assert_eq!(
                                 packets, single,
                                 "{dims:?} {cut} {camera:?} {shading:?} {side} {level:?}"
@@ -74,8 +74,10 @@ fn an_edit_forgets_what_cells_were() {
     let mut edited = TransferSummary::new(&s, &thin).unwrap();
     for table in [&thick, &thin, &thick] {
         edited.update(&s, table).unwrap();
-        let found = Probe::new(&s, &mut edited, &frame, 11);
-        assert_eq!(found, Probe::new(&s, &mut TransferSummary::new(&s, table).unwrap(), &frame, 11));
+        let level = Some(Level::detect());
+        let found = Probe::on(level, &s, &mut edited, &frame, 11);
+        let mut fresh = TransferSummary::new(&s, table).unwrap();
+        assert_eq!(found, Probe::on(level, &s, &mut fresh, &frame, 11));
     }
 }
 
