@@ -85,7 +85,7 @@ impl FrameBudget {
         let known = if pass.frame == self.frame { pass.before } else { pass.mean };
         // A pass that was never drawn is assumed to take the mean time of the other passes.
         let own = if known > 0.0 { known } else { total / passes.max(1) as f32 };
-        if !(pass.frame > 0 && pass.frame + 1 >= self.frame) {
+        if !(pass.frame > 0 && pass.frame.saturating_add(1) >= self.frame) {
             total += own;
             passes += 1;
         }
@@ -291,6 +291,17 @@ mod tests {
             budget.end(0.001, true);
         }
         assert!(near(frame(&mut budget, &mut passes, 2.0).iter().sum(), 0.045));
+    }
+
+    #[test]
+    fn after_the_largest_frame_number_the_shares_stay() {
+        let mut budget = FrameBudget { frame: u32::MAX - 3, ..FrameBudget::default() };
+        let mut passes = [(PassShare::default(), 0.1)];
+        for n in 0..6 {
+            let share = frame(&mut budget, &mut passes, 2.0)[0];
+            assert!(n < 2 || near(share, 0.045), "{n}: {share}");
+        }
+        assert_eq!(budget.frame, 2);
     }
 
     #[test]
