@@ -283,6 +283,11 @@ impl Hybrid {
     /// five evaluations. The search assumes that a coarser step has a lower excess. If a network violates
     /// this, the returned step may not be the finest, but its excess is not positive.
     fn finest(limits: StepLimits, last: Option<f32>, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
+        // A step without a prediction does not fit.
+        let mut excess = |step| {
+            let f = excess(step);
+            if f.is_nan() { 1.0 } else { f }
+        };
         let mut coarsest = limits.coarsest;
         let mut f_high = excess(coarsest);
         if f_high > 0.0 {
@@ -349,8 +354,7 @@ impl Hybrid {
         let mut judge = |step: f32| self.expected(&(request.cost)(step), step, by_history);
         let excess = |step: f32| {
             let Expected { choice, choice_upper, .. } = judge(step);
-            let f = libm::log(f64::max(choice / target, choice_upper / ceiling));
-            if f.is_nan() { 1.0 } else { f.clamp(-50.0, 50.0) }
+            libm::log(f64::max(choice / target, choice_upper / ceiling)).clamp(-50.0, 50.0)
         };
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
         let last = self.last.map(|last| last.step);

@@ -106,6 +106,22 @@ fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
 }
 
 #[test]
+fn a_step_without_a_prediction_does_not_fit() {
+    let mut hybrid = fitted(0.1);
+    let first = Changes { first: true, ..Changes::default() };
+    let (before, seen) =
+        planned(&mut hybrid, (0.02, 16.0), first, |step| CostTerms::whole(0.04 / step, 0.0, Source::Network));
+    hybrid.observe(&seen);
+    assert!(before.step < 12.0);
+    // In the next scene, steps below 12 have no prediction, and the coarsest step is too slow.
+    let transfer = Changes { transfer: true, ..Changes::default() };
+    let (plan, _) = planned(&mut hybrid, (0.02, 16.0), transfer, |step| {
+        CostTerms::whole(if step < 12.0 { f32::NAN } else { 1.6 / step }, 0.0, Source::Network)
+    });
+    assert_eq!((plan.step, plan.reason), (16.0, Reason::TargetUnreachable));
+}
+
+#[test]
 fn an_impossible_target_is_said_and_leaves_nothing_behind() {
     let mut hybrid = fitted(0.2);
     let cost = |step: f32| CostTerms::whole(0.016 / step, 0.0, Source::Analytic);
