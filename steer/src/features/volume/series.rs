@@ -97,9 +97,9 @@ impl SummarySeries {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume, and for a volume of
-    /// another type or range, [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; in these cases
-    /// nothing has changed. [`crate::ErrorKind::OutOfMemory`] if memory does not suffice; there is then no
-    /// summary until another update succeeds.
+    /// another type, spacing or range, [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; in
+    /// these cases nothing has changed. [`crate::ErrorKind::OutOfMemory`] if memory does not suffice; there
+    /// is then no summary until another update succeeds.
     pub fn update(
         &mut self,
         volume: &VolumeView<'_>,
@@ -175,8 +175,16 @@ impl SummarySeries {
         Ok(&self.summary)
     }
 
-    /// Refuses voxels of another type or range.
+    /// Refuses voxels of another type, spacing or range.
     fn check(&self, volume: &VolumeView<'_>) -> Result<()> {
+        let (found, own) = (volume.shape().spacing, self.summary.shape.spacing);
+        if found != own {
+            bail!(
+                InvalidArgument,
+                "a time step has the voxel spacing {found}, but its series has {own}; give every time step \
+                 the spacing of the series"
+            );
+        }
         if volume.range() != self.map.range() {
             bail!(
                 InvalidArgument,

@@ -178,5 +178,9 @@ fn a_series_reads_only_what_was_announced() {
     }
     assert_eq!(refused(&words, None), ErrorKind::InvalidArgument);
     assert_eq!(refused(&short, None), ErrorKind::SizeMismatch);
+    let spacing = [1.0, 2.0, 1.0];
+    let stretched = VolumeOptions { spacing, range: Some(whole.range()), ..VolumeOptions::default() };
+    let stretched = VolumeView::with(whole.scalars(), DIMS, stretched).unwrap();
+    assert_eq!(refused(&stretched, None), ErrorKind::InvalidArgument);
     assert!(series.summary().is_ok());
 }
