@@ -9,7 +9,7 @@ use crate::predict::{AnalyticModel, Clock, Inputs, Prediction, Predictor, Source
 use alloc::boxed::Box;
 use alloc::vec;
 use entire_core::ErrorKind;
-use entire_core::scene::{Frame, Scalars, TransferFunction, VolumeView};
+use entire_core::scene::{Frame, Scalars, TransferFunction, VolumeOptions, VolumeView};
 
 #[test]
 fn a_plan_taken_back_leaves_its_id_to_the_next() {
@@ -256,6 +256,10 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     // A volume of other sizes or another type is not a time step.
     let error = session.set_time_step(summary(&voxels[..16 * 32 * 32], [32, 32, 16]), None).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::SizeMismatch);
+    let options = VolumeOptions { spacing: [1.0, 1.0, 2.0], ..VolumeOptions::default() };
+    let view = VolumeView::with(Scalars::U8(&voxels), [32; 3], options).unwrap();
+    let error = session.set_time_step(VolumeSummary::new(&view).unwrap(), None).unwrap_err();
+    assert!(error.to_string().contains("[1, 1, 2]"), "{error}");
     let words: Vec<u16> = voxels.iter().map(|&v| u16::from(v)).collect();
     let view = VolumeView::new(Scalars::U16(&words), [32; 3]).unwrap();
     let other = VolumeSummary::new(&view).unwrap();

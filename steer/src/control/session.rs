@@ -191,11 +191,18 @@ impl Session {
         };
         let grid = |v: &VolumeSummary| (v.shape(), v.cells(), v.block_edge());
         if grid(&volume) != grid(before) {
-            let ([x, y, z], [a, b, c]) = (volume.shape().dims, before.shape().dims);
+            let [found, own] = [&volume, before].map(|v| (v.shape().dims, v.shape().spacing, v.block_edge()));
             bail!(
                 SizeMismatch,
-                "a time step must have the sizes and the spacing of the session's volume: the time step has {x} x \
-                 {y} x {z} voxels, the volume {a} x {b} x {c}; for another volume, call set_volume"
+                "a time step must have the sizes, spacing and blocks of the session's volume: the time step \
+                 has {:?} voxels of spacing {} in blocks of {:?}, the volume {:?} of {} in blocks of {:?}; for \
+                 another volume, call set_volume",
+                found.0,
+                found.1,
+                found.2,
+                own.0,
+                own.1,
+                own.2
             );
         }
         if volume.scalar_type() != before.scalar_type() {
