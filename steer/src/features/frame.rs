@@ -199,7 +199,7 @@ impl FrameFeatures {
     }
 
     /// Measures a frame. For [`Skipping::Distance`], the first frame of a transfer function also computes its
-    /// distance map.
+    /// distance map. `transfer` must be made from `volume`; if it has other cells or blocks, no ray is cast.
     ///
     /// # Errors
     /// As [`Frame::checked`].

@@ -175,10 +175,8 @@ impl TransferSummary {
     fn apply(&mut self, volume: &VolumeSummary, table: Option<&TransferTable>) -> Result<()> {
         let n = volume.cell_count();
         let longest = volume.cells().into_iter().max().unwrap_or(1);
-        let blocks = volume.blocks().map_or(0, |blocks| blocks.low.len());
-        let shares = if blocks > 0 { n } else { 0 };
-        // One word more than the blocks need: `share` reads across words.
-        let words = blocks.div_ceil(64) + 1;
+        let shares = if volume.blocks().is_some() { n } else { 0 };
+        let words = block_words(volume);
         let full = longer(&self.full, n.div_ceil(64))?;
         let interior = self.interior.longer(volume.cells())?;
         let bits = longer(&self.bits, words)?;
@@ -360,8 +358,9 @@ impl TransferSummary {
         self.optics(volume, cell).map_or(0.0, |optics| optics.extinction)
     }
 
-    pub(super) fn grid(&self) -> [usize; 3] {
-        self.grid
+    /// True if the buffers have the sizes that a volume's cells and blocks need.
+    pub(super) fn suits(&self, volume: &VolumeSummary) -> bool {
+        self.grid == volume.cells() && self.bits.len() == block_words(volume)
     }
 
     /// Computes the distance map for [`entire_core::scene::Skipping::Distance`], unless it is up to date.
@@ -405,6 +404,11 @@ impl TransferSummary {
     pub(super) fn distance(&self) -> Option<&[u8]> {
         self.distance_ready.then_some(&self.distance)
     }
+}
+
+/// Number of words that hold a bit for each block of a volume, plus one: `share` reads across words.
+fn block_words(volume: &VolumeSummary) -> usize {
+    volume.blocks().map_or(0, |blocks| blocks.low.len()).div_ceil(64) + 1
 }
 
 /// Writes to each `out[i]` the minimum of max(`line[j]`, |i − j|) over all j.

@@ -268,7 +268,9 @@ impl<'a> March<'a> {
         let mut was_occupied = false;
         // t at which the shadow ray starts; negative for none.
         let mut lit = -1.0f32;
-        loop {
+        // Upper bound of the number of steps: a ray crosses each plane between cells at most once. If cells
+        // are nearly as thin as the rounding error of t, `walk` may leave the grid before t reaches the exit.
+        for _ in 0..self.grid.iter().sum::<i32>() + 3 {
             let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
             let cell = walk.index as usize;
@@ -329,13 +331,14 @@ impl<'a> March<'a> {
                 if mean_block_chord.is_none() {
                     self.block_skips.add_one(length);
                 }
-                if let Some(distance) = self.transfer.distance().filter(|_| self.maps) {
+                let reach = self.transfer.distance().filter(|_| self.maps).and_then(|map| map.get(cell));
+                if let Some(&reach) = reach {
                     let index = walk.index;
                     let (nx, ny) = (self.grid[0], self.grid[1]);
                     let place = [index % nx, index / nx % ny, index / nx / ny];
                     if !jump.covers(place) {
                         jump.finish(&mut self.distance_skips);
-                        jump = Jump { from: place, reach: i32::from(distance[cell]), length: 0.0 };
+                        jump = Jump { from: place, reach: i32::from(reach), length: 0.0 };
                     }
                     jump.length += length;
                 }
@@ -466,7 +469,7 @@ impl Walk {
             let further = self.next[k] + self.delta[k];
             let further = if further > self.last[k] { f32::INFINITY } else { further };
             self.next[k] = if crosses { further } else { self.next[k] };
-            self.index += if crosses { self.stride[k] } else { 0 };
+            self.index = self.index.wrapping_add(if crosses { self.stride[k] } else { 0 });
         }
     }
 }

@@ -98,8 +98,8 @@ impl Probe {
     ///
     /// A ray ends where its opacity reaches the frame's `termination`. `transfer` must be made from `volume`.
     /// `side` is the number of rays along each side of the footprint's bounding rectangle, reduced to
-    /// [`MAX_PROBE_SIDE`] if larger. If `side` is 0 or `transfer` has another grid than `volume`, no ray is
-    /// cast and only the footprint is computed.
+    /// [`MAX_PROBE_SIDE`] if larger. If `side` is 0 or `transfer` has other cells or blocks than `volume`, no
+    /// ray is cast and only the footprint is computed.
     pub(super) fn on(
         level: Option<Level>,
         volume: &VolumeSummary,
@@ -109,7 +109,7 @@ impl Probe {
     ) -> Self {
         let shape = volume.shape();
         let footprint = Footprint::new(shape.half_extent, &frame.camera, frame.width, frame.height);
-        if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
+        if side == 0 || footprint.share <= 0.0 || !transfer.suits(volume) {
             return Self { footprint, ..Self::nothing() };
         }
         // The buffers' size follows the number of rays, so that small probes do not clear large buffers.

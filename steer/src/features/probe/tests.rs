@@ -81,6 +81,49 @@ fn an_edit_forgets_what_cells_were() {
     }
 }
 
+#[test]
+fn rays_from_afar_end_where_cells_are_thinner_than_the_rounding_error() {
+    let voxels = std::vec![0u8; 24 * 24 * 24];
+    let options = VolumeOptions { spacing: [1e-3, 1.0, 1.0], ..VolumeOptions::default() };
+    let view = VolumeView::with(Scalars::U8(&voxels), [24; 3], options).unwrap();
+    let s = VolumeSummary::new(&view).unwrap();
+    for opacity in [0.0, 0.04] {
+        let mut transfer = TransferSummary::new(&s, &table(|_| opacity)).unwrap();
+        for ((rx, ry), skipping) in [(20.0, 30.0), (0.0, 90.0)]
+            .into_iter()
+            .flat_map(|pose| [Skipping::Blocks, Skipping::Distance].map(|skipping| (pose, skipping)))
+        {
+            let camera = Camera::from_arcball(Arcball { rx, ry, dz: 1e4 }).unwrap();
+            let frame = Frame { skipping, ..Frame::new(camera, 640, 480).unwrap() };
+            let mut features = FrameFeatures::default();
+            features.measure(&s, &mut transfer, &frame).unwrap();
+            let of = features.quantities(Setting::from(&frame));
+            let counts = [SceneQuantity::Samples, SceneQuantity::Skips, SceneQuantity::Runs].map(of);
+            assert!(
+                counts.iter().all(|n| n.is_finite() && *n >= 0.0),
+                "{opacity} {rx} {skipping:?}: {counts:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_transfer_function_for_other_blocks_casts_no_ray() {
+    // The grids of cells are equal; the cells have one, two and four blocks.
+    let volumes = [384usize, 768, 1536].map(|n| summary(&std::vec![9u8; 64 * n], [n, 8, 8], 48));
+    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
+    let frame = Frame::new(camera, 64, 64).unwrap();
+    for (i, of) in volumes.iter().enumerate() {
+        let mut transfer = TransferSummary::new(of, &table(|_| 0.1)).unwrap();
+        for (j, volume) in volumes.iter().enumerate() {
+            assert_eq!(volume.cells(), [48, 1, 1]);
+            let mut features = FrameFeatures::default();
+            features.measure(volume, &mut transfer, &frame).unwrap();
+            assert_eq!(features.probe_rays() > 0, i == j, "{i} {j}");
+        }
+    }
+}
+
 /// Largest allowed relative difference between the samples estimated by a probe of 24² rays and the closed
 /// form, which holds for the mean over all rays.
 const CLOSED_FORM_TOLERANCE: f64 = 0.02;
