@@ -8,7 +8,7 @@ export XDG_CONFIG_HOME=$HOME/.config
 rm -f "$results/gui.txt"
 mkdir -p "$XDG_CONFIG_HOME/ParaView"
 echo '{"GeneralSettings": {"ShowWelcomeDialog": 0}}' >"$XDG_CONFIG_HOME/ParaView/ParaView-UserSettings.json"
-ENTIRE_CHECK="$ENTIRE_PLUGIN $results --name gui" timeout 300 paraview --plugin-search-paths="$(dirname "$ENTIRE_PLUGIN")" \
+ENTIRE_CHECK=$ENTIRE_PLUGIN$'\n'$results$'\n--name\ngui' timeout 300 paraview --plugin-search-paths="$(dirname "$ENTIRE_PLUGIN")" \
     --plugins=EntireSteering --script="$ENTIRE_SCRIPTS/check.py" --exit >"$results/gui.log" 2>&1 &
 client=$!
 for _ in $(seq 240); do

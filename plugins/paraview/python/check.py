@@ -22,9 +22,9 @@ parser.add_argument("plugin")
 parser.add_argument("folder")
 parser.add_argument("--server")
 parser.add_argument("--name", default="check")
-# The graphical client runs scripts without arguments.
+# The graphical client runs scripts without arguments; the variable has one argument in each line.
 given = os.environ.get("ENTIRE_CHECK")
-options = parser.parse_args(given.split() if given else None)
+options = parser.parse_args(given.splitlines() if given else None)
 
 
 def say(text):
