@@ -166,6 +166,27 @@ def test_yt_scenes_that_cannot_be_steered():
     scene = yt.create_scene(data, ("stream", "density"), lens_type="fisheye")
     with pytest.raises(entire.CannotSteer, match="field of view"):
         entire.yt.hold(scene, 1.0)
+    scene = yt.create_scene(data, ("stream", "density"), lens_type="perspective")
+    for smallest in (0, -1, float("nan")):
+        with pytest.raises(ValueError, match="smallest"):
+            entire.yt.hold(scene, 1.0, smallest=smallest)
     empty = yt.visualization.volume_rendering.api.Scene()
     with pytest.raises(entire.CannotSteer, match="no volume source"):
         entire.yt.hold(empty, 1.0)
+
+
+def test_a_yt_picture_of_any_duration_is_returned(monkeypatch):
+    yt = pytest.importorskip("yt")
+    import entire.yt
+
+    yt.set_log_level(50)
+    data = yt.load_uniform_grid({("stream", "density"): np.ones((8, 8, 8)) + np.arange(8)}, (8, 8, 8), nprocs=1)
+    scene = yt.create_scene(data, ("stream", "density"), lens_type="perspective")
+    scene.camera.resolution = (32, 32)
+    holder = entire.yt.hold(scene, 1.0)
+    # Each reading of the clock is 20,000 seconds later. A session rejects such times.
+    readings = iter(range(0, 200_000, 20_000))
+    monkeypatch.setattr("entire.yt.time.perf_counter", lambda: next(readings))
+    assert holder.render().shape[2] == 4
+    assert holder.measured == 20_000
+    assert len(holder.history) == 0

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from typing import Any
@@ -81,6 +82,8 @@ class Holder:
     ) -> None:
         if not (math.isfinite(seconds) and seconds > 0):
             raise ValueError(f"seconds is {seconds}; it must be finite and positive")
+        if not smallest > 0:
+            raise ValueError(f"smallest is {smallest}; it must be positive (1 for the full side)")
         self.scene, self.seconds = scene, seconds
         self.source = _source(scene)
         lens = type(scene.camera.lens).__name__
@@ -159,7 +162,8 @@ class Holder:
         finally:
             self.measured = time.perf_counter() - before
             self.source.num_samples, camera.resolution = self.most, self.full
-        self.session.observe(plan, self.measured)
+        with contextlib.suppress(ValueError):  # A rejected time has no effect.
+            self.session.observe(plan, self.measured)
         return picture
 
     def full_quality(self) -> Any:
@@ -215,7 +219,7 @@ def hold(
         (``entire.clock`` in its metadata) differs, a warning says that its scale is learned from the first
         pictures.
     smallest : float, optional
-        Smallest allowed side of the picture, as a share of the full side. Default 0.25.
+        Smallest allowed side of the picture, as a share of the full side; positive. Default 0.25.
     edge : int, optional
         Maximum number of cells along an axis of the regular grid from which the field is read for predictions.
         Default 256.
@@ -229,6 +233,6 @@ def hold(
     CannotSteer
         For a scene without a volume source, or another lens.
     ValueError
-        For seconds that are not positive.
+        For `seconds` or `smallest` that are not positive.
     """
     return Holder(scene, seconds, model, smallest, edge)
