@@ -136,6 +136,11 @@ def test_views_of_slicer_lead_to_their_manager(view):
         assert steering.seconds == before
 
 
+def test_seconds_must_be_positive(view):
+    with pytest.raises(ValueError, match="seconds is 0"):
+        entire.slicer.hold(view.manager, seconds=0)
+
+
 def test_what_is_no_view_says_so():
     with pytest.raises(ValueError, match="without a vtkMRMLVolumeRenderingDisplayableManager"):
         entire.slicer.hold(object())

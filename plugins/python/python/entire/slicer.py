@@ -32,7 +32,7 @@ class SlicerSteering(Steering):
         self._node_tag = 0
         self._fixed = seconds is not None
         self._maximum = False
-        super().__init__(manager.GetRenderer(), None, seconds or _expected(node), **options)
+        super().__init__(manager.GetRenderer(), None, _expected(node) if seconds is None else seconds, **options)
         self._node_tag = node.AddObserver("ModifiedEvent", self._on_node)
         self._on_node(node, "")
 
