@@ -250,5 +250,9 @@ def test_calibrating_puts_everything_back(shown):
     model = plotter.entire.calibrate(frames=12)
     assert model.predicts
     assert actor.mapper is smart
+    # The same after a steering that ended without plotter.entire.detach().
+    plotter.entire.hold(fps=30).detach()
+    assert plotter.entire.calibrate(frames=12, pictures=0).predicts
+    assert actor.mapper is smart
     plotter.render()
     assert np.array_equal(plotter.screenshot(), look)

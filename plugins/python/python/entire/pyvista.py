@@ -134,7 +134,7 @@ class EntireComponent:
             For ``model=`` of :meth:`hold`.
         """
         self._plotter.render()
-        if self.steering is None:
+        if self.steering is None or not self.steering.leaves:
             # A temporary steering, which exchanges a smart mapper during the measurement.
             passing = self._new_steering(None, 1.0)
             try:
