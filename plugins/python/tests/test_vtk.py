@@ -489,6 +489,9 @@ def test_calibration_serves_the_first_frame(voxels, tmp_path):
         entire.vtk.calibrate(view.renderer, volume, pictures=2)
     with pytest.raises(ValueError, match="clock"):
         entire.vtk.calibrate(view.renderer, volume, clock="sun")
+    volume.VisibilityOff()
+    with pytest.raises(ValueError, match="not drawn"):
+        entire.vtk.calibrate(view.renderer, volume, frames=10)
 
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])

@@ -84,7 +84,7 @@ def calibrate(
     CannotSteer
         If the mapper cannot be steered.
     ValueError
-        For too few frames, another clock, or a scene that cannot be read.
+        For too few frames, another clock, a volume that is not drawn, or a scene that cannot be read.
     """
     if pictures and pictures < 3:
         raise ValueError(f"pictures is {pictures}; at least 3 scenes are needed for a quality law, or 0 for none")
@@ -185,9 +185,12 @@ class _Calibrator:
                     distance = _SIZES[i // _FRAMES_PER_SIZE % len(_SIZES)] if shrinks else 1.0
                     mapper.SetImageSampleDistance(distance)
                     window.Render()
+                self.seconds = math.nan
                 window.Render()
                 if i == 0:
                     continue  # The first frame includes one-time work.
+                if math.isnan(self.seconds):
+                    raise ValueError("the volume was not drawn; make it and its renderer visible")
                 look = _scene.look(prop, mapper)
                 width, height = renderer.GetSize()
                 calibration.add(
