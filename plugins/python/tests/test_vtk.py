@@ -412,6 +412,7 @@ def test_misuse_is_said(voxels):
     view, volume = one_volume(voxels)
     for arguments, text in (
         ((None, volume, 0.1), "vtkRenderer"),
+        (("a renderer", volume, 0.1), "vtkRenderer"),
         ((vtkRenderer(),), "no volume"),
         ((view.renderer, volume.GetMapper(), 0.1), "not its mapper"),
         ((view.renderer, volume, 0.0), "seconds is 0"),
@@ -425,6 +426,7 @@ def test_misuse_is_said(voxels):
     assert not volume.GetMapper().HasObserver("VolumeMapperRenderStartEvent")
     for arguments, text in (
         ((1 / 30,), "seconds=0.03"),
+        ((np.float32(1 / 30),), "seconds=0.03"),
         (([],), "empty list"),
         (([1],), "1 is not a volume"),
         ((vtkVolume(), 0.1), "not in this renderer"),

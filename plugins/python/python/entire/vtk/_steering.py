@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import numbers
 import os
 import statistics
 import time
@@ -552,7 +553,7 @@ class Steering:
 
 
 def _check_renderer(renderer: Any) -> None:
-    if renderer is None or not renderer.IsA("vtkRenderer"):
+    if not hasattr(renderer, "IsA") or not renderer.IsA("vtkRenderer"):
         raise ValueError("renderer must be a vtkRenderer; a window's renderers are in GetRenderers()")
 
 
@@ -649,7 +650,7 @@ def hold(
         volumes = None
         if not there:
             raise ValueError("the renderer has no volume; add one with AddVolume() before hold(), or pass it")
-    elif isinstance(volume, (int, float)):
+    elif isinstance(volume, numbers.Real):
         raise ValueError(f"volume is {volume}; pass a frame time as seconds={volume}")
     else:
         # Removes duplicates.
