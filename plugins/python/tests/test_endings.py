@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Settings after steering ends during a frame, values of the last frame, pictures of a calibration."""
+"""Settings after steering ends during a frame, values of the last frame, pictures of a calibration, memory of deleted
+volumes and renderers."""
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ pytest.importorskip("vtkmodules")
 
 import entire
 import entire.vtk
+from vtkmodules.vtkRenderingCore import vtkRenderer
 
 from scenes import View, add_volume, one_volume, settings
 
@@ -75,3 +79,35 @@ def test_a_volume_changes_hands(voxels):
     second.detach()
     assert volume.GetMapper() is smart
     assert "nothing" in repr(first)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_deleted_volume_leaves_no_voxels(voxels, given):
+    view, volume = one_volume(voxels)
+    steering = entire.vtk.hold(view.renderer, volume if given else None, 0.01)
+    view.draw(2)
+    deleted = []
+    scalars = volume.GetMapper().GetInput().GetPointData().GetScalars()
+    scalars.AddObserver("DeleteEvent", lambda *_: deleted.append(1))
+    view.renderer.RemoveVolume(volume)
+    del volume, scalars
+    view.draw(1)
+    gc.collect()
+    assert steering.leaves == []
+    assert deleted
+
+
+def test_a_window_does_not_keep_the_steerings_of_deleted_renderers(voxels):
+    view, gone = View(), []
+    for _ in range(3):
+        renderer = vtkRenderer()
+        view.window.AddRenderer(renderer)
+        add_volume(renderer, voxels)
+        gone.append(weakref.ref(entire.vtk.hold(renderer, seconds=0.01)))
+        view.window.Render()
+        view.window.RemoveRenderer(renderer)
+        del renderer
+        gc.collect()
+    view.window.Render()
+    gc.collect()
+    assert all(steering() is None for steering in gone)

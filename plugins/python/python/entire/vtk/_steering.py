@@ -447,6 +447,10 @@ class Steering:
             ]
 
     def _on_window_start(self, window: Any, _event: str) -> None:
+        if self._renderer() is None:
+            # Otherwise the window would keep the steering of a deleted renderer, and its voxels, alive.
+            self.detach()
+            return
         self._in_frame = not is_picking(window)
         if not self._in_frame:
             return
@@ -495,6 +499,9 @@ class Steering:
         self._frame_renderer = renderer
         if self._all:
             self._follow_volumes(renderer)
+        else:
+            for leaf in [leaf for leaf in self.leaves if leaf.volume is None]:
+                self._release(leaf)
         self._rendering = True
         still = self._still_frame = window is not None and self._is_still(window)
         self._steers = self.enabled and not still
