@@ -346,6 +346,12 @@ def test_models_by_name_path_and_bytes(voxels, tf, tmp_path):
         entire.Model(b"nothing")
     with pytest.raises(entire.ModelError):
         entire.Model(model.to_bytes()[:-10])
+    # The error about a damaged file names the file.
+    (tmp_path / "damaged.safetensors").write_bytes(model.to_bytes()[:-10])
+    with pytest.raises(entire.ModelError, match="damaged.safetensors: "):
+        entire.Model(tmp_path / "damaged.safetensors")
+    with pytest.raises(ValueError, match="damaged.safetensors: "):
+        entire.Session().load(tmp_path / "damaged.safetensors")
     encoder = entire.Model("volumenet-64f2")
     assert encoder.encodes
     features = encoder.encode(entire.Volume(voxels))

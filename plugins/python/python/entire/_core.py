@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Union
 
@@ -46,6 +47,15 @@ def models() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob("*.safetensors"))
 
 
+@contextlib.contextmanager
+def _named(path: Union[str, os.PathLike[str]]) -> Iterator[None]:
+    """Begins the text of an error about a file's content with the file's name."""
+    try:
+        yield
+    except ValueError as error:
+        raise type(error)(f"{os.fspath(path)}: {error}") from None
+
+
 class CannotSteer(ValueError):
     """A scene that cannot be steered; the text names the reason and the remedy."""
 
@@ -83,7 +93,8 @@ class Model(_native.Model):
                 f"{os.fspath(source)!r} is neither a file nor a shipped model; shipped are "
                 f"{', '.join(models())}"
             )
-        return super().__new__(cls, path.read_bytes())
+        with _named(path):
+            return super().__new__(cls, path.read_bytes())
 
     @classmethod
     def machine(cls, shading: Shading = "none") -> Self:
@@ -316,7 +327,8 @@ class Session(_native.Session):
         ModelError
             For a valid state of another model, renderer or clock (:meth:`set_timing_source`).
         """
-        self.load_state(Path(path).read_bytes())
+        with _named(path):
+            self.load_state(Path(path).read_bytes())
 
     def _repr_html_(self) -> str:
         return self.history._repr_html_()

@@ -19,7 +19,7 @@ from time import perf_counter
 from typing import Any, Union
 
 from .. import _clocks
-from .._core import CannotSteer, ModelLike, Session, _model
+from .._core import CannotSteer, ModelLike, Session, _model, _named
 from .._history import History
 from .._native import ModelError
 from . import _mappers
@@ -336,19 +336,20 @@ class Steering:
             For a valid state that belongs to none of the held volumes' mappers; nothing changes then.
         """
         state = Path(path).read_bytes()
-        if not self.leaves:
-            # Checks only that the bytes are a state. When volumes are added, it is checked that the state belongs to
-            # them.
-            with contextlib.suppress(ModelError):
-                self._new_session("").load_state(state)
-        refused: list[ModelError] = []
-        for leaf in self.leaves:
-            try:
-                leaf.session.load_state(state)
-            except ModelError as error:
-                refused.append(error)
-        if refused and len(refused) == len(self.leaves):
-            raise refused[-1]
+        with _named(path):
+            if not self.leaves:
+                # Checks only that the bytes are a state. When volumes are added, it is checked that the state belongs
+                # to them.
+                with contextlib.suppress(ModelError):
+                    self._new_session("").load_state(state)
+            refused: list[ModelError] = []
+            for leaf in self.leaves:
+                try:
+                    leaf.session.load_state(state)
+                except ModelError as error:
+                    refused.append(error)
+            if refused and len(refused) == len(self.leaves):
+                raise refused[-1]
         self._state = state
 
     @property
