@@ -71,22 +71,21 @@ fn made(
     Ok(TransferFunction(Arc::new(Transfer { description, table, unit })))
 }
 
-#[derive(FromPyObject)]
-enum OpacityEntry {
-    Full((f64, f64, f64, f64)),
-    Plain((f64, f64)),
-}
-
-#[derive(FromPyObject)]
-enum ColorEntry {
-    Full((f64, f64, f64, f64, f64, f64)),
-    Plain((f64, f64, f64, f64)),
-}
-
-#[derive(FromPyObject)]
-enum Point {
-    Colored((f32, f32, f32, f32, f32)),
-    Plain((f32, f32)),
+/// Makes a point or node of each row; `make` returns `None` for a row with another number of elements than
+/// `accepted` names.
+fn each<N, T>(
+    rows: &[Vec<N>],
+    name: &str,
+    accepted: &str,
+    make: impl Fn(&[N]) -> Option<T>,
+) -> PyResult<Vec<T>> {
+    let mut all = Vec::with_capacity(rows.len());
+    for (i, row) in rows.iter().enumerate() {
+        all.push(make(row).ok_or_else(|| {
+            PyValueError::new_err(format!("{name} {i} has {} numbers; it must have {accepted}", row.len()))
+        })?);
+    }
+    Ok(all)
 }
 
 #[pymethods]
@@ -106,13 +105,9 @@ impl TransferFunction {
     ///     For an invalid lobe; the text names the lobe and the error.
     #[staticmethod]
     #[pyo3(signature = (lobes, *, unit_distance = None, unit_length = None))]
-    fn lobes(
-        lobes: Vec<(f32, f32, f32)>,
-        unit_distance: Option<f32>,
-        unit_length: Option<f32>,
-    ) -> PyResult<Self> {
+    fn lobes(lobes: Vec<[f32; 3]>, unit_distance: Option<f32>, unit_length: Option<f32>) -> PyResult<Self> {
         let lobes =
-            lobes.into_iter().map(|(center, width, height)| GaussianLobe { center, width, height }).collect();
+            lobes.into_iter().map(|[center, width, height]| GaussianLobe { center, width, height }).collect();
         made(Description::Gaussian(lobes), unit_distance, unit_length)
     }
 
@@ -132,14 +127,14 @@ impl TransferFunction {
     ///     For an invalid point; the text names the point and the error.
     #[staticmethod]
     #[pyo3(signature = (points, *, unit_distance = None, unit_length = None))]
-    fn points(points: Vec<Point>, unit_distance: Option<f32>, unit_length: Option<f32>) -> PyResult<Self> {
-        let points = points.into_iter().map(|point| match point {
-            Point::Colored((position, r, g, b, opacity)) => {
-                ControlPoint { position, color: [r, g, b], opacity }
-            }
-            Point::Plain((position, opacity)) => ControlPoint { position, color: [1.0; 3], opacity },
-        });
-        made(Description::Points(points.collect()), unit_distance, unit_length)
+    fn points(points: Vec<Vec<f32>>, unit_distance: Option<f32>, unit_length: Option<f32>) -> PyResult<Self> {
+        let accepted = "2 (position, opacity) or 5 (position, red, green, blue, opacity)";
+        let points = each(&points, "control point", accepted, |row| match *row {
+            [position, opacity] => Some(ControlPoint { position, color: [1.0; 3], opacity }),
+            [position, r, g, b, opacity] => Some(ControlPoint { position, color: [r, g, b], opacity }),
+            _ => None,
+        })?;
+        made(Description::Points(points), unit_distance, unit_length)
     }
 
     /// Nodes as in VTK and ParaView, evaluated like ``vtkPiecewiseFunction`` and
@@ -167,30 +162,28 @@ impl TransferFunction {
     #[pyo3(signature = (opacity, color = Vec::new(), *, range, clamp = true, unit_distance = None,
         unit_length = None))]
     fn nodes(
-        opacity: Vec<OpacityEntry>,
-        color: Vec<ColorEntry>,
+        opacity: Vec<Vec<f64>>,
+        color: Vec<Vec<f64>>,
         range: (f64, f64),
         clamp: bool,
         unit_distance: Option<f32>,
         unit_length: Option<f32>,
     ) -> PyResult<Self> {
-        let opacity = opacity.into_iter().map(|node| match node {
-            OpacityEntry::Full((position, opacity, midpoint, sharpness)) => {
-                Node { position, value: opacity, midpoint, sharpness }
+        let accepted = "2 (position, opacity) or 4 (position, opacity, midpoint, sharpness)";
+        let opacity = each(&opacity, "opacity node", accepted, |row| match *row {
+            [position, value] => Some(Node { position, value, midpoint: 0.5, sharpness: 0.0 }),
+            [position, value, midpoint, sharpness] => Some(Node { position, value, midpoint, sharpness }),
+            _ => None,
+        })?;
+        let accepted = "4 (position, red, green, blue) or 6 (also midpoint, sharpness)";
+        let color = each(&color, "color node", accepted, |row| match *row {
+            [position, r, g, b] => Some(Node { position, value: [r, g, b], midpoint: 0.5, sharpness: 0.0 }),
+            [position, r, g, b, midpoint, sharpness] => {
+                Some(Node { position, value: [r, g, b], midpoint, sharpness })
             }
-            OpacityEntry::Plain((position, opacity)) => {
-                Node { position, value: opacity, midpoint: 0.5, sharpness: 0.0 }
-            }
-        });
-        let color = color.into_iter().map(|node| match node {
-            ColorEntry::Full((position, r, g, b, midpoint, sharpness)) => {
-                Node { position, value: [r, g, b], midpoint, sharpness }
-            }
-            ColorEntry::Plain((position, r, g, b)) => {
-                Node { position, value: [r, g, b], midpoint: 0.5, sharpness: 0.0 }
-            }
-        });
-        let nodes = Nodes { opacity: opacity.collect(), color: color.collect(), range, clamp };
+            _ => None,
+        })?;
+        let nodes = Nodes { opacity, color, range, clamp };
         made(Description::Nodes(nodes), unit_distance, unit_length)
     }
 

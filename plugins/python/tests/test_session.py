@@ -276,6 +276,10 @@ def test_transfer_functions_agree():
     points = entire.TransferFunction.points([(0, 0), (0.5, 0.25), (1, 1)])
     nodes = entire.TransferFunction.nodes([(10, 0), (15, 0.25), (20, 1)], range=(10, 20))
     table = entire.TransferFunction.table(points.rgba[:, 3])
+    arrays = entire.TransferFunction.points(np.array([(0, 0), (0.5, 0.25), (1, 1)]))
+    assert np.array_equal(arrays.rgba, points.rgba)
+    lists = entire.TransferFunction.nodes([[10, 0], [15, 0.25, 0.5, 0], [20, 1]], [[0, 1, 0, 0]], range=(10, 20))
+    assert np.array_equal(lists.rgba[:, 3], nodes.rgba[:, 3])
     assert points.rgba.shape == (256, 4)
     assert points.rgba.dtype == np.float32
     assert np.allclose(points.rgba[:, 3], nodes.rgba[:, 3], atol=1e-6)
@@ -287,6 +291,8 @@ def test_transfer_functions_agree():
     for bad, text in (
         (lambda: entire.TransferFunction.lobes([(0.5, 0, 1)]), "lobe 0"),
         (lambda: entire.TransferFunction.points([(0.5, 1), (0.2, 1)]), "point"),
+        (lambda: entire.TransferFunction.points([(0, 1), (0.2, 1, 1)]), "point 1 has 3 numbers"),
+        (lambda: entire.TransferFunction.nodes([(0, 1)], [(0, 1)], range=(0, 1)), "color node 0 has 2 numbers"),
         (lambda: entire.TransferFunction.table(np.zeros((5, 3))), "shape"),
         (lambda: entire.TransferFunction.table([0.5]), "at least 2"),
         (lambda: entire.TransferFunction.points([(0, 1)], unit_distance=1, unit_length=1), "both"),

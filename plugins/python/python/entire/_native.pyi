@@ -11,6 +11,7 @@ from typing_extensions import Self
 _Shading = Literal["none", "local", "scatter", "local-scatter"]
 _Skipping = Literal["blocks", "none", "distance"]
 _Triple = tuple[float, float, float] | Sequence[float]
+_Rows = Sequence[Sequence[float]] | npt.NDArray[Any]
 
 __version__: str
 simd_level: str
@@ -108,23 +109,22 @@ class Camera:
 class TransferFunction:
     @staticmethod
     def lobes(
-        lobes: Sequence[tuple[float, float, float]],
+        lobes: _Rows,
         *,
         unit_distance: float | None = None,
         unit_length: float | None = None,
     ) -> TransferFunction: ...
     @staticmethod
     def points(
-        points: Sequence[tuple[float, float]] | Sequence[tuple[float, float, float, float, float]],
+        points: _Rows,
         *,
         unit_distance: float | None = None,
         unit_length: float | None = None,
     ) -> TransferFunction: ...
     @staticmethod
     def nodes(
-        opacity: Sequence[tuple[float, float]] | Sequence[tuple[float, float, float, float]],
-        color: Sequence[tuple[float, float, float, float]]
-        | Sequence[tuple[float, float, float, float, float, float]] = ...,
+        opacity: _Rows,
+        color: _Rows = ...,
         *,
         range: tuple[float, float],
         clamp: bool = True,
