@@ -451,8 +451,8 @@ impl Session {
         Ok(self.state(py)?.observe(plan.id, seconds as f32, flags)?.into())
     }
 
-    /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. Does not
-    /// influence later plans.
+    /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. Sets the
+    /// transfer function; apart from that, it does not influence later plans.
     ///
     /// Parameters
     /// ----------
@@ -513,15 +513,17 @@ impl Session {
         fov: f32,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
         let shape = Shape::new(size, step, shading, skipping, termination)?;
-        let mut state = self.taking(py, tf)?;
-        let Some(volume) = state.volume.clone() else {
+        let volume = self.state(py)?.volume.clone();
+        let Some(volume) = volume else {
             return Err(NotReadyError::new_err(
                 "no volume is set; make the session with one, or call set_volume",
             ));
         };
+        // Read while the session is not locked, since an array-like object may call the session.
         let all = self::cameras(cameras, &Volume(volume), fov)?;
         // Every frame is checked before any is predicted.
         let frames = all.into_iter().map(|camera| shape.frame(camera)).collect::<PyResult<Vec<_>>>()?;
+        let mut state = self.taking(py, tf)?;
         let core = &mut state.core;
         let seconds =
             detached(py, || frames.iter().map(|frame| core.predict(frame).map(|p| p.seconds)).collect());

@@ -65,6 +65,24 @@ def test_bad_views_are_named(voxels, tf):
         entire.predict(voxels, poses(3), tf, (0, 64))
 
 
+def test_an_array_like_object_may_use_the_session(voxels, tf):
+    session, done = entire.Session(entire.Volume(voxels)), []
+
+    class Views:
+        def __array__(self, dtype=None, copy=None):
+            session.predict(entire.Camera.arcball(0, 0, 2), tf, (64, 64))
+            return poses(3)
+
+    def work():
+        done.append(session.predict_many(Views(), tf, (64, 64)))
+
+    # In a thread, so that a deadlock fails this test instead of blocking it.
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    worker.join(60)
+    assert [len(seconds) for seconds in done] == [3]
+
+
 def test_other_threads_run_meanwhile(voxels, tf):
     volume, views = entire.Volume(voxels), poses(20_000)
     ticks, done = [], threading.Event()
