@@ -409,8 +409,9 @@ impl Session {
             .into_iter()
             .map(|(step, (width, height))| Setting { step, width, height, ..Setting::from(&frame) })
             .collect();
-        let (index, plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
+        let (index, mut plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
         let drawn = settings[index];
+        plan.image_sample_distance = (frame.width as f32 / drawn.width as f32).max(1.0);
         Ok((index, state.note(plan, (drawn.width, drawn.height), target)))
     }
 
