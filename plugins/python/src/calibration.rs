@@ -3,7 +3,7 @@
 use crate::camera::Camera;
 use crate::detach::detached;
 use crate::errors::raise;
-use crate::frame::Shape;
+use crate::frame::{Shape, count};
 use crate::lock::Guarded;
 use crate::model::Model;
 use crate::transfer::TransferFunction;
@@ -26,6 +26,8 @@ use pyo3::types::{PyBytes, PyDict};
 ///
 /// Raises
 /// ------
+/// ValueError
+///     For another number of frames.
 /// ModelError
 ///     For a model of another kind.
 ///
@@ -42,9 +44,9 @@ pub(crate) struct Calibration(Guarded<Core>);
 impl Calibration {
     #[new]
     #[pyo3(signature = (model = None, *, frames = 1000))]
-    fn new(model: Option<&Model>, frames: usize) -> PyResult<Self> {
+    fn new(model: Option<&Model>, frames: i64) -> PyResult<Self> {
         let prior = model.map(|model| model.0.model_file()).transpose()?;
-        Ok(Self(Guarded::new(Core::new(prior.as_ref(), frames).map_err(raise)?)))
+        Ok(Self(Guarded::new(Core::new(prior.as_ref(), count(frames)).map_err(raise)?)))
     }
 
     /// Adds a timed frame.

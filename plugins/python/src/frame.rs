@@ -56,8 +56,13 @@ impl Shape {
     }
 }
 
+/// Returns a number of things. A negative number becomes 0, which no caller accepts.
+pub(crate) fn count(number: i64) -> usize {
+    usize::try_from(number).unwrap_or(0)
+}
+
 /// Returns width and height. A number that is out of range becomes 0, which no frame accepts.
-fn sides(size: (i64, i64)) -> (u32, u32) {
+pub(crate) fn sides(size: (i64, i64)) -> (u32, u32) {
     let side = |v: i64| u32::try_from(v).unwrap_or(0);
     (side(size.0), side(size.1))
 }

@@ -4,7 +4,7 @@ use crate::calibration::{Fitted, fitted};
 use crate::camera::Camera;
 use crate::detach::detached;
 use crate::errors::{NotReadyError, raise};
-use crate::frame::{Shape, cameras};
+use crate::frame::{Shape, cameras, count, sides};
 use crate::held::Held;
 use crate::lock::Guarded;
 use crate::model::{Loaded, Model};
@@ -74,7 +74,7 @@ impl Session {
         trust_limit: f32,
         damping: bool,
         ignore_load: bool,
-        probe_side: Option<usize>,
+        probe_side: Option<i64>,
     ) -> PyResult<Self> {
         let defaults = HybridOptions::default();
         let options = HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults }
@@ -86,7 +86,7 @@ impl Session {
         };
         let mut core = Core::new(predictor, options);
         if let Some(side) = probe_side {
-            core = core.with_probe(side, None).map_err(raise)?;
+            core = core.with_probe(count(side), None).map_err(raise)?;
         }
         let model = Guarded::new(model.map(|m| m.0.clone()));
         let made = Self { state: Guarded::new(State::new(core)), model, options };
@@ -377,7 +377,7 @@ impl Session {
     ///     As in :meth:`plan`.
     /// settings : sequence of (step, (width, height))
     ///     Ray step in reference steps, and image size in pixels with the aspect ratio of `size`; best
-    ///     picture first, at most 64.
+    ///     picture first.
     ///
     /// Returns
     /// -------
@@ -398,7 +398,7 @@ impl Session {
         tf: Option<&TransferFunction>,
         size: (i64, i64),
         target: f32,
-        settings: Vec<(f32, (u32, u32))>,
+        settings: Vec<(f32, (i64, i64))>,
         shading: &str,
         skipping: &str,
         termination: f32,
@@ -407,7 +407,10 @@ impl Session {
         let (frame, mut state) = self.begin(py, camera, tf, shape)?;
         let settings: Vec<Setting> = settings
             .into_iter()
-            .map(|(step, (width, height))| Setting { step, width, height, ..Setting::from(&frame) })
+            .map(|(step, size)| {
+                let (width, height) = sides(size);
+                Setting { step, width, height, ..Setting::from(&frame) }
+            })
             .collect();
         let (index, mut plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
         let drawn = settings[index];
@@ -541,9 +544,9 @@ impl Session {
 
     /// :meth:`entire.Session.record` with the number of `frames` to keep, and an opened `model` or None.
     #[pyo3(signature = (frames, model))]
-    fn record_from(&self, py: Python<'_>, frames: usize, model: Option<&Model>) -> PyResult<()> {
+    fn record_from(&self, py: Python<'_>, frames: i64, model: Option<&Model>) -> PyResult<()> {
         let prior = model.map(|m| m.0.model_file()).transpose()?;
-        self.state(py)?.core.record(prior.as_ref(), frames).map_err(raise)
+        self.state(py)?.core.record(prior.as_ref(), count(frames)).map_err(raise)
     }
 
     /// Number of frames kept since :meth:`record`; ``None`` before it.

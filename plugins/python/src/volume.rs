@@ -473,8 +473,15 @@ impl Volume {
         &self,
         py: Python<'_>,
         array: &Bound<'_, PyAny>,
-        changed: Option<[(usize, usize); 3]>,
+        changed: Option<[(i64, i64); 3]>,
     ) -> PyResult<Self> {
+        if let Some(axes) = changed
+            && axes.iter().any(|&(first, end)| first.min(end) < 0)
+        {
+            return Err(PyValueError::new_err(format!(
+                "changed is {axes:?}; first index and end along each axis must not be negative"
+            )));
+        }
         let before = &*self.0;
         let range = Some(before.view.range());
         let fill = Fill::Known(before.fill.clone());
@@ -484,7 +491,8 @@ impl Volume {
         let mut series = before.series.lock(py)?;
         // The box describes changes since this time step, but the series compares with the latest one.
         let changed = changed.filter(|_| before.step == series.step || series.kept.is_none());
-        let changed = changed.map(|axes| before.order.map(|axis| axes[axis].0..axes[axis].1));
+        let changed =
+            changed.map(|axes| before.order.map(|axis| axes[axis].0 as usize..axes[axis].1 as usize));
         let mut kept = match series.kept.take() {
             Some(kept) => kept,
             None => Box::new(SummarySeries::new(&before.view).map_err(raise)?),

@@ -72,6 +72,19 @@ def test_the_image_shrinks_where_it_may(voxels, tf):
     assert (plan.step, plan.size, plan.reason) == (1.5, (640, 480), "off")
 
 
+def test_a_setting_is_chosen_from_a_list(voxels, tf):
+    session = entire.Session(entire.Volume(voxels))
+    index, plan = session.choose(CAMERA, tf, (640, 480), 1e-6, [(1, (640, 480)), (2, (640, 480)), (2, (320, 240))])
+    assert (index, plan.step, plan.size, plan.image_sample_distance) == (2, 2, (320, 240), 2)
+    session.observe(plan, 0.01)
+    assert session.history.image_sample_distance[-1] == 2
+    # The C library accepts at most 64 settings, Python any number.
+    assert session.choose(CAMERA, tf, (640, 480), 1e3, [(1, (640, 480))] * 100)[0] == 0
+    for settings, text in (([], "no settings"), ([(1, (-640, 480))], "setting 0: image size"), ([(0, (64, 48))], "step")):
+        with pytest.raises(ValueError, match=text):
+            session.choose(CAMERA, tf, (640, 480), 0.01, settings)
+
+
 def test_what_was_learned_is_kept(voxels, tf, tmp_path):
     volume = entire.Volume(voxels)
     first, second = entire.Session(volume), entire.Session(volume)
@@ -129,7 +142,7 @@ def test_order_and_ranges_are_said(voxels, tf):
             session.plan(CAMERA, tf, size, target)
     with pytest.raises(ValueError, match="shading"):
         session.plan(CAMERA, tf, (64, 64), 0.01, shading="fancy")
-    for bad in ({"miss_rate": 0}, {"miss_rate": 0.6}, {"tolerance": -1}, {"trust_limit": 0}, {"probe_side": 99}):
+    for bad in ({"miss_rate": 0}, {"miss_rate": 0.6}, {"tolerance": -1}, {"trust_limit": 0}, {"probe_side": 99}, {"probe_side": -1}):
         with pytest.raises(ValueError, match=next(iter(bad)).split("_")[0]):
             entire.Session(**bad)
 
@@ -403,8 +416,11 @@ def test_a_session_learns_its_renderer_without_being_left(voxels, tf):
     assert session.recorded is None
     with pytest.raises(entire.NotReadyError, match="record"):
         session.calibrate()
-    with pytest.raises(ValueError, match="65536"):
-        session.record(7)
+    for frames in (7, -1):
+        with pytest.raises(ValueError, match="65536"):
+            session.record(frames)
+        with pytest.raises(ValueError, match="65536"):
+            entire.Calibration(frames=frames)
     session.record(80)
     rng = np.random.default_rng(3)
 

@@ -178,6 +178,8 @@ def test_what_is_no_time_step_is_refused(voxels):
             volume.next(other)
     with pytest.raises(ValueError):
         volume.next(voxels, ((0, voxels.shape[0] + 1), (0, 1), (0, 1)))
+    with pytest.raises(ValueError, match="not be negative"):
+        volume.next(voxels, ((-1, 1), (0, 1), (0, 1)))
 
 
 def _values(shape=(12, 11, 10)):
