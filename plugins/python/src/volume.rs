@@ -225,24 +225,33 @@ fn hide<'py>(
     let numpy = py.import("numpy")?;
     calling(py, || {
         let copy = numpy.call_method1("array", (asarray(array)?,))?;
+        // In an array of bool, a negative low end of the range would become true, the high end.
+        let copy = if copy.getattr("dtype")?.getattr("kind")?.extract::<String>()? == "b" {
+            copy.call_method1("view", ("uint8",))?
+        } else {
+            copy
+        };
         // Values are rounded to 32-bit floats before they are compared, as by the readers of volume files.
-        let narrow = copy.call_method1("astype", ("float32",))?;
+        let narrow = convert(&copy, "float32")?.into_any();
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {
             hidden = numpy.call_method1("logical_or", (hidden, mask))?;
         }
         let count: usize = numpy.call_method1("count_nonzero", (&hidden,))?.extract()?;
+        if count == 0 {
+            return Ok((copy, 0));
+        }
         let seen = numpy.call_method1("logical_not", (&hidden,))?;
         let seen = numpy.call_method1("logical_and", (seen, numpy.call_method1("isfinite", (&narrow,))?))?;
         let others = copy.get_item(&seen)?;
-        if others.len()? == 0 {
+        if low.is_none() && others.len()? == 0 {
             return Err(PyValueError::new_err(
                 "every voxel is hidden by a mask or a fill value; nothing is left to draw",
             ));
         }
         let dtype = copy.getattr("dtype")?;
         let kind: String = dtype.getattr("kind")?.extract()?;
-        let byte = kind == "b" || (kind == "u" && dtype.getattr("itemsize")?.extract::<usize>()? == 1);
+        let byte = kind == "u" && dtype.getattr("itemsize")?.extract::<usize>()? == 1;
         match low.or(byte.then_some(0.0)) {
             Some(low) if kind == "i" || kind == "u" => {
                 let limits = numpy.call_method1("iinfo", (dtype,))?;
@@ -285,12 +294,23 @@ impl Volume {
         fill: &Fill,
     ) -> PyResult<Data> {
         let mask = mask_of(array)?;
+        let given = asarray(array)?;
+        let mut kept = given.cast::<PyUntypedArray>()?.clone();
+        if kept.ndim() != 3 {
+            return Err(PyValueError::new_err(format!(
+                "the array has {} axes (shape {:?}); a volume has three. Choose a time step or a component \
+                 first",
+                kept.ndim(),
+                kept.shape()
+            )));
+        }
+        let (kind, converted) = kept_as(&kept)?;
         let (kept_fill, asked) = match fill {
             Fill::Values(values) | Fill::Known(values) => (values.clone(), !values.is_empty()),
             Fill::Auto => (Vec::new(), false),
         };
         if mask.is_some() || asked {
-            let (hidden, count) = hide(array, mask.as_ref(), &kept_fill, range.map(|(low, _)| low))?;
+            let (hidden, count) = hide(kept.as_any(), mask.as_ref(), &kept_fill, range.map(|(low, _)| low))?;
             if count > 0 && !matches!(fill, Fill::Known(_)) {
                 warn(
                     py,
@@ -309,17 +329,6 @@ impl Volume {
             }
             return Ok(data);
         }
-        let given = asarray(array)?;
-        let mut kept = given.cast::<PyUntypedArray>()?.clone();
-        if kept.ndim() != 3 {
-            return Err(PyValueError::new_err(format!(
-                "the array has {} axes (shape {:?}); a volume has three. Choose a time step or a component \
-                 first",
-                kept.ndim(),
-                kept.shape()
-            )));
-        }
-        let (kind, converted) = kept_as(&kept)?;
         let (name, size) = match kind {
             ScalarType::U8 => ("uint8", 1),
             ScalarType::U16 => ("uint16", 2),

@@ -117,6 +117,8 @@ def test_memory_of_another_owner_is_kept():
         (np.zeros((4, 0, 4)), {}, ValueError, "along y is 0"),
         (np.zeros((4, 4, 4), complex), {}, TypeError, "complex128"),
         (np.full((2, 2, 2), "a"), {}, TypeError, "integers, floats and bool"),
+        (np.ma.masked_array(np.full((2, 2, 2), "a"), False), {}, TypeError, "integers, floats and bool"),
+        (np.ma.masked_array(np.zeros((4, 0, 4)), False), {}, ValueError, "along y is 0"),
         (np.zeros((4, 4, 4)), {"spacing": (1, 0, 1)}, ValueError, "positive"),
         (np.zeros((4, 4, 4)), {"spacing": (1, float("nan"), 1)}, ValueError, "positive"),
         (np.zeros((4, 4, 4)), {"axes": "yxz"}, ValueError, "array\\[z, y, x\\]"),
@@ -227,6 +229,40 @@ def test_hidden_voxels_have_the_low_end_of_the_range(dtype, bounds, low):
     volume = entire.Volume(np.ma.masked_less(array, 150), range=bounds)
     assert volume.array[0, 0, 0] == low
     assert volume.array.max() == array.max()
+
+
+@pytest.mark.filterwarnings("ignore:.*hidden by a mask")
+def test_hidden_voxels_of_bool_are_false():
+    array = np.zeros((4, 4, 4), bool)
+    array[0] = True
+    assert not entire.Volume(np.ma.masked_array(array, array), range=(-1, 1)).array.any()
+
+
+@pytest.mark.filterwarnings("ignore:.*taken as a fill value")
+def test_a_time_step_may_be_hidden_completely():
+    array = _values()
+    array[::3] = 1e20
+    volume = entire.Volume(array)
+    later = volume.next(np.full_like(array, 1e20))
+    assert later.range == volume.range
+    assert later.array.max() == volume.range[0]
+
+
+def test_a_fill_value_that_hides_nothing_changes_nothing(tf):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        volume = entire.Volume(np.full((4, 4, 4), np.nan, np.float32), fill=-9999)
+    assert np.isfinite(seconds(volume, tf)).all()
+
+
+def test_a_fill_value_beyond_float32_hides_its_voxels():
+    array = _values().astype(np.float64)
+    data = array[1:].astype(np.float32)
+    array[0] = np.finfo(np.float64).min
+    with pytest.warns(UserWarning) as warned:
+        volume = entire.Volume(array, fill=array[0, 0, 0])
+    assert volume.range == (data.min(), data.max())
+    assert ["voxels are hidden" in str(each.message) for each in warned] == [True]
 
 
 def test_nan_is_said_once_and_decides_nothing():
