@@ -842,9 +842,9 @@ entire_result entire_session_predict(entire_session *session,
  * Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
  * that are expected to meet the target, with an upper bound of at most the target plus the session's
  * tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
- * receives the index of the chosen settings, and `plan` their plan, to be observed like any other. Of the
- * frame itself, the step is ignored; its width and height give the aspect ratio of all settings, and a
- * change of its size or modes counts as a change of the scene. Does not allocate.
+ * receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The
+ * frame's own step must be in range, but is ignored; its width and height give the aspect ratio of all
+ * settings, and a change of its size or modes counts as a change of the scene. Does not allocate.
  *
  * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
  * range, and with ENTIRE_SIZE_MISMATCH for too many.
@@ -863,9 +863,9 @@ entire_result entire_session_choose(entire_session *session,
  * the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
  * the previous time step stay unless the volume has precomputed ones.
  *
- * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
- * a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of another
- * scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes, spacing or
+ * bricks, a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of
+ * another scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_time_step(entire_session *session, const entire_volume *volume);
 

@@ -202,8 +202,9 @@ pub unsafe extern "C" fn entire_session_predict(
 }
 
 /// Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
-/// with an upper bound of at most (1 + tolerance) times `target_seconds`. Draw with plan->step, then pass the
-/// frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
+/// and at most (1 + tolerance) times `target_seconds` by the upper bound for undisturbed frames. plan->upper
+/// bounds all frames. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
+/// plan->struct_size first. Does not allocate.
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (a frame that is out of
@@ -231,9 +232,9 @@ pub unsafe extern "C" fn entire_session_plan(
 /// Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
 /// that are expected to meet the target, with an upper bound of at most the target plus the session's
 /// tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
-/// receives the index of the chosen settings, and `plan` their plan, to be observed like any other. Of the
-/// frame itself, the step is ignored; its width and height give the aspect ratio of all settings, and a
-/// change of its size or modes counts as a change of the scene. Does not allocate.
+/// receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The
+/// frame's own step must be in range, but is ignored; its width and height give the aspect ratio of all
+/// settings, and a change of its size or modes counts as a change of the scene. Does not allocate.
 ///
 /// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
 /// range, and with ENTIRE_SIZE_MISMATCH for too many.

@@ -61,9 +61,9 @@ pub unsafe extern "C" fn entire_session_set_volume(
 /// the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
 /// the previous time step stay unless the volume has precomputed ones.
 ///
-/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
-/// a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of another
-/// scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes, spacing or
+/// bricks, a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of
+/// another scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_time_step(
     session: *mut entire_session,
