@@ -1,6 +1,7 @@
 //! Runs a command of `entire` or `entire-lab`: prints an error as one line, and returns the exit status.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
+use std::fmt::Display;
 use std::io::Write;
 use std::panic::UnwindSafe;
 use std::process::ExitCode;
@@ -47,6 +48,18 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
     let line: String = line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
     let _ = writeln!(std::io::stderr().lock(), "{name}: {line}");
     ExitCode::from(1)
+}
+
+/// Prints a line on standard output, for a command that has more to do. If the reader of the output has closed
+/// it, the line is dropped and the command goes on.
+///
+/// # Errors
+/// When standard output cannot be written for another reason.
+pub(crate) fn print_line(line: impl Display) -> Result<()> {
+    match writeln!(std::io::stdout().lock(), "{line}") {
+        Err(error) if is_broken_pipe(&error) => Ok(()),
+        written => written.context("cannot write to stdout"),
+    }
 }
 
 fn is_broken_pipe(error: &(dyn std::error::Error + 'static)) -> bool {

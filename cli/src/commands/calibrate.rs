@@ -5,6 +5,7 @@ use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
 use crate::collection::manifest_of;
+use crate::program::print_line;
 use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
@@ -233,7 +234,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         if let Some(path) = &options.table {
             manifest_of_table(options, &report, renderer.as_ref()).write(path)?;
         }
-        say(&report, out);
+        say(&report, out)?;
         if stopped() {
             note("interrupted; the model was fitted to the frames measured until then");
             break;
@@ -296,16 +297,16 @@ fn from_tables(options: &Options) -> Result<()> {
         let priors = priors_of(options, shading, &typical_costs_of(&tables))?;
         let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, &threads)?;
         write_whole(&out, &file.to_bytes()?)?;
-        say(&report, &out);
+        say(&report, &out)?;
     }
     Ok(())
 }
 
 /// Prints the report of a calibration whose model was written to `out`.
-fn say(report: &Report, out: &Path) {
-    print!("{}", report.text());
+fn say(report: &Report, out: &Path) -> Result<()> {
+    print_line(report.text().trim_end())?;
     for warning in report.warnings() {
-        println!("{:<11}{warning}", "note");
+        print_line(format!("{:<11}{warning}", "note"))?;
     }
-    println!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds);
+    print_line(format!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds))
 }

@@ -6,6 +6,7 @@ use crate::calibrate::pool::SMALL_VOLUME;
 use crate::calibrate::{Calibrated, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
 use crate::commands::steer::{INTERRUPTED, describe};
+use crate::program::print_line;
 use crate::shipped::shipped_priors;
 use crate::steering::calibrate::CALIBRATION_STEPS;
 use crate::steering::contenders::ControllerKind;
@@ -225,7 +226,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
     let view = volume.view();
     let described = describe(&shown, &volume, factor);
-    println!("volume     {described}");
+    print_line(format!("volume     {described}"))?;
     let path_file = Generated::Switches.path(&view, options.frames)?;
     let path = path_file.resolve()?;
 
@@ -235,17 +236,17 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     let (machines, clock) = machine_model_for(options.render.shade.into(), options.clock, renderer.as_ref())?;
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
-    println!("clock      {}", clock.name());
+    print_line(format!("clock      {}", clock.name()))?;
     let asked = DrawSettings::new(options.size, &options.render, clock);
     let renderings = (7 * options.scenes + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;
     let draw = fit_size(asked, &view, renderings, renderer.as_mut())?;
     let shrunk = draw != asked;
-    println!(
+    print_line(format!(
         "images     {} x {} pixels{}",
         draw.width,
         draw.height,
         if shrunk { ", made smaller so that the demo ends in time" } else { "" }
-    );
+    ))?;
     let seed_name = volume.name().to_owned();
     let machines = match machines {
         None => calibrated(options, &draw, &file, renderer.as_mut(), &stop).context("cannot calibrate")?,
@@ -268,15 +269,18 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         prior,
     };
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
-    println!("predictor  {}", prepared.predictor.sentence());
-    println!(
+    print_line(format!("predictor  {}", prepared.predictor.sentence()))?;
+    print_line(format!(
         "reference  {:.1} ms at the reference step, median of {} random scenes",
         prepared.full_quality * 1e3,
         options.scenes
-    );
+    ))?;
     let target = format!("{:.1} ms: {}", prepared.target * 1e3, prepared.target_reason);
-    println!("target     {target}");
-    println!("fixed step {:.2}, at which the median random scene meets the target", prepared.fixed_step);
+    print_line(format!("target     {target}"))?;
+    print_line(format!(
+        "fixed step {:.2}, at which the median random scene meets the target",
+        prepared.fixed_step
+    ))?;
 
     let keep = path.switches();
     let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;

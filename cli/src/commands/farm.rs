@@ -1,5 +1,6 @@
 //! `entire farm`: render an image database by local processes, HyperQueue or Slurm.
 
+use crate::program::print_line;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_farm::database::{self, Database};
@@ -188,17 +189,17 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         let planner = database.plan(base, setting(options, 1));
         save_tasks(&job, &planner, file)?;
     }
-    println!(
+    print_line(format!(
         "{} of {} images, {} of them rendered in this run, which took {}",
         summary.done,
         summary.tasks,
         summary.now,
         duration(summary.seconds)
-    );
-    println!("{}", job.output.join("data.csv").display());
+    ))?;
+    print_line(job.output.join("data.csv").display())?;
     if let Some(file) = &options.report {
         report::write(&job, file)?;
-        println!("{}", file.display());
+        print_line(file.display())?;
     }
     ensure!(
         summary.quarantined.is_empty(),

@@ -1,5 +1,6 @@
 //! `entire features`: scene features of the frames of timing tables, stored beside them.
 
+use crate::program::print_line;
 use anyhow::{Context, Result, ensure};
 use entire_core::nn::VolumeNet;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
@@ -102,7 +103,7 @@ pub fn run(options: &Options) -> Result<()> {
         let out = FeatureTable::path_for(path);
         let columns_count = columns.len();
         FeatureTable::new(columns, &numbers, rows.concat(), tables[0].hash)?.write(&out)?;
-        println!("{} frames, {columns_count} columns in {}", numbers.len(), out.display());
+        print_line(format!("{} frames, {columns_count} columns in {}", numbers.len(), out.display()))?;
     }
     Ok(())
 }

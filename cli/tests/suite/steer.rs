@@ -4,6 +4,7 @@ use crate::ball;
 use crate::support::{entire, entire_in, json, stderr, stdout, succeeds, words};
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 /// Returns a folder with a volume, ball.nrrd.
 fn setting() -> tempfile::TempDir {
@@ -100,6 +101,22 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(manifest["files"].as_object().unwrap().contains_key("ball.nrrd"), "{manifest}");
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
+}
+
+/// Checks that the demo writes its files also if the reader of its output closes it.
+#[test]
+fn a_demo_that_nobody_reads_writes_its_report() {
+    let dir = setting();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_entire"))
+        .args(words("demo ball.nrrd --out out --frames 16 --scenes 4 --size 40x40 --device cpu"))
+        .current_dir(dir.path())
+        .env("XDG_DATA_HOME", dir.path())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success());
+    check_report(&dir.path().join("out"), 5, 16);
 }
 
 /// Checks that the machine's model is calibrated with the volumes in data/, but not with the played volume.

@@ -9,6 +9,7 @@ use entire_steer::predict::{Quality, load};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::Path;
+use std::process::{Command, Stdio};
 use tempfile::TempDir;
 
 #[track_caller]
@@ -24,6 +25,18 @@ fn fails(data: &TempDir, line: &str, code: i32, expected: &str) {
     let err = stderr(&output);
     assert_eq!(output.status.code(), Some(code), "{line}\n{err}");
     assert!(err.contains(expected) && !err.contains("panicked"), "{line}\n{err}");
+}
+
+/// Runs a command that must succeed although the reader of its output closes it.
+fn unread(data: &TempDir, line: &str) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_entire"))
+        .args(words(line))
+        .current_dir(data.path())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success(), "{line}");
 }
 
 fn text_of(data: &TempDir, name: &str) -> String {
@@ -132,6 +145,9 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     for name in ["report.html", "errors.svg", "bias.svg", "scatter-1.svg", "scatter-2.svg"] {
         assert!(text_of(&data, &format!("evaluation/{name}")).len() > 500, "{name}");
     }
+
+    unread(&data, "evaluate --quiet --model m.safetensors --data t.csv --out unread");
+    assert!(text_of(&data, "unread/report.html").len() > 500);
 
     // Fine-tuning keeps the standardization of the inputs and changes the weights.
     let tune = "train --quiet --data t.csv --out tuned.safetensors --fine-tune m.safetensors";
@@ -307,6 +323,14 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
     text.push('\n');
     std::fs::write(data.path().join("t.csv"), text).unwrap();
     fails(&data, evaluate, 1, "`entire features`");
+}
+
+#[test]
+fn features_of_every_table_are_written_if_nobody_reads_the_output() {
+    let data = data(1);
+    std::fs::copy(data.path().join("t.csv"), data.path().join("u.csv")).unwrap();
+    unread(&data, "features --data t.csv u.csv");
+    assert!(data.path().join("t.features.csv.gz").exists() && data.path().join("u.features.csv.gz").exists());
 }
 
 #[test]

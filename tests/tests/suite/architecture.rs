@@ -238,7 +238,7 @@ const CLI: &Rooms = &[
     ("collection", &[]),
     ("calibrate", &["collection", "pictures"]),
     ("steering", &["calibrate", "pictures", "shipped"]),
-    ("commands", &["calibrate", "collection", "pictures", "shipped", "steering"]),
+    ("commands", &["calibrate", "collection", "pictures", "program", "shipped", "steering"]),
     ("command_line", &["commands", "program"]),
 ];
 

@@ -189,7 +189,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let name = format!("mean time of {:.0} % of each volume's frames", 100.0 * PROBE_SHARE);
     predictors.push(Predictor { constant: true, ..assess(name, constant, None)? });
 
-    let mut sessions = BTreeMap::new();
+    let (mut sessions, mut lines) = (BTreeMap::new(), Vec::new());
     if let Some(heard) = options.observed {
         ensure!(
             heard < refs.len(),
@@ -201,14 +201,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 in_session(&m.model, &tables, &refs, &measured).with_context(|| m.name.clone())?;
             let metrics =
                 Metrics::new(&predicted[heard..], &measured[heard..]).context("no frames are left")?;
-            println!(
+            lines.push(format!(
                 "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, median error {:.2} % on the other \
                  {} frames",
                 m.name,
                 metrics.rmse_over_sd,
                 100.0 * metrics.mdape,
                 metrics.frames
-            );
+            ));
             sessions.insert(m.name.clone(), metrics);
         }
     }
@@ -229,8 +229,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         predictors: &predictors,
     };
     let (overall, bias, by_group) = tables_of(&predictors, options.by);
-    println!("{}", overall.to_text());
     let more = detail_table(&predictors, &noise_by_kind);
+    // The files are written before anything is printed: a closed standard output ends the command.
+    let written = options.out.as_deref().map_or(Ok(()), |out| {
+        write_report(out, &evaluation, &refs, &measured, &groups, [&overall, &bias, &by_group, &more])
+    });
+    lines.iter().for_each(|line| println!("{line}"));
+    println!("{}", overall.to_text());
     println!("{}", more.to_text());
     println!(
         "median of predicted / measured - 1, in %, of each tenth of the frames, from the fastest to the slowest"
@@ -238,8 +243,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     println!("{}", bias.to_text());
     println!("{}", by_group.to_text());
     println!("{}", noise_text(noise));
+    written?;
     if let Some(out) = &options.out {
-        write_report(out, &evaluation, &refs, &measured, &groups, [&overall, &bias, &by_group, &more])?;
         println!("wrote {}", out.join("report.html").display());
     }
     Ok(())
