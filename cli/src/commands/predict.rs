@@ -7,7 +7,7 @@ use entire_core::nn::PredNet;
 use entire_io::files::{digits, note, open_model};
 use entire_io::options::ShadeOption;
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
-use std::io::{BufWriter, Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Predict frame times, in seconds, from a table of model inputs.
@@ -61,11 +61,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(clock) = entire_io::clock::of(&model) {
         note(&format!("{} predicts {} seconds", path.display(), clock.name()));
     }
-    let mut out = BufWriter::new(std::io::stdout().lock());
-    for value in seconds {
-        writeln!(out, "{}", digits(value))?;
-    }
-    out.flush()?;
+    print!("{}", seconds.into_iter().map(|value| digits(value) + "\n").collect::<String>());
     Ok(())
 }
 

@@ -5,7 +5,6 @@ use entire_io::device::{self, Device};
 use entire_vk_raycaster::{Probe, ProbeOptions, WorkCounts, probe};
 use serde_json::json;
 use std::fmt::Write as _;
-use std::io::Write;
 
 /// Measure how many rays, samples and skips of empty space this machine renders per second.
 ///
@@ -63,7 +62,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         ProbeOptions { frame_seconds: options.frame_ms * 1e-3, repeats: options.repeats as usize };
     let found = probe(&mut *renderer, options_of_probe).context("the probe could not be rendered")?;
     let text = if options.json { as_json(&found) } else { as_text(&found) };
-    writeln!(std::io::stdout().lock(), "{text}")?;
+    println!("{text}");
     let (largest, mean) = (found.agreement.largest, found.agreement.mean);
     anyhow::ensure!(
         largest <= LARGEST && mean <= MEAN,

@@ -13,7 +13,6 @@ use entire_io::volume::numbers_in;
 use entire_report::encode_png;
 use entire_vk_raycaster::Rendered;
 use serde_json::json;
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Render one frame and time it.
@@ -146,7 +145,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
     let clock = repeats.first().map_or("wall", |time| time.source());
     let median = median(&mut seconds.clone()).unwrap_or(f64::NAN);
-    let mut out = std::io::stdout().lock();
     if options.json {
         let range = view.range();
         let json = json!({
@@ -188,17 +186,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "shaded": counts.map(|c| c.shaded),
             "out": options.out.to_string_lossy(),
         });
-        writeln!(out, "{json}")?;
+        println!("{json}");
     } else {
         let samples = counts.map_or_else(String::new, |c| format!(", {} samples", c.samples));
         let of = if seconds.len() > 1 { format!(", median of {}", seconds.len()) } else { String::new() };
-        writeln!(
-            out,
+        println!(
             "{:.3} ms ({clock} time{of}){samples} on {}; wrote {}",
             median * 1e3,
             renderer.device(),
             options.out.display()
-        )?;
+        );
     }
     Ok(())
 }

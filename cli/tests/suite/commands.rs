@@ -303,10 +303,21 @@ fn a_closed_pipe_is_no_error() {
 #[test]
 #[cfg(target_os = "linux")]
 fn output_that_cannot_be_written_is_an_error() {
-    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_entire")).arg("doctor").stdout(full).output().unwrap();
-    assert_eq!(output.status.code(), Some(1));
-    assert!(stderr(&output).contains("cannot write to stdout: No space"), "{}", stderr(&output));
+    let folder = workshop();
+    for line in [
+        "doctor",
+        "predict --model pred.safetensors --inputs rows.csv",
+        "encode --model volume.safetensors ball.nrrd",
+        "render ball.nrrd --camera 0,0,2 --tf 0.5,0.1,0.5 --size 8x8 --out o.png --device cpu",
+        "probe --device cpu --frame-ms 0.1 --repeats 1",
+    ] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+        let output = command.args(words(line)).current_dir(folder.path()).stdout(full).output().unwrap();
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{line}: {said}");
+        assert!(said.contains("cannot write to stdout: No space"), "{line}: {said}");
+    }
 }
 
 #[test]
