@@ -90,6 +90,10 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, farm)?;
     let [low, middle, high] = eta(&plan, &expected, tasks, farm)?;
+    ensure!(
+        line.makespan.is_finite() && high.is_finite(),
+        "the schedule takes more seconds than a number can hold; check --dispatch and the unit of load_s"
+    );
     let bound = lower_bound(&expected, speeds)?;
     if out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         let spans: Vec<serde_json::Value> = line

@@ -313,6 +313,8 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     }
     let many = words("schedule tasks.csv --nodes 9000000000000 --out a.csv");
     refuses(dir.path(), &many, &["--nodes is"]);
+    let long = words("schedule tasks.csv --nodes 1 --method queue --dispatch 1e308 --out a.csv");
+    refuses(dir.path(), &long, &["more seconds than a number can hold", "--dispatch"]);
     // Workers of another farm run the template's bundles; the report covers their images.
     for order in std::fs::read_dir(dir.path().join("db.cdb/.farm/orders")).unwrap() {
         let number = order.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned();
