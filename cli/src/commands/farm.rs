@@ -359,6 +359,7 @@ fn export(
             let volume = planner.learner().shape().volume(tasks[0] as usize);
             let load = planner.loads.seconds(volume, false);
             let upper_s = planner.learner().upper(&tasks, 0.99) + 2.0 * load + 60.0;
+            let upper_s = upper_s.min(options.time_limit.unwrap_or(f64::INFINITY));
             let orders = tasks.iter().map(|t| database.order(*t, planner.expected(*t))).collect();
             Bundle { number: (database.run() << 32) + k as u64, slot: None, orders, upper_s }
         })
