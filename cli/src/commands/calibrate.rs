@@ -108,7 +108,7 @@ pub(crate) struct Options {
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
     /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
-    #[arg(long, value_name = "FOLDER", requires = "data")]
+    #[arg(long, value_name = "FOLDER", requires = "data", conflicts_with = "volumes")]
     pub(crate) root: Option<PathBuf>,
     /// Threads that compute scene features; default: all logical processors.
     #[arg(long)]

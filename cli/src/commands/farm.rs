@@ -77,7 +77,8 @@ pub struct Options {
     #[arg(long)]
     pub preview: bool,
     /// Render nothing: print the volume files in their order, with their time steps.
-    #[arg(long, conflicts_with_all = ["dry_run", "openjd", "resume", "report", "save_tasks"])]
+    #[arg(long, conflicts_with_all = ["dry_run", "openjd", "resume", "report", "save_tasks", "verify",
+        "retry_quarantined", "preview", "deadline", "price", "slots", "order", "overhead"])]
     pub list: bool,
     /// Render nothing: print plan, cost and expected end.
     #[arg(long)]
@@ -119,7 +120,8 @@ pub struct Options {
     pub save_tasks: Option<PathBuf>,
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of about equal expected
     /// time.
-    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["dry_run", "report", "save_tasks", "preview"])]
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["dry_run", "report", "save_tasks", "preview",
+        "deadline", "price"])]
     pub openjd: Option<PathBuf>,
 }
 

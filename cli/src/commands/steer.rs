@@ -57,7 +57,7 @@ pub(crate) struct Options {
     #[arg(long, default_value_t = 120, value_name = "N", conflicts_with = "path")]
     pub(crate) frames: u32,
     /// Also write the generated path to a file.
-    #[arg(long, value_name = "FILE.json", requires = "generate")]
+    #[arg(long, value_name = "FILE.json", conflicts_with = "path")]
     pub(crate) save_path: Option<PathBuf>,
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
@@ -72,7 +72,12 @@ pub(crate) struct Options {
     /// Coarsest image of the hybrid controller, in pixels between rays along each side; the hybrid coarsens
     /// step or image size, whichever adds less error. Smaller images are enlarged to full size before
     /// pictures are compared. 1 keeps the full image size.
-    #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
+    #[arg(
+        long,
+        default_value_t = MAX_IMAGE_SAMPLE_DISTANCE,
+        value_name = "PIXELS",
+        value_parser = parse_distance
+    )]
     pub(crate) max_image_sample_distance: f32,
     /// Write every drawn frame into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
@@ -132,6 +137,9 @@ pub(crate) struct Options {
     pub(crate) pictures: Vec<usize>,
 }
 
+/// Default of `--max-image-sample-distance`, in pixels between rays.
+const MAX_IMAGE_SAMPLE_DISTANCE: f32 = 4.0;
+
 /// Message after Ctrl-C.
 pub(super) const INTERRUPTED: &str = "interrupted; nothing was written";
 
@@ -164,6 +172,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         "--scenes is {} and --repeats {}; at least 4 scenes, rendered at least once, are needed",
         options.scenes,
         options.repeats
+    );
+    ensure!(
+        options.max_image_sample_distance == MAX_IMAGE_SAMPLE_DISTANCE
+            || options.controllers.contains(&ControllerKind::Hybrid),
+        "--max-image-sample-distance is for the controller hybrid; leave it out, or name hybrid too"
     );
     let hold = parse_hold(options.volumes.len(), options.hold)?;
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;

@@ -179,6 +179,9 @@ fn what_cannot_be_calibrated_is_said() {
     volumes(at);
     refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
     refuses_after_output(at, "calibrate gone.nrrd --out m.safetensors", &["gone.nrrd"]);
+    // --root is for tables alone.
+    let output = entire(at, &words("calibrate a.nrrd --root . --out m.safetensors"));
+    assert!(output.status.code() == Some(2) && stderr(&output).contains("--root"), "{}", stderr(&output));
     // The CPU version has no time stamps.
     let line = format!("calibrate a.nrrd --clock device --out m.safetensors {QUICK}");
     refuses_after_output(at, &line, &["no clock device", "--clock"]);

@@ -309,6 +309,10 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         (&["--deadline", "1h"], "--dry-run"),
         (&["--openjd", "u.json", "--report", "r.html"], "--report"),
         (&["--openjd", "u.json", "--save-tasks", "u.csv"], "--save-tasks"),
+        (&["--openjd", "u.json", "--deadline", "1h"], "--deadline"),
+        (&["--list", "--verify"], "--verify"),
+        (&["--list", "--price", "1"], "--price"),
+        (&["--list", "--slots", "2"], "--slots"),
     ] {
         let output = entire(dir.path(), &[&["farm", "job.toml"], more].concat());
         assert!(output.status.code() == Some(2) && stderr(&output).contains(part), "{}", stderr(&output));

@@ -180,6 +180,7 @@ fn bad_input_is_one_line_and_status_1() {
         ("--target 9ms --limits 4,2", "step limits"),
         ("--target 9ms --scenes 3", "at least 4 scenes"),
         ("--target 9ms --controllers pid,pid", "twice"),
+        ("--target 9ms --controllers pid --max-image-sample-distance 2", "for the controller hybrid"),
         ("--target 9ms --frames 2", "8 to 1000000 frames"),
         ("--target 9ms --clock device", "no device clock"),
         ("--target 9ms --model /no/such/model", "/no/such/model"),
@@ -190,7 +191,11 @@ fn bad_input_is_one_line_and_status_1() {
     }
     let (code, text) = with("--target 9ms --path bad.json");
     assert!(code == Some(1) && text.contains("bad.json is no path: there is no keyframe"), "{text}");
-    for usage in ["--target 9ms", "--target 9ms --size 9 --generate orbit"] {
+    for usage in [
+        "--target 9ms",
+        "--target 9ms --size 9 --generate orbit",
+        "--target 9ms --path bad.json --save-path copy.json",
+    ] {
         assert_eq!(with(usage).0, Some(2), "{usage}");
     }
     let (code, text) = with("--target 9ms --max-image-sample-distance 0.5 --generate orbit");
