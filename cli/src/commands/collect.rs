@@ -157,7 +157,9 @@ fn jobs(options: &Options) -> Result<Vec<Job>> {
 /// Checks that every volume exists and is given once.
 fn check(jobs: &[Job], remedy: &str) -> Result<()> {
     for job in jobs {
-        ensure!(job.path.is_file(), "{}: no such file; {remedy}", job.path.display());
+        let shown = job.path.display();
+        ensure!(!job.path.is_dir(), "{shown}: is a folder; name volume files in it");
+        ensure!(job.path.is_file(), "{shown}: no such file; {remedy}");
     }
     let mut paths: Vec<&PathBuf> = jobs.iter().map(|j| &j.path).collect();
     paths.sort();

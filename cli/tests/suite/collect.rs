@@ -131,7 +131,7 @@ fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
     let missing = dir.path().join("missing.nrrd");
     let broken = dir.path().join("broken.nrrd");
     std::fs::write(&broken, "NRRD0004\ntype: uint8\n").unwrap();
-    let cases: [(&Path, &[&str], &str); 8] = [
+    let cases: [(&Path, &[&str], &str); 9] = [
         (&missing, &[], "no such file"),
         (&broken, &[], "broken.nrrd"),
         (&volume, &["--min-size", "0"], "image sides"),
@@ -140,6 +140,7 @@ fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
         (&volume, &["--steps", "0"], "ray steps"),
         (&volume, &["--frames", "0"], "at least 1"),
         (&volume, &["--enlarge", "99", "--frames", "1"], "whole factors"),
+        (dir.path(), &[], "is a folder"),
     ];
     for (volume, more, expected) in cases {
         let _ = std::fs::remove_file(&out);
