@@ -206,11 +206,13 @@ pub(super) fn hide_fill(
     })
 }
 
-/// Returns a note if the values of unsigned bytes fill only a small part of the range that maps to [0, 1].
+/// Returns a note if unsigned bytes of different values fill only a small part of the range that maps to
+/// [0, 1].
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
     let bytes = matches!(view.scalars(), Scalars::U8(_));
-    let narrow = bytes && range == Range::Default && view.range() != (low, high) && high - low < NARROW;
+    let spans = low < high && high - low < NARROW;
+    let narrow = bytes && range == Range::Default && view.range() != (low, high) && spans;
     narrow.then(|| {
         format!(
             "its bytes hold {low} to {high}, a small part of the range 0 to 255 that the transfer function \
