@@ -14,7 +14,7 @@ pub(super) struct Several {
     pub(super) names: Vec<String>,
     /// Number of axes of each file; default: one less than the volume has. If each file has as many axes as
     /// the volume, it is a slab along the slowest axis.
-    pub(super) axes: Option<usize>,
+    pub(super) axes: Option<i64>,
 }
 
 impl Several {
@@ -22,7 +22,7 @@ impl Several {
     pub(super) fn list(value: &str, stream: &mut Stream<'_>) -> Result<Self> {
         let axes = match value.split_whitespace().nth(1) {
             // MetaImage writes 2D where NRRD writes 2.
-            Some(word) => Some(whole(word.trim_end_matches(['d', 'D']))? as usize),
+            Some(word) => Some(whole(word.trim_end_matches(['d', 'D']))?),
             None => None,
         };
         let mut names = Vec::new();
@@ -48,7 +48,7 @@ impl Several {
             bail!("{value:?} is no pattern of file names; accepted is \"name%03d.raw FIRST LAST STEP\"");
         }
         let (first, last, step) = (whole(words[1])?, whole(words[2])?, whole(words[3])?);
-        let axes = words.get(4).map(|word| whole(word)).transpose()?.map(|n| n as usize);
+        let axes = words.get(4).map(|word| whole(word)).transpose()?;
         let span = last - first;
         ensure!(
             step != 0 && (span == 0 || (span > 0) == (step > 0)),
@@ -65,12 +65,13 @@ impl Several {
         let product = |sizes: &[u64]| sizes.iter().try_fold(1u64, |p, &n| p.checked_mul(n));
         let all = product(sizes).context("the sizes in the header multiply to more than can be addressed")?;
         let files = self.names.len() as u64;
-        let axes = self.axes.unwrap_or(sizes.len().saturating_sub(1));
+        let axes = self.axes.unwrap_or(sizes.len() as i64 - 1);
         ensure!(
-            (1..=sizes.len()).contains(&axes),
+            (1..=sizes.len() as i64).contains(&axes),
             "each of the files is said to hold {axes} axes; 1 to {} are possible",
             sizes.len()
         );
+        let axes = axes as usize;
         if axes == sizes.len() {
             let slowest = sizes[axes - 1];
             ensure!(
@@ -195,7 +196,7 @@ mod tests {
 
     #[test]
     fn every_file_holds_the_same_part_of_the_axes() {
-        let each = |files: usize, axes: Option<usize>| {
+        let each = |files: usize, axes: Option<i64>| {
             Several { names: vec![String::new(); files], axes }.voxels_each(&[12, 10, 8])
         };
         assert_eq!(each(8, None).unwrap(), 120);
@@ -204,5 +205,6 @@ mod tests {
         assert!(each(7, None).unwrap_err().to_string().contains("over 8 files of 2 axes each, 7 are named"));
         assert!(each(3, Some(3)).unwrap_err().to_string().contains("equal slabs"));
         assert!(each(3, Some(4)).is_err() && each(3, Some(0)).is_err());
+        assert!(each(3, Some(-1)).unwrap_err().to_string().contains("said to hold -1 axes"));
     }
 }
