@@ -405,7 +405,7 @@ fn bad_input_is_refused_with_a_reason() {
     let nan: Vec<f32> = x.iter().enumerate().map(|(i, v)| if i == 5 { f32::NAN } else { *v }).collect();
     let zero: Vec<f64> = t.iter().enumerate().map(|(i, v)| if i == 3 { 0.0 } else { *v }).collect();
     type Case<'a> = (Samples<'a>, Samples<'a>, fn(&mut Settings), &'a str);
-    let cases: [Case<'_>; 13] = [
+    let cases: [Case<'_>; 15] = [
         (NONE, good, |_| (), "no training frames"),
         (Samples { inputs: &x[..19], ..good }, NONE, |_| (), "19 inputs for 10 frames"),
         (Samples { inputs: &nan, ..good }, NONE, |_| (), "input 1 of frame 2 is NaN"),
@@ -417,7 +417,9 @@ fn bad_input_is_refused_with_a_reason() {
         (good, NONE, |s| s.learning_rate = f64::NAN, "learning rate"),
         (good, NONE, |s| s.clip_norm = 0.0, "clipping norm"),
         (good, NONE, |s| s.loss = Loss::Huber { delta: -1.0 }, "Huber delta"),
+        (good, NONE, |s| s.loss = Loss::Huber { delta: 1e-50 }, "Huber delta"),
         (good, NONE, |s| s.loss = Loss::Pinball { quantile: 1.0 }, "pinball quantile"),
+        (good, NONE, |s| s.loss = Loss::Pinball { quantile: 1.0 - 1e-12 }, "pinball quantile"),
         (
             good,
             NONE,

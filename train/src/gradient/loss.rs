@@ -28,11 +28,14 @@ pub enum Loss {
 impl Loss {
     pub(crate) fn check(self) -> Result<()> {
         match self {
-            Self::Huber { delta } if !(delta.is_finite() && delta > 0.0) => {
-                bail!("Huber delta is {delta}; it must be finite and positive")
+            Self::Huber { delta } if !(delta.is_finite() && delta as f32 > 0.0) => {
+                bail!("Huber delta is {delta}; it must be finite and positive, also as a 32-bit float")
             }
-            Self::Pinball { quantile } if !(quantile > 0.0 && quantile < 1.0) => {
-                bail!("pinball quantile is {quantile}; it must lie between 0 and 1, both excluded")
+            Self::Pinball { quantile } if !(quantile as f32 > 0.0 && (quantile as f32) < 1.0) => {
+                bail!(
+                    "pinball quantile is {quantile}; it must lie between 0 and 1, both excluded, also as a \
+                     32-bit float"
+                )
             }
             _ => Ok(()),
         }
