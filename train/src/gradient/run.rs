@@ -470,7 +470,9 @@ pub fn train<T: Real>(
             let validation_loss = validate(pool, &trainer, &judged).unwrap_or(training_loss);
             let record = EpochRecord { epoch, training_loss, validation_loss };
             history.push(record);
-            if !validation_loss.is_finite() {
+            // The last step of an epoch follows its training loss, so the weights are checked too.
+            let finite = trainer.network().parameters().iter().all(|p| p.is_finite());
+            if !(validation_loss.is_finite() && finite) {
                 stop = Stop::Diverged;
                 break 'epochs;
             }
