@@ -479,7 +479,8 @@ impl Recipe {
         let mut members = Vec::with_capacity(self.ensemble);
         let mut outcomes = Vec::with_capacity(self.ensemble);
         let mut first = None;
-        for seed in (self.seed..).take(self.ensemble) {
+        for member in 0..self.ensemble as u64 {
+            let seed = self.seed.wrapping_add(member);
             let network = Network::random(widths, seed)?;
             let settings = Settings { seed, ..*settings };
             let (parts, history, outcome) = run_training(context, network, None, samples, &settings)?;

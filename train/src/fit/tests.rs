@@ -201,6 +201,8 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
     assert_eq!((each.len(), two.history.len()), (2, 2));
     assert!(each[0].starts_with("network 1: all 2 epochs done, "), "{each:?}");
     assert!(each[1].starts_with("network 2: all 2 epochs done, "), "{each:?}");
+    // After the largest seed comes 0.
+    in_context(|context| Recipe { seed: u64::MAX, ..recipe(2) }.make(context, part, part).unwrap());
     // The flag is raised after the first network: its weights are kept, without those of an interrupted network.
     let alone = made(1);
     for seen in 0..8 {
