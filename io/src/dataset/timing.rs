@@ -230,12 +230,14 @@ impl NoiseFloor {
     pub fn describe(&self) -> String {
         let drift =
             self.drift.map_or(String::new(), |d| format!(", passes differ by {:.1} %", 100.0 * d.exp_m1()));
+        let longer = 100.0 * self.warm_up.exp_m1();
         format!(
             "standard deviation {:.1} % for one repeat of a frame, {:.1} % for the median of its repeats; \
-             the first repeat takes {:.1} % longer than the last{drift}; computed from {} repeated frames",
+             the first repeat takes {:.1} % {} time than the last{drift}; computed from {} repeated frames",
             100.0 * self.log_sd.exp_m1(),
             100.0 * self.log_sd_of_median.exp_m1(),
-            100.0 * self.warm_up.exp_m1(),
+            longer.abs(),
+            if longer < 0.0 { "less" } else { "more" },
             self.frames
         )
     }
