@@ -138,7 +138,8 @@ fn event(line: &str) -> Result<(u64, Action)> {
     let frame =
         fields.remove("frame").context("`frame` is missing, the frame before which the action runs")?;
     let frame = serde_json::from_value(frame).context("`frame`")?;
-    let names: Vec<&str> = fields.keys().map(String::as_str).collect();
+    let mut names: Vec<&str> = fields.keys().map(String::as_str).collect();
+    names.sort_unstable();
     ensure!(
         names.len() == 1,
         "a line has one action, this one has {} ({}); give each action a line",
@@ -175,7 +176,7 @@ mod tests {
             ("{\"frame\": 1, \"spin\": [1, 2]}\n{\"frame\": 0, \"quit\": true}", "line 2 is for frame 0"),
             ("{\"frame\": 1, \"dance\": true}", "line 1"),
             ("{\"spin\": [1, 2]}", "line 1"),
-            ("{\"frame\": 1, \"spin\": [1, 2], \"preset\": \"core\"}", "(spin, preset)"),
+            ("{\"frame\": 1, \"spin\": [1, 2], \"preset\": \"core\"}", "(preset, spin)"),
         ] {
             let e = format!("{:#}", Script::parse(text).unwrap_err());
             assert!(e.contains(says), "{text}: {e}");
