@@ -1,7 +1,6 @@
 //! The command line of `entire`.
 
-use crate::commands;
-use crate::program;
+use crate::{commands, program};
 use clap::{CommandFactory, Parser, Subcommand};
 use entire_io::quiet;
 use std::ffi::OsString;

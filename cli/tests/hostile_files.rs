@@ -116,35 +116,18 @@ enum Change {
     Word(prop::sample::Index, u64),
 }
 
-const WORDS: [&str; 18] = [
-    "0",
-    "1",
-    "2",
-    "-1",
-    "7",
-    "65536",
-    "99999",
-    "4294967295",
-    "4294967296",
-    "9223372036854775807",
-    "18446744073709551615",
-    "18446744073709551616",
-    "1e309",
-    "nan",
-    "inf",
-    "-0",
-    "1e-40",
-    "%",
-];
+const WORDS: &str = "0 1 2 -1 7 65536 99999 4294967295 4294967296 9223372036854775807 18446744073709551615 \
+                     18446744073709551616 1e309 nan inf -0 1e-40 %";
 
 fn change() -> impl Strategy<Value = Change> {
     use prop::sample::Index;
+    let words: Vec<&str> = WORDS.split(' ').collect();
     prop_oneof![
         3 => (any::<Index>(), 1u8..).prop_map(|(at, mask)| Change::Flip(at, mask)),
         1 => any::<Index>().prop_map(Change::Cut),
         1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Remove(at, n)),
         1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Double(at, n)),
-        4 => (any::<Index>(), prop::sample::select(WORDS.to_vec())).prop_map(|(at, w)| Change::Number(at, w)),
+        4 => (any::<Index>(), prop::sample::select(words)).prop_map(|(at, w)| Change::Number(at, w)),
         1 => (any::<Index>(), prop_oneof![Just(0), Just(u64::MAX), Just(1 << 40), any::<u64>()])
             .prop_map(|(at, w)| Change::Word(at, w)),
     ]

@@ -178,8 +178,7 @@ impl Viewpoint {
     /// Turns the view direction at the eye, degrees.
     pub(crate) fn look(&mut self, right: f32, down: f32) {
         let eye = self.eye();
-        self.ry = (self.ry - right) % 360.0;
-        self.rx = (self.rx + down).clamp(-90.0, 90.0);
+        self.orbit(right, down);
         self.target = eye - self.distance * self.axes()[2];
     }
 

@@ -4,6 +4,7 @@ use crate::recording::Recording;
 use anyhow::{Result, bail};
 use entire_core::scene::{Shading, Skipping, VolumeView};
 use entire_steer::Session;
+use entire_vk_raycaster::Image;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -60,6 +61,12 @@ pub trait Host: Send + Sync {
     /// # Errors
     /// When the file cannot be written; the message names the file.
     fn write_whole(&self, file: &Path, bytes: &[u8]) -> Result<()>;
+
+    /// Writes a picture as a PNG file without its opacity: its colors are blended over black.
+    ///
+    /// # Errors
+    /// As [`Host::write_whole`].
+    fn write_picture(&self, file: &Path, picture: &Image) -> Result<()>;
 
     /// Writes a recorded session as a path file.
     ///

@@ -4,7 +4,7 @@ use crate::host::Host;
 use crate::refine::Cursor;
 use anyhow::Result;
 use entire_core::scene::Frame;
-use entire_vk_raycaster::VulkanRaycaster;
+use entire_vk_raycaster::{Image, VulkanRaycaster};
 use std::path::PathBuf;
 
 /// A screenshot that is being drawn.
@@ -14,14 +14,15 @@ pub(crate) struct Screenshot {
     /// Expected seconds of the whole frame.
     expected: f64,
     cursor: Cursor,
-    rgb: Vec<u8>,
+    picture: Image,
 }
 
 impl Screenshot {
     /// A screenshot that has not begun to draw. `expected`: seconds of the whole frame.
     pub(crate) fn new(file: PathBuf, frame: Frame, expected: f64) -> Self {
-        let rgb = vec![0; frame.width as usize * frame.height as usize * 3];
-        Self { file, frame, expected, cursor: Cursor::new(frame.width, frame.height, expected), rgb }
+        let Frame { width, height, .. } = frame;
+        let picture = Image { width, height, rgba: vec![0; width as usize * height as usize * 4] };
+        Self { file, frame, expected, cursor: Cursor::new(width, height, expected), picture }
     }
 
     /// Begins anew, after a change of the transfer function: a picture shows one transfer function.
@@ -43,36 +44,20 @@ impl Screenshot {
         budget: f64,
         host: &dyn Host,
     ) -> Result<bool> {
-        let (frame, rgb) = (&self.frame, &mut self.rgb);
-        let width = frame.width as usize;
+        let (frame, rgba) = (&self.frame, &mut self.picture.rgba);
+        let line = 4 * frame.width as usize;
         self.cursor.slice(budget, |region| {
             let rendered = raycaster.render_region(frame, region)?;
-            let found = rendered.image.rgba.as_chunks::<4>().0.chunks_exact(region.width as usize);
-            for (row, pixels) in found.enumerate() {
-                let start = ((region.y as usize + row) * width + region.x as usize) * 3;
-                let out = &mut rgb[start..start + 3 * region.width as usize];
-                for (out, pixel) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
-                    // Colors are premultiplied: without alpha they are already blended over black.
-                    out.copy_from_slice(&pixel[..3]);
-                }
+            let part = 4 * region.width as usize;
+            for (row, pixels) in rendered.image.rgba.chunks_exact(part).enumerate() {
+                let start = (region.y as usize + row) * line + 4 * region.x as usize;
+                rgba[start..start + part].copy_from_slice(pixels);
             }
             Ok(rendered.time.wall)
         })?;
         if self.cursor.is_done() {
-            host.write_whole(&self.file, &png(frame.width, frame.height, rgb)?)?;
+            host.write_picture(&self.file, &self.picture)?;
         }
         Ok(self.cursor.is_done())
     }
-}
-
-/// A PNG file of 8-bit RGB.
-fn png(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, width, height);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(rgb)?;
-    writer.finish()?;
-    Ok(bytes)
 }

@@ -339,6 +339,21 @@ mod tests {
         (steer, Frame::new(camera, 640, 480).unwrap())
     }
 
+    const RECORD: FrameRecord = FrameRecord {
+        number: 0,
+        seconds: 0.03,
+        cast: 0.02,
+        interface: 0.001,
+        target: 0.03,
+        predicted: 0.028,
+        upper: 0.031,
+        step: 2.0,
+        image_sample_distance: 1.5,
+        reason: Reason::Fits,
+        switched: false,
+        full: 0.1,
+    };
+
     /// Returns the seconds of a frame with fixed costs per ray and per sample.
     fn cost(frame: &Frame) -> f64 {
         f64::from(frame.width) * f64::from(frame.height) * (2e-8 + 4e-7 / f64::from(frame.step))
@@ -354,21 +369,7 @@ mod tests {
             let cast = cost(&planned.frame);
             last = before + cast + after;
             steer.observe(&planned, frame.shading, cast).unwrap();
-            let record = FrameRecord {
-                number,
-                seconds: last,
-                cast,
-                interface: 0.0,
-                target: steer.target,
-                predicted: f64::from(planned.plan.seconds) + planned.other,
-                upper: f64::NAN,
-                step: planned.plan.step,
-                image_sample_distance: planned.plan.image_sample_distance,
-                reason: planned.plan.reason,
-                switched: false,
-                full: f64::NAN,
-            };
-            steer.remember(record, after);
+            steer.remember(FrameRecord { number, seconds: last, cast, ..RECORD }, after);
         }
         assert!((last / steer.target - 1.0).abs() < 0.1, "{last}");
         // With steering off, the full frame is drawn.
@@ -399,21 +400,7 @@ mod tests {
         steer.controller = 1;
         let other = steer.plan(&frame, 0.0).unwrap();
         assert!(other.plan.seconds != learned.plan.seconds);
-        let record = FrameRecord {
-            number: 0,
-            seconds: 0.03,
-            cast: 0.02,
-            interface: 0.001,
-            target: 0.03,
-            predicted: 0.028,
-            upper: 0.031,
-            step: 2.0,
-            image_sample_distance: 1.5,
-            reason: Reason::Fits,
-            switched: false,
-            full: 0.1,
-        };
-        let text = words(&record, "hybrid");
+        let text = words(&RECORD, "hybrid");
         assert!(text.contains("1.5 × 1.5 pixels") && text.contains("upper bound 31.0 ms"), "{text}");
     }
 }

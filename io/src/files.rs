@@ -55,10 +55,8 @@ pub fn open_model(path: &Path) -> Result<Model> {
 pub fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
     let bytes = read_model_bytes(path)?;
     let model = parse_model(path, &bytes)?;
-    match ModelFile::from_bytes(&bytes) {
-        Ok(file) => Ok((file, model)),
-        Err(error) => bail!("{}: {error}", path.display()),
-    }
+    let file = ModelFile::from_bytes(&bytes).map_err(|error| anyhow!("{}: {error}", path.display()))?;
+    Ok((file, model))
 }
 
 /// Checks the path of a model file to be written, and makes its folder.

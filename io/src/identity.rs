@@ -53,20 +53,22 @@ impl Identity {
         let metadata = file.metadata()?;
         let bytes = metadata.len();
         let whole = bytes <= WHOLE;
-        let mut hash = Hash::default();
-        if whole {
-            hash.take(&mut file, bytes)?;
-        } else {
-            for at in [0, (bytes - PART) / 2, bytes - PART] {
-                file.seek(SeekFrom::Start(at))?;
-                hash.take(&mut file, PART)?;
-            }
+        let (mut fnv, mut crc) = (fnv1a(&[]), crc32fast::Hasher::new());
+        let last = bytes.saturating_sub(PART);
+        let places = [0, last / 2, last];
+        let (places, length) = if whole { (&places[..1], bytes) } else { (&places[..], PART) };
+        for &at in places {
+            file.seek(SeekFrom::Start(at))?;
+            let mut part = Vec::new();
+            file.by_ref().take(length).read_to_end(&mut part)?;
+            crc.update(&part);
+            fnv = fnv1a_after(fnv, &part);
         }
         Ok(Self {
             name: name.to_owned(),
             bytes,
             modified_ns: modified_ns(&metadata),
-            hash: hash.text(),
+            hash: format!("{fnv:016x}{:08x}", crc.finalize()),
             whole,
         })
     }
@@ -222,40 +224,6 @@ impl Companions for Noted {
 
     fn ending_in(&self, suffix: &str) -> Vec<String> {
         self.folder.ending_in(suffix)
-    }
-}
-
-/// Two hashes of the same bytes.
-struct Hash {
-    fnv: u64,
-    crc: crc32fast::Hasher,
-}
-
-impl Default for Hash {
-    fn default() -> Self {
-        Self { fnv: fnv1a(&[]), crc: crc32fast::Hasher::new() }
-    }
-}
-
-impl Hash {
-    fn take(&mut self, file: &mut File, most: u64) -> std::io::Result<()> {
-        let mut buffer = vec![0; 1 << 16];
-        let mut file = file.take(most);
-        loop {
-            let count = match file.read(&mut buffer) {
-                Ok(0) => return Ok(()),
-                Ok(count) => count,
-                Err(e) if e.kind() == std::io::ErrorKind::Interrupted => continue,
-                Err(e) => return Err(e),
-            };
-            let bytes = &buffer[..count];
-            self.crc.update(bytes);
-            self.fnv = fnv1a_after(self.fnv, bytes);
-        }
-    }
-
-    fn text(self) -> String {
-        format!("{:016x}{:08x}", self.fnv, self.crc.finalize())
     }
 }
 

@@ -1,10 +1,9 @@
-//! Options of several commands: rendering, reading of volumes, number of threads.
+//! Options of several commands: rendering, number of threads.
 
 use crate::device::Device;
 use crate::machine;
-use crate::volume::{Fill, Range, Reading};
 use anyhow::{Context, Result, bail, ensure};
-use clap::ValueEnum;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use entire_core::scene::{MAX_IMAGE_SIDE, Shading, Skipping};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -12,11 +11,11 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct RenderArgs {
     /// Shading of each sample.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
+    #[arg(long, value_parser = shade_parser(), default_value = "none")]
+    pub shade: Shading,
     /// Skipping of empty space.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
+    #[arg(long, value_parser = skip_parser(), default_value = "blocks")]
+    pub skip: Skipping,
     /// Accumulated opacity at which a ray stops; 1 for never.
     #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
     pub termination: f32,
@@ -25,75 +24,29 @@ pub struct RenderArgs {
     pub device: Device,
 }
 
-/// Reading of volume files, as options.
-#[derive(Clone, Debug, Default, clap::Args)]
-pub struct VolumeArgs {
-    /// Array to read from a VTK file with several arrays; default: its active scalars.
-    #[arg(long, value_name = "NAME")]
-    pub array: Option<String>,
-    /// Fill values, which mark voxels without data: numbers separated by commas, none, or auto for a minimum
-    /// or maximum that is frequent and far from all other values. Such voxels are shown as the low end of the
-    /// range.
-    #[arg(long, default_value_t, value_name = "VALUE,…|auto|none", allow_hyphen_values = true)]
-    pub fill: Fill,
-    /// Scalar range that maps to [0, 1]: two numbers; `data`: the range of the voxel values; `auto`: 0 to
-    /// 255 for unsigned bytes, the range of the voxel values for other types.
-    #[arg(long, default_value_t, value_name = "LO,HI|data|auto", allow_hyphen_values = true)]
-    pub range: Range,
+/// Returns the values of an option, by name, with their descriptions.
+fn described<const N: usize>(names: [&'static str; N], texts: [&'static str; N]) -> Vec<PossibleValue> {
+    names.into_iter().zip(texts).map(|(name, text)| PossibleValue::new(name).help(text)).collect()
 }
 
-impl VolumeArgs {
-    /// Returns the options as volume readers take them.
-    pub fn reading(&self) -> Reading {
-        Reading { array: self.array.clone(), fill: self.fill.clone(), range: self.range }
-    }
+/// Returns the values of `--shade`.
+pub fn shades() -> Vec<PossibleValue> {
+    let lit = "Local lighting with gradients";
+    let both = "Local lighting and single scattering";
+    described(Shading::ALL.map(Shading::name), ["Color and opacity only", lit, "Single scattering", both])
 }
 
-/// [`Shading`] as an option.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum ShadeOption {
-    /// Color and opacity only.
-    #[default]
-    None,
-    /// Local lighting with gradients.
-    Local,
-    /// Single scattering.
-    Scatter,
-    /// Local lighting and single scattering.
-    LocalScatter,
+/// Parser of `--shade`.
+pub fn shade_parser() -> impl TypedValueParser<Value = Shading> {
+    PossibleValuesParser::new(shades()).try_map(|name| name.parse::<Shading>())
 }
 
-impl From<ShadeOption> for Shading {
-    fn from(option: ShadeOption) -> Self {
-        match option {
-            ShadeOption::None => Self::None,
-            ShadeOption::Local => Self::Local,
-            ShadeOption::Scatter => Self::Scatter,
-            ShadeOption::LocalScatter => Self::LocalScatter,
-        }
-    }
-}
-
-/// [`Skipping`] as an option.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum SkipOption {
-    /// Every sample is taken.
-    None,
-    /// Empty blocks are skipped.
-    #[default]
-    Blocks,
-    /// Runs of empty blocks are skipped at once, by a distance map.
-    Distance,
-}
-
-impl From<SkipOption> for Skipping {
-    fn from(option: SkipOption) -> Self {
-        match option {
-            SkipOption::None => Self::None,
-            SkipOption::Blocks => Self::Blocks,
-            SkipOption::Distance => Self::Distance,
-        }
-    }
+/// Parser of `--skip`.
+pub fn skip_parser() -> impl TypedValueParser<Value = Skipping> {
+    let runs = "Runs of empty blocks are skipped at once, by a distance map";
+    let texts = ["Every sample is taken", "Empty blocks are skipped", runs];
+    PossibleValuesParser::new(described(Skipping::ALL.map(Skipping::name), texts))
+        .try_map(|name| name.parse::<Skipping>())
 }
 
 /// Checks the opacity at which a ray stops (`--termination`).

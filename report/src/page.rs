@@ -131,6 +131,7 @@ mod tests {
         page.pictures([(png.as_slice(), "frame 3".to_owned())]);
         page.facts([("machine", "2 cores".to_owned())]);
         let html = page.finish();
+        assert_eq!(html.matches("<svg").count(), 1);
         for word in ["http:", "https:", "src=\"//", "url(", "@import", "<script", "<link"] {
             assert!(!html.contains(word), "{word}");
         }

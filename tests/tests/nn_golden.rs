@@ -3,7 +3,7 @@
 
 use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::model::Model;
-use entire_core::nn::{Dtype, PredNet};
+use entire_core::nn::{Dtype, PredNet, PredScratch};
 use entire_tests::levels::{INSTRUCTION_SETS, on_every_level};
 use libtest_mimic::{Arguments, Trial};
 use serde_json::Value;
@@ -39,6 +39,20 @@ fn stored(model: &Model) -> Dtype {
     model.prednet.as_ref().expect("a PredNet").layers[0].dtype
 }
 
+fn network(model: &Model, level: Level, storage: Storage) -> PredNet {
+    PredNet::with(model.prednet.as_ref().expect("a PredNet"), level, storage).expect("a network")
+}
+
+/// Predicts rows on this thread.
+fn predict(
+    net: &PredNet,
+    rows: &[f32],
+    out: &mut [f32],
+    scratch: &mut PredScratch,
+) -> entire_core::Result<()> {
+    net.predict_batch(Executor::Serial, rows, out, std::slice::from_mut(scratch))
+}
+
 /// Checks the error of predictions, single and in batches. If a format stores the weights exactly, the error
 /// is relative to each result. If it rounds them, the error is relative to the largest result, since rounding
 /// changes a sum that nearly cancels by a large factor.
@@ -48,8 +62,7 @@ fn prednets_agree(level: Level) {
         let name = case["model"].as_str().expect("a name");
         let scale = expected.iter().fold(0.0f64, |m, y| m.max(y.abs()));
         for storage in Storage::ALL {
-            let net =
-                PredNet::with(model.prednet.as_ref().expect("a PredNet"), level, storage).expect("a network");
+            let net = network(&model, level, storage);
             let tolerance = PredNet::tolerance(storage, stored(&model));
             let exact = tolerance == PredNet::tolerance(Storage::F32, stored(&model));
             let allowed = |y: f64| tolerance * if exact { y.abs() } else { scale };
@@ -58,13 +71,7 @@ fn prednets_agree(level: Level) {
             for rows in [1, 2, 5, 192] {
                 let mut scratch = net.scratch(rows).expect("memory");
                 let mut batch = vec![0.0; inputs.len()];
-                net.predict_batch(
-                    Executor::Serial,
-                    &inputs.concat(),
-                    &mut batch,
-                    std::slice::from_mut(&mut scratch),
-                )
-                .expect("a batch");
+                predict(&net, &inputs.concat(), &mut batch, &mut scratch).expect("a batch");
                 for (i, &y) in expected.iter().enumerate() {
                     for (how, found) in [("predict", single[i]), ("predict_batch", batch[i])] {
                         let error = (f64::from(found) - y).abs();
@@ -102,26 +109,13 @@ fn batches_do_not_depend_on_their_cut(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));
         for storage in Storage::ALL {
-            let net =
-                PredNet::with(model.prednet.as_ref().expect("a PredNet"), level, storage).expect("a network");
+            let net = network(&model, level, storage);
             let many: Vec<f32> = inputs.iter().cycle().take(401).flatten().copied().collect();
             let mut expected = vec![0.0; 401];
-            net.predict_batch(
-                Executor::Serial,
-                &many,
-                &mut expected,
-                std::slice::from_mut(&mut net.scratch(192).expect("memory")),
-            )
-            .expect("a batch");
+            predict(&net, &many, &mut expected, &mut net.scratch(192).expect("memory")).expect("a batch");
             for rows in [1, 7, 100, 1000] {
                 let mut found = vec![0.0; 401];
-                net.predict_batch(
-                    Executor::Serial,
-                    &many,
-                    &mut found,
-                    std::slice::from_mut(&mut net.scratch(rows).expect("memory")),
-                )
-                .expect("a batch");
+                predict(&net, &many, &mut found, &mut net.scratch(rows).expect("memory")).expect("a batch");
                 assert_eq!(found, expected, "{rows} rows at once, {storage}");
             }
             for (i, y) in expected.iter().enumerate() {
@@ -135,8 +129,7 @@ fn bad_inputs_have_an_answer(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, _)) = (model(&case), rows(&case));
         for storage in Storage::ALL {
-            let net =
-                PredNet::with(model.prednet.as_ref().expect("a PredNet"), level, storage).expect("a network");
+            let net = network(&model, level, storage);
             let mut scratch = net.scratch(1).expect("memory");
             let row = &inputs[0];
             let good = net.predict(row, &mut scratch);
@@ -153,31 +146,13 @@ fn bad_inputs_have_an_answer(level: Level) {
                     let _ = net.predict(&bad, &mut scratch);
                 }
             }
-            assert_eq!(
-                net.predict(row, &mut scratch).to_bits(),
-                good.to_bits(),
-                "the scratch keeps no trace"
-            );
+            let again = net.predict(row, &mut scratch);
+            assert_eq!(again.to_bits(), good.to_bits(), "the scratch keeps no trace");
             let mut out = [0.0; 2];
-            assert!(
-                net.predict_batch(Executor::Serial, row, &mut out, std::slice::from_mut(&mut scratch))
-                    .is_err(),
-                "inputs for one, outputs for two"
-            );
-            assert!(
-                net.predict_batch(
-                    Executor::Serial,
-                    row,
-                    &mut out[..1],
-                    std::slice::from_mut(&mut Default::default())
-                )
-                .is_err(),
-                "an empty scratch"
-            );
-            assert!(
-                net.predict_batch(Executor::Serial, &[], &mut [], std::slice::from_mut(&mut scratch)).is_ok(),
-                "nothing to do"
-            );
+            assert!(predict(&net, row, &mut out, &mut scratch).is_err(), "inputs for one, outputs for two");
+            let empty = &mut PredScratch::default();
+            assert!(predict(&net, row, &mut out[..1], empty).is_err(), "an empty scratch");
+            assert!(predict(&net, &[], &mut [], &mut scratch).is_ok(), "nothing to do");
         }
     }
 }

@@ -3,8 +3,8 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::kernels::Executor;
-use entire_core::model::{Model, ModelFile};
-use entire_core::nn::{PredNetParts, VolumeNet, VolumeNetParts};
+use entire_core::model::Model;
+use entire_core::nn::{VolumeNet, VolumeNetParts};
 use entire_core::scene::{Arcball, GaussianLobe};
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Scene, Table, TimedFrame};
@@ -18,6 +18,7 @@ use indicatif::ProgressBar;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
+use std::ops::Deref;
 
 /// A VolumeNet, and the name by which feature tables identify its weights.
 #[derive(Debug)]
@@ -41,6 +42,14 @@ impl Encoder {
 pub struct Layout {
     layout: InputLayout,
     encoder: Option<Encoder>,
+}
+
+impl Deref for Layout {
+    type Target = InputLayout;
+
+    fn deref(&self) -> &InputLayout {
+        &self.layout
+    }
 }
 
 impl Layout {
@@ -77,14 +86,15 @@ impl Layout {
 
     /// Returns the layout with another number of rays along each side of the probe; unchanged if no input
     /// needs a probe.
-    pub fn with_probe_side(self, probe_side: usize) -> Self {
-        let probe_side = if self.layout.probe_side > 0 { probe_side } else { 0 };
-        Self { layout: InputLayout { probe_side, ..self.layout }, ..self }
+    pub fn with_probe_side(mut self, probe_side: usize) -> Self {
+        self.layout.probe_side = if self.layout.probe_side > 0 { probe_side } else { 0 };
+        self
     }
 
     /// Returns the layout with Gaussian lobes sorted by center, or in their given order.
-    pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
-        Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
+    pub fn with_sorted_lobes(mut self, sorted_lobes: bool) -> Self {
+        self.layout.sorted_lobes = sorted_lobes;
+        self
     }
 
     /// Number of rays along each side of the probe; 0 if no input needs a probe.
@@ -92,61 +102,19 @@ impl Layout {
         self.layout.probe_side
     }
 
-    /// Number of inputs per frame.
-    pub fn width(&self) -> usize {
-        self.layout.width()
-    }
-
     /// Returns the layout with these unit costs for the quantity `estimated_seconds`.
-    pub(crate) fn with_unit_costs(self, costs: UnitCosts) -> Self {
-        Self {
-            layout: InputLayout {
-                unit_costs: Some(costs),
-                cached_voxels: costs.cached_voxels,
-                ..self.layout
-            },
-            ..self
-        }
-    }
-
-    /// Puts a network with this layout into a model file.
-    ///
-    /// # Errors
-    /// When the parts of the network do not fit together or a weight overflows its format.
-    pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
-        Ok(self.layout.store(net, file)?)
-    }
-
-    /// The groups, in order.
-    pub fn groups(&self) -> impl Iterator<Item = GroupKind> {
-        self.layout.groups.iter().map(|(g, _)| *g)
-    }
-
-    /// The groups with their sizes, in order.
-    pub fn sizes(&self) -> impl Iterator<Item = (GroupKind, usize)> {
-        self.layout.groups.iter().copied()
-    }
-
-    /// The scene features, in order.
-    pub fn scene_features(&self) -> &[SceneFeature] {
-        &self.layout.scene_features
+    pub(crate) fn with_unit_costs(mut self, costs: UnitCosts) -> Self {
+        (self.layout.unit_costs, self.layout.cached_voxels) = (Some(costs), costs.cached_voxels);
+        self
     }
 
     fn encoder(&self) -> Option<&Encoder> {
-        self.encoder.as_ref().filter(|_| self.groups().any(|g| g == GroupKind::VolumeFeatures))
+        self.encoder.as_ref().filter(|_| self.groups.iter().any(|g| g.0 == GroupKind::VolumeFeatures))
     }
 
     /// True if the model takes scene features.
     pub(crate) fn needs_summary(&self) -> bool {
-        self.groups().any(|g| g == GroupKind::SceneFeatures)
-    }
-
-    /// Writes one frame's inputs.
-    ///
-    /// # Errors
-    /// When the size of a group differs from the model's size (another number of lobes, for example).
-    pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
-        Ok(self.layout.write(inputs, row)?)
+        self.groups.iter().any(|g| g.0 == GroupKind::SceneFeatures)
     }
 
     /// Returns the inputs of frames, one row each, in the order of the frames.
@@ -199,7 +167,7 @@ impl Layout {
         let features = table.features.as_ref()?;
         let column = |q: SceneQuantity| features.column(&quantity_column(q, self.probe_side()));
         let mut quantities = HashMap::new();
-        for feature in self.scene_features() {
+        for feature in &self.scene_features {
             quantities.insert(feature.quantity, column(feature.quantity)?);
         }
         // Cost quantities may be missing: `seconds` needs only those whose unit cost is not 0.

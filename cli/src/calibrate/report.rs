@@ -150,31 +150,14 @@ impl Report {
 
     /// The report as a few lines of text.
     pub(crate) fn text(&self) -> String {
-        let mut out = String::new();
-        let line = |out: &mut String, name: &str, value: String| {
-            let _ = writeln!(out, "{name:<11}{value}");
+        let rendered = match self.rounds {
+            0 => String::new(),
+            rounds => format!(", {rounds} rounds, {} warm-up renderings discarded", self.warm_ups),
         };
-        line(
-            &mut out,
-            "measured",
-            format!(
-                "{} frames of {} volumes, shading {}, clock {}{}",
-                self.frames,
-                self.volumes,
-                self.shading,
-                self.clock,
-                if self.rounds == 0 {
-                    String::new()
-                } else {
-                    format!(", {} rounds, {} warm-up renderings discarded", self.rounds, self.warm_ups)
-                }
-            ),
-        );
-        if let Some(noise) = self.noise {
-            line(&mut out, "noise", noise.describe());
-        }
-        let from = self.prior.as_deref().unwrap_or("typical unit costs of this kind of renderer");
-        line(&mut out, "prior", from.into());
+        let (frames, volumes, shading, clock) = (self.frames, self.volumes, self.shading, self.clock);
+        let measured =
+            format!("{frames} frames of {volumes} volumes, shading {shading}, clock {clock}{rendered}");
+        let prior = self.prior.as_deref().unwrap_or("typical unit costs of this kind of renderer").into();
         let interval = self
             .median_error_interval
             .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));
@@ -182,28 +165,32 @@ impl Report {
             0 => ("on the training frames (the error on other volumes is larger)", String::new()),
             folds => ("on held-out volumes", format!(", cross-validated by volume in {folds} folds")),
         };
-        line(
-            &mut out,
-            "to expect",
-            format!(
-                "{place}: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames{how})",
-                100.0 * self.median_error,
-                self.rmse_over_sd,
-                self.judged
-            ),
+        let expected = format!(
+            "{place}: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames{how})",
+            100.0 * self.median_error,
+            self.rmse_over_sd,
+            self.judged
         );
-        if let Some(p) = &self.pictures {
-            let error = match p.error {
-                PictureError::Rmse => "root mean squared difference",
-                PictureError::Ssim => "1 - SSIM",
-            };
-            line(&mut out, "pictures", law_text(&p.fitted, error));
-        } else if self.rounds > 0 {
-            line(
-                &mut out,
-                "pictures",
-                "too few were compared within the time limit, so the model has no quality law".into(),
-            );
+        let pictures = match &self.pictures {
+            Some(Pictures { error: PictureError::Rmse, fitted }) => {
+                Some(law_text(fitted, "root mean squared difference"))
+            }
+            Some(Pictures { error: PictureError::Ssim, fitted }) => Some(law_text(fitted, "1 - SSIM")),
+            None => (self.rounds > 0).then(|| {
+                "too few were compared within the time limit, so the model has no quality law".to_owned()
+            }),
+        };
+        let mut out = String::new();
+        for (name, value) in [
+            ("measured", Some(measured)),
+            ("noise", self.noise.map(|noise| noise.describe())),
+            ("prior", Some(prior)),
+            ("to expect", Some(expected)),
+            ("pictures", pictures),
+        ] {
+            if let Some(value) = value {
+                let _ = writeln!(out, "{name:<11}{value}");
+            }
         }
         out
     }

@@ -10,7 +10,7 @@ use entire_io::scenes::SceneDistribution;
 use entire_io::volume::{Reading, Volume};
 use entire_vk_raycaster::Renderer;
 use serde::Deserialize;
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -221,7 +221,7 @@ impl Protocol {
     }
 
     /// The settings of these jobs for the manifest.
-    pub(crate) fn settings(&self, jobs: &[Job]) -> serde_json::Value {
+    pub(crate) fn settings(&self, jobs: &[Job]) -> Value {
         let mut settings = json!({
             "frames_per_volume": self.frames,
             "warm_up_frames_discarded_per_volume": self.warm_up,
@@ -258,12 +258,7 @@ impl Protocol {
 }
 
 /// Returns the manifest of a new table, without the identities of volume files.
-pub(crate) fn manifest_of(
-    renderer: &dyn Renderer,
-    seed: u64,
-    repeats: u32,
-    settings: serde_json::Value,
-) -> Manifest {
+pub(crate) fn manifest_of(renderer: &dyn Renderer, seed: u64, repeats: u32, settings: Value) -> Manifest {
     Manifest {
         format: MANIFEST_FORMAT.into(),
         created: machine::now(),
@@ -294,35 +289,30 @@ fn driver_of(renderer: &dyn Renderer) -> String {
 /// Differences between two manifests that prevent a table's continuation.
 pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     let mut out = Vec::new();
-    let mut compare = |name: &str, a: serde_json::Value, b: serde_json::Value| {
-        if a != b {
-            out.push(format!("{name} was {a} and is {b} now"));
+    let mut compare = |name: &str, old: Option<&Value>, new: Option<&Value>| {
+        // The old manifest was read from text, so the texts of numbers are compared, too.
+        let [was, is] = [old, new].map(|v| v.map_or("nothing".to_owned(), ToString::to_string));
+        if old != new && was != is {
+            let volumes = "the list of volumes differs (paths, members and order must be the same)";
+            out.push(match name {
+                "volumes" => volumes.to_owned(),
+                _ => format!("{name} was {was} and is {is} now"),
+            });
         }
     };
-    compare("seed", json!(old.seed), json!(new.seed));
-    compare("repeats", json!(old.repeats), json!(new.repeats));
-    compare("renderer", json!(old.renderer), json!(new.renderer));
-    compare("device", json!(old.device), json!(new.device));
-    compare("machine", json!(old.machine), json!(new.machine));
+    for (name, old, new) in [
+        ("seed", json!(old.seed), json!(new.seed)),
+        ("repeats", json!(old.repeats), json!(new.repeats)),
+        ("renderer", json!(old.renderer), json!(new.renderer)),
+        ("device", json!(old.device), json!(new.device)),
+        ("machine", json!(old.machine), json!(new.machine)),
+    ] {
+        compare(name, Some(&old), Some(&new));
+    }
     let empty = serde_json::Map::new();
     let (a, b) = (old.settings.as_object().unwrap_or(&empty), new.settings.as_object().unwrap_or(&empty));
     let names: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
-    for name in names {
-        let (old, new) = (a.get(name), b.get(name));
-        if name == "volumes" && old != new {
-            out.push("the list of volumes differs (paths, members and order must be the same)".into());
-        } else {
-            let mut compare = |a: Option<&serde_json::Value>, b: Option<&serde_json::Value>| {
-                // The old manifest was read from text, so the texts of numbers are compared.
-                let text =
-                    |v: Option<&serde_json::Value>| v.map_or("nothing".to_owned(), ToString::to_string);
-                if text(a) != text(b) {
-                    out.push(format!("{name} was {} and is {} now", text(a), text(b)));
-                }
-            };
-            compare(old, new);
-        }
-    }
+    names.into_iter().for_each(|name| compare(name, a.get(name), b.get(name)));
     let changed = |(name, then): (&String, &Vec<Identity>)| {
         let what = identity::difference(then, new.files.get(name)?)?;
         Some(format!("{name} changed since the table was begun ({what})"))

@@ -195,6 +195,10 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     // A manifest that was written to text and read again has equal numbers.
     let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
     assert_eq!(differences(&back, &base), Vec::<String>::new());
+    let mut sorted = back.clone();
+    let volumes = sorted.settings["volumes"].as_array_mut().unwrap();
+    volumes.iter_mut().for_each(|volume| volume.as_object_mut().unwrap().sort_keys());
+    assert_eq!(differences(&sorted, &base), Vec::<String>::new());
     // The protocol that is read from a manifest equals the protocol that the manifest was written from.
     let twice = Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
     for p in [protocol(), twice] {

@@ -8,14 +8,15 @@ use crate::collection::manifest_of;
 use crate::program::print_line;
 use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
-use entire_core::scene::Shading;
+use clap::builder::{PossibleValue, PossibleValuesParser};
+use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::{Clock, Manifest, Writer, left_out, read_tables};
 use entire_io::device::{self, Device};
 use entire_io::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
 use entire_io::interrupt;
-use entire_io::options::{SkipOption, VolumeArgs, check_termination, thread_pool};
+use entire_io::options::{check_termination, shades, skip_parser, thread_pool};
 use entire_io::progress::templated_bar;
+use entire_io::volume::Reading;
 use entire_steer::predict::UnitCosts;
 use entire_train::fit::{typical_costs, typical_costs_of};
 use entire_vk_raycaster::Renderer;
@@ -56,8 +57,8 @@ pub(crate) struct Options {
     )]
     pub(crate) data: Vec<PathBuf>,
     /// Shading of each sample; `all` calibrates none, local and scatter, one after another.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) shade: ShadeOrAll,
+    #[arg(long, value_parser = shades_or_all(), default_value = "none")]
+    pub(crate) shade: String,
     /// Clock of the predicted seconds: processor time of all threads, wall time, or the device's timestamps;
     /// auto: the device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
@@ -80,10 +81,10 @@ pub(crate) struct Options {
     pub(crate) frames: u32,
     /// Options for reading the volumes.
     #[command(flatten)]
-    pub(crate) volume_args: VolumeArgs,
+    pub(crate) reading: Reading,
     /// Skipping of empty space.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) skip: SkipOption,
+    #[arg(long, value_parser = skip_parser(), default_value = "blocks")]
+    pub(crate) skip: Skipping,
     /// Accumulated opacity at which a ray stops; 1 for never.
     #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
     pub(crate) termination: f32,
@@ -115,31 +116,24 @@ pub(crate) struct Options {
     pub(crate) threads: Option<usize>,
 }
 
-/// A shading mode, or all.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ShadeOrAll {
-    /// Color and opacity only.
-    #[default]
-    None,
-    /// Local lighting with gradients.
-    Local,
-    /// Single scattering.
-    Scatter,
-    /// Local lighting and single scattering.
-    LocalScatter,
-    /// Unshaded, local lighting and single scattering, one after another.
-    All,
+/// Returns the values of --shade.
+fn shades_or_all() -> PossibleValuesParser {
+    let all = "Unshaded, local lighting and single scattering, one after another";
+    let mut values = shades();
+    values.push(PossibleValue::new(ALL).help(all));
+    values.into()
 }
 
-impl ShadeOrAll {
-    fn modes(self) -> &'static [Shading] {
-        match self {
-            Self::None => &[Shading::None],
-            Self::Local => &[Shading::Local],
-            Self::Scatter => &[Shading::Scatter],
-            Self::LocalScatter => &[Shading::LocalScatter],
-            Self::All => &[Shading::None, Shading::Local, Shading::Scatter],
-        }
+/// Value of --shade for several modes.
+const ALL: &str = "all";
+
+impl Options {
+    /// Returns the shading modes to calibrate.
+    fn modes(&self) -> Result<Vec<Shading>> {
+        Ok(match self.shade.as_str() {
+            ALL => vec![Shading::None, Shading::Local, Shading::Scatter],
+            one => vec![one.parse()?],
+        })
     }
 }
 
@@ -156,7 +150,7 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
         None => file_of(shading).context(
             "there is no home folder to keep the machine's model in; name a file with --out, or set XDG_DATA_HOME",
         ),
-        Some(out) if options.shade == ShadeOrAll::All => {
+        Some(out) if options.shade == ALL => {
             let stem = out.file_stem().context("--out names no file")?.to_string_lossy().into_owned();
             Ok(out.with_file_name(format!("{stem}-{shading}.safetensors")))
         }
@@ -184,8 +178,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         options.volumes.clone()
     };
     check_termination(options.termination)?;
-    let outs: Vec<PathBuf> =
-        options.shade.modes().iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
+    let modes = options.modes()?;
+    let outs: Vec<PathBuf> = modes.iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
     for out in &outs {
         make_folder_of(out)?;
         check_model_out(out)?;
@@ -203,14 +197,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let begin = |file: &PathBuf| make_folder_of(file).and_then(|()| Writer::create(file));
     let mut table = options.table.as_ref().map(begin).transpose()?;
     let mut written = 0;
-    println!("renderer   {} ({})", renderer.device(), renderer.backend());
-    for (&shading, out) in options.shade.modes().iter().zip(&outs) {
+    print_line(format!("renderer   {} ({})", renderer.device(), renderer.backend()))?;
+    for (&shading, out) in modes.iter().zip(&outs) {
         let priors = priors_of(options, shading, &typical_costs(renderer.backend(), &renderer.device()))?;
         let settings = Settings {
             volumes: volumes.clone(),
-            reading: options.volume_args.reading(),
+            reading: options.reading.clone(),
             shading,
-            skipping: options.skip.into(),
+            skipping: options.skip,
             termination: options.termination,
             clock,
             seconds: options.seconds,
@@ -245,7 +239,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
 /// The manifest of the measured frames' table.
 fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
-    let settings = json!({ "calibration": true, "reading": options.volume_args.reading() });
+    let settings = json!({ "calibration": true, "reading": options.reading });
     // The number of repeats differs between frames, so the manifest states 0.
     Manifest { files: report.files.clone(), ..manifest_of(renderer, options.seed, 0, settings) }
 }
@@ -288,7 +282,7 @@ fn from_tables(options: &Options) -> Result<()> {
     };
     let clock = entire_io::clock::concrete(asked, tables.iter().flat_map(|t| &t.frames))?;
     say_prior_clock(options, clock)?;
-    for &shading in options.shade.modes() {
+    for shading in options.modes()? {
         let out = out_of(options, shading)?;
         check_model_out(&out)?;
         if let Some(text) = left_out(&tables, clock, Some(shading)) {

@@ -4,14 +4,13 @@ use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pas
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
-use entire_io::device;
 use entire_io::files::{open_volume, read_model_file};
 use entire_io::identity::{self, Identity};
-use entire_io::interrupt;
-use entire_io::machine;
-use entire_io::options::{RenderArgs, VolumeArgs, check_termination};
+use entire_io::options::{RenderArgs, check_termination};
 use entire_io::progress::progress_bar;
 use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
+use entire_io::volume::Reading;
+use entire_io::{device, interrupt, machine};
 use entire_train::teacher::Teacher;
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
@@ -70,7 +69,7 @@ pub(crate) struct Options {
     pub(crate) render: RenderArgs,
     /// Options for reading the volumes.
     #[command(flatten)]
-    pub(crate) volume_args: VolumeArgs,
+    pub(crate) reading: Reading,
     /// Write this model's predicted times instead of rendering the frames, to distill another model from it;
     /// every clock gets the predicted time.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
@@ -129,12 +128,12 @@ fn protocol(options: &Options) -> Protocol {
             max_size: options.max_size,
             steps: options.steps.clone(),
         },
-        shading: options.render.shade.into(),
-        skipping: options.render.skip.into(),
+        shading: options.render.shade,
+        skipping: options.render.skip,
         termination: options.render.termination,
         enlarge: options.enlarge,
         proxy: options.proxy,
-        reading: options.volume_args.reading(),
+        reading: options.reading.clone(),
     }
 }
 

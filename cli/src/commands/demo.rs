@@ -18,15 +18,14 @@ use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
 use entire_io::dataset::Clock;
-use entire_io::device;
 use entire_io::enlarge::enlarge;
 use entire_io::files::{make_folder, open_volume, write_json, write_whole};
-use entire_io::interrupt;
 use entire_io::machine::Provenance;
-use entire_io::options::{RenderArgs, VolumeArgs, parse_distance, parse_size, thread_pool};
+use entire_io::options::{RenderArgs, parse_distance, parse_size, thread_pool};
 use entire_io::path::Generated;
 use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
+use entire_io::{device, interrupt};
 use entire_train::fit::typical_costs;
 use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
@@ -40,14 +39,6 @@ const RENDERING_BUDGET: f64 = 150.0;
 
 /// Shortest image side to which images are reduced, pixels.
 const SMALLEST_SIDE: u32 = 96;
-
-const CONTROLLERS: [ControllerKind; 5] = [
-    ControllerKind::Fixed,
-    ControllerKind::Olp,
-    ControllerKind::Pid,
-    ControllerKind::Algorithm1,
-    ControllerKind::Hybrid,
-];
 
 /// Calibrate a model of this machine, play a path of cameras and transfer functions under several
 /// controllers, and write a report.
@@ -82,7 +73,7 @@ pub(crate) struct Options {
     pub(crate) scenes: usize,
     /// Options for reading the volume.
     #[command(flatten)]
-    pub(crate) volume_args: VolumeArgs,
+    pub(crate) reading: Reading,
     /// Rendering options.
     #[command(flatten)]
     pub(crate) render: RenderArgs,
@@ -220,7 +211,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.scenes >= 4, "--scenes is {}; at least 4 scenes are needed", options.scenes);
     make_folder(&options.out)?;
     let shown = file.display().to_string();
-    let volume = open_volume(&file, &options.volume_args.reading())?;
+    let volume = open_volume(&file, &options.reading)?;
     // By default, a small volume is enlarged, so that its frames take as long as those of larger volumes.
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
     let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
@@ -233,12 +224,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
     let mut renderer = device::open(options.render.device)?;
-    println!("renderer   {} ({})", renderer.device(), renderer.backend());
-    let (machines, clock) = machine_model_for(options.render.shade.into(), options.clock, renderer.as_ref())?;
+    print_line(format!("renderer   {} ({})", renderer.device(), renderer.backend()))?;
+    let (machines, clock) = machine_model_for(options.render.shade, options.clock, renderer.as_ref())?;
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     print_line(format!("clock      {}", clock.name()))?;
     let asked = DrawSettings::new(options.size, &options.render, clock);
-    let renderings = (7 * options.scenes + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;
+    let renderings =
+        (7 * options.scenes + (ControllerKind::USUAL.len() + 1) * options.frames as usize) as f64;
     let draw = fit_size(asked, &view, renderings, renderer.as_mut())?;
     let shrunk = draw != asked;
     print_line(format!(
@@ -263,7 +255,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         seed: options.seed,
         draw,
         scenes: (options.scenes, 1),
-        controllers: &CONTROLLERS,
+        controllers: &ControllerKind::USUAL,
         target: None,
         model: &steers,
         prior,
@@ -364,7 +356,7 @@ mod tests {
 
     #[test]
     fn the_verdict_says_who_won_whoever_did() {
-        let names: Vec<String> = CONTROLLERS.iter().map(|k| k.name().to_owned()).collect();
+        let names: Vec<String> = ControllerKind::USUAL.iter().map(|k| k.name().to_owned()).collect();
         let say = |errors: [f64; 5]| verdict(&names, &errors.map(metrics));
         assert!(
             say([0.9, 0.5, 0.6, 0.2, 0.1])

@@ -4,8 +4,8 @@ use anyhow::{Context, Result, bail};
 use entire_core::kernels::Executor;
 use entire_core::nn::VolumeNet;
 use entire_io::files::{digits, open_model, open_volume};
-use entire_io::options::{VolumeArgs, thread_pool};
-use std::io::Write;
+use entire_io::options::thread_pool;
+use entire_io::volume::Reading;
 use std::path::PathBuf;
 
 /// Turn a volume into its feature vector.
@@ -25,7 +25,7 @@ pub(crate) struct Options {
     pub(crate) volume: PathBuf,
     /// Options for reading the volume.
     #[command(flatten)]
-    pub(crate) volume_args: VolumeArgs,
+    pub(crate) reading: Reading,
     /// Threads; default: all logical processors.
     #[arg(long)]
     pub(crate) threads: Option<usize>,
@@ -44,7 +44,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         );
     };
     let net = VolumeNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
-    let volume = open_volume(&options.volume, &options.volume_args.reading())?;
+    let volume = open_volume(&options.volume, &options.reading)?;
     let pool = thread_pool(options.threads)?;
     let mut features = vec![0.0; net.feature_len()];
     net.encode(&volume.view(), &mut net.scratch(), Executor::Rayon(&pool), &mut features)
@@ -56,7 +56,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             features[at]
         );
     }
-    let line = features.iter().map(|&f| digits(f)).collect::<Vec<_>>().join(",");
-    writeln!(std::io::stdout().lock(), "{line}")?;
+    println!("{}", features.iter().map(|&f| digits(f)).collect::<Vec<_>>().join(","));
     Ok(())
 }

@@ -5,8 +5,10 @@ mod host;
 
 use crate::steering::contenders::ControllerKind;
 use anyhow::{Context, Result};
-use entire_io::options::{ShadeOption, SkipOption, VolumeArgs, check_termination, parse_size};
+use entire_core::scene::{Shading, Skipping};
+use entire_io::options::{check_termination, parse_size, shade_parser, skip_parser};
 use entire_io::path::parse_target;
+use entire_io::volume::Reading;
 use std::path::PathBuf;
 
 /// View a volume in an interactive window that holds a target frame time.
@@ -28,7 +30,7 @@ pub struct Options {
     pub volumes: Vec<PathBuf>,
     /// Options for reading the volumes.
     #[command(flatten)]
-    pub volume_args: VolumeArgs,
+    pub reading: Reading,
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, default_value = "33ms", value_name = "TIME", allow_hyphen_values = true)]
     pub target: String,
@@ -41,11 +43,11 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
     /// Shading of each sample.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
+    #[arg(long, value_parser = shade_parser(), default_value = "none")]
+    pub shade: Shading,
     /// Skipping of empty space.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
+    #[arg(long, value_parser = skip_parser(), default_value = "blocks")]
+    pub skip: Skipping,
     /// Accumulated opacity at which a ray stops; 1 for never.
     #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
     pub termination: f32,
@@ -94,8 +96,8 @@ fn open(options: &Options, target: f64) -> Result<()> {
         volumes: options.volumes.clone(),
         target,
         controller: options.controller.name().to_owned(),
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
+        shading: options.shade,
+        skipping: options.skip,
         termination: options.termination,
         size: options.size,
         script: options.script.clone(),
@@ -103,7 +105,7 @@ fn open(options: &Options, target: f64) -> Result<()> {
     };
     entire_explore::run(
         window,
-        std::sync::Arc::new(host::ExplorerHost { model, reading: options.volume_args.reading() }),
+        std::sync::Arc::new(host::ExplorerHost { model, reading: options.reading.clone() }),
     )
 }
 

@@ -45,14 +45,14 @@ pub struct Options {
 /// # Errors
 /// When a table, volume or encoder cannot be read, or a file cannot be written.
 pub fn run(options: &Options) -> Result<()> {
-    let mut further = Vec::new();
+    let mut sides = vec![PROBE_SIDE];
     for &side in &options.probe_sides {
         ensure!(
             (1..=MAX_PROBE_SIDE).contains(&side),
             "--probe-sides names {side}; accepted are 1 to {MAX_PROBE_SIDE}"
         );
-        if side != PROBE_SIDE && !further.contains(&side) {
-            further.push(side);
+        if !sides.contains(&side) {
+            sides.push(side);
         }
     }
     let pool = thread_pool(options.threads)?;
@@ -69,21 +69,19 @@ pub fn run(options: &Options) -> Result<()> {
         let tables = [table];
         let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
         ensure!(!frames.is_empty(), "{} has no frames; collect some with `entire collect`", path.display());
-        let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.to_string()).collect();
+        let mut columns: Vec<String> = Vec::new();
         let bar = templated_bar(INPUTS_BAR);
-        let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
-            let of = inputs.features.quantities(inputs.setting);
-            Ok(SceneQuantity::ALL.iter().map(|&q| of(q) as f32).collect::<Vec<f32>>())
-        })?;
-        for &side in &further {
-            let probed: Vec<SceneQuantity> =
-                SceneQuantity::ALL.iter().copied().filter(|q| q.needs_probe()).collect();
+        let mut rows: Vec<Vec<f32>> = vec![Vec::new(); frames.len()];
+        for &side in &sides {
+            let quantities = SceneQuantity::ALL.iter().copied();
+            let quantities: Vec<SceneQuantity> =
+                quantities.filter(|q| side == PROBE_SIDE || q.needs_probe()).collect();
             bar.reset();
             let more = measure(&tables, &frames, Some(side), None, &pool, &bar, |_, inputs| {
                 let of = inputs.features.quantities(inputs.setting);
-                Ok(probed.iter().map(|&q| of(q) as f32).collect::<Vec<f32>>())
+                Ok(quantities.iter().map(|&q| of(q) as f32).collect::<Vec<f32>>())
             })?;
-            columns.extend(probed.iter().map(|&q| quantity_column(q, side)));
+            columns.extend(quantities.iter().map(|&q| quantity_column(q, side)));
             for (row, more) in rows.iter_mut().zip(more) {
                 row.extend(more);
             }

@@ -1,11 +1,12 @@
 //! `entire predict`: predict seconds for rows of model inputs.
 
 use crate::calibrate::place::machine_file;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
+use entire_core::scene::Shading;
 use entire_io::files::{digits, note, open_model};
-use entire_io::options::ShadeOption;
+use entire_io::options::shade_parser;
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -30,8 +31,8 @@ pub(crate) struct Options {
     #[arg(long, value_name = "M.safetensors")]
     pub(crate) model: Option<PathBuf>,
     /// Shading mode of the machine's model, if --model is not given.
-    #[arg(long, value_enum, default_value_t, conflicts_with = "model")]
-    pub(crate) shade: ShadeOption,
+    #[arg(long, value_parser = shade_parser(), default_value = "none", conflicts_with = "model")]
+    pub(crate) shade: Shading,
     /// Table of inputs: CSV without a header line, one row per frame; `-` for standard input.
     #[arg(long, value_name = "X.csv")]
     pub(crate) inputs: PathBuf,
@@ -45,7 +46,7 @@ pub(crate) struct Options {
 pub(crate) fn run(options: &Options) -> Result<()> {
     let path = match &options.model {
         Some(path) => path.clone(),
-        None => machine_file(options.shade.into())?,
+        None => machine_file(options.shade)?,
     };
     let model = open_model(&path)?;
     let Some(parts) = model.prednet.as_ref() else {
@@ -77,15 +78,14 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
         if !reader.read_byte_record(&mut record).with_context(|| format!("row {row}"))? {
             break;
         }
-        if record.len() != net.inputs() {
-            bail!(
-                "row {row} has {} column{}, the model takes {}: {}",
-                record.len(),
-                if record.len() == 1 { "" } else { "s" },
-                net.inputs(),
-                groups(&model.inputs)
-            );
-        }
+        ensure!(
+            record.len() == net.inputs(),
+            "row {row} has {} column{}, the model takes {}: {}",
+            record.len(),
+            if record.len() == 1 { "" } else { "s" },
+            net.inputs(),
+            groups(&model.inputs)
+        );
         inputs.clear();
         for (column, field) in record.iter().enumerate() {
             let text = String::from_utf8_lossy(field);
@@ -96,21 +96,19 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
                     if row == 1 { " (the table has no header line)" } else { "" }
                 );
             };
-            if !value.is_finite() {
-                bail!(
-                    "row {row}, column {}: {text:?} is not finite; accepted are numbers within ±3.4e38",
-                    column + 1
-                );
-            }
+            ensure!(
+                value.is_finite(),
+                "row {row}, column {}: {text:?} is not finite; accepted are numbers within ±3.4e38",
+                column + 1
+            );
             inputs.push(value);
         }
         let value = net.predict(&inputs, &mut scratch);
-        if !value.is_finite() {
-            bail!(
-                "row {row}: the model answers {value} seconds; the inputs are far from its training data; \
+        ensure!(
+            value.is_finite(),
+            "row {row}: the model answers {value} seconds; the inputs are far from its training data; \
                  check their units"
-            );
-        }
+        );
         seconds.push(value);
     }
     if seconds.is_empty() {

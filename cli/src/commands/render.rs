@@ -1,15 +1,13 @@
 //! `entire render`: render one frame and time it.
 
 use anyhow::{Context, Result};
-use entire_core::scene::{
-    Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
-};
+use entire_core::scene::{Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction};
 use entire_io::device;
 use entire_io::files::{ensure_not_input, make_folder_of, note, open_volume, parse_numbers, write_whole};
 use entire_io::metrics::median;
-use entire_io::options::{RenderArgs, VolumeArgs, parse_size};
+use entire_io::options::{RenderArgs, parse_size};
 use entire_io::path::camera;
-use entire_io::volume::numbers_in;
+use entire_io::volume::{Reading, numbers_in};
 use entire_report::encode_png;
 use entire_vk_raycaster::Rendered;
 use serde_json::json;
@@ -55,7 +53,7 @@ pub(crate) struct Options {
     pub(crate) parallel_scale: Option<f32>,
     /// Options for reading the volume.
     #[command(flatten)]
-    pub(crate) volume_args: VolumeArgs,
+    pub(crate) reading: Reading,
     /// Number of timed renderings of the frame.
     #[arg(
         long,
@@ -105,13 +103,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let frame = Frame {
         step: options.step,
         termination: options.render.termination,
-        shading: options.render.shade.into(),
-        skipping: options.render.skip.into(),
+        shading: options.render.shade,
+        skipping: options.render.skip,
         ..Frame::new(camera, options.size.0, options.size.1)?
     }
     .checked()?;
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
-    let volume = open_volume(&options.volume, &options.volume_args.reading())?;
+    let volume = open_volume(&options.volume, &options.reading)?;
     let mut renderer = device::open(options.render.device)?;
     renderer.set_block_edge(options.block_edge).context("--block-edge")?;
     let view = volume.view();
@@ -163,8 +161,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "width": image.width,
             "height": image.height,
             "step": short(frame.step),
-            "shade": Shading::from(options.render.shade).to_string(),
-            "skip": Skipping::from(options.render.skip).to_string(),
+            "shade": options.render.shade.to_string(),
+            "skip": options.render.skip.to_string(),
             "block_edge": options.block_edge,
             "termination": short(frame.termination),
             "backend": renderer.backend(),

@@ -8,17 +8,13 @@ use crate::steering::report::{Story, table, write};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::{Clock, Scene, Writer};
-use entire_io::device;
 use entire_io::enlarge::enlarge;
 use entire_io::files::{make_folder, make_folder_of, note, open_model, open_volume, write_json};
-use entire_io::identity;
-use entire_io::interrupt;
 use entire_io::machine::Provenance;
-use entire_io::options::{
-    RenderArgs, VolumeArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
-};
+use entire_io::options::{RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size};
 use entire_io::path::{FlightPath, Generated, parse_target};
-use entire_io::volume::Volume;
+use entire_io::volume::{Reading, Volume};
+use entire_io::{device, identity, interrupt};
 use entire_steer::control::StepLimits;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -88,10 +84,7 @@ pub(crate) struct Options {
         long,
         value_enum,
         value_delimiter = ',',
-        default_values_t = [
-            ControllerKind::Fixed, ControllerKind::Olp, ControllerKind::Pid, ControllerKind::Algorithm1,
-            ControllerKind::Hybrid,
-        ],
+        default_values_t = ControllerKind::USUAL,
         value_name = "NAME,…"
     )]
     pub(crate) controllers: Vec<ControllerKind>,
@@ -117,7 +110,7 @@ pub(crate) struct Options {
     pub(crate) render: RenderArgs,
     /// Options for reading the volumes.
     #[command(flatten)]
-    pub(crate) volume_args: VolumeArgs,
+    pub(crate) reading: Reading,
     /// The clock of frame times; `auto`: the clock of --model or of the machine's model (`entire calibrate`),
     /// else the device's timestamps on a GPU, else wall time. A model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]
@@ -193,7 +186,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         .volumes
         .iter()
         .map(|file| {
-            let volume = open_volume(file, &options.volume_args.reading())?;
+            let volume = open_volume(file, &options.reading)?;
             if options.enlarge == 1 { Ok(volume) } else { enlarge(&volume, options.enlarge) }
         })
         .collect::<Result<Vec<Volume>>>()?;
@@ -222,7 +215,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.render.device)?;
     let (machines, clock) = match model {
         Some(_) => (None, clock),
-        None => machine_model_for(options.render.shade.into(), clock, renderer.as_ref())?,
+        None => machine_model_for(options.render.shade, clock, renderer.as_ref())?,
     };
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     let draw = DrawSettings::new(options.size, &options.render, clock);
@@ -287,7 +280,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let metrics = write(&options.out, &story, &draw, &playback)?;
     if let (Some(timings), Some(file)) = (&mut timings, &options.table) {
         let written = write_table(timings, options, &volumes, &path, &draw, &playback)?;
-        let settings = json!({ "steering": true, "reading": options.volume_args.reading() });
+        let settings = json!({ "steering": true, "reading": options.reading });
         let mut manifest = manifest_of(renderer.as_ref(), 0, 1, settings);
         for volume in &options.volumes {
             manifest.files.insert(volume.display().to_string(), identity::of_volume(volume)?);

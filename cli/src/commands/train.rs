@@ -8,17 +8,14 @@ use entire_io::dataset::{
 };
 use entire_io::device::names_software;
 use entire_io::files::{check_model_out, note, open_model, write_whole};
-use entire_io::interrupt;
-use entire_io::machine;
 use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
+use entire_io::{interrupt, machine};
 use entire_steer::calibrate::{FittedQuality, fit_quality};
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 use entire_train::bound;
-use entire_train::fit::{
-    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, parse_loss, predict_rows,
-};
+use entire_train::fit::{DtypeChoice, FitContext, FittedModel, Kind, Recipe, predict_rows};
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Part, Split};
 use rand::seq::SliceRandom;
@@ -62,70 +59,9 @@ pub struct Options {
     /// Model file to write; its model card is written beside it as Markdown.
     #[arg(long, value_name = "SAFETENSORS")]
     pub out: PathBuf,
-    /// Kind of the model.
-    #[arg(long, value_enum, default_value_t = Kind::Prednet)]
-    pub model_kind: Kind,
-    /// Hidden layer widths.
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "WIDTHS",
-        conflicts_with_all = ["preset", "fine_tune"],
-        default_value = "64,64"
-    )]
-    pub layers: Vec<usize>,
-    /// Layers of the paper, such as 0C256, 4C64 or 12C256, which is inputs → 256, 12 × (256 → 256), then
-    /// widths halved down to 16, then 1.
-    #[arg(long, conflicts_with = "fine_tune")]
-    pub preset: Option<String>,
-    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size,
-    /// scene_features.
-    #[arg(
-        long,
-        value_delimiter = ',',
-        value_name = "GROUPS",
-        default_value = "scene_features",
-        conflicts_with = "fine_tune"
-    )]
-    pub inputs: Vec<String>,
-    /// Scene features, in order, if `--inputs` names the group scene_features; default: the standard
-    /// features.
-    #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
-    pub scene_features: Vec<String>,
-    /// Sort the Gaussian lobes of `transfer_function` by center: their sum does not depend on the order, and
-    /// a network on sorted lobes need not learn that.
-    #[arg(long, conflicts_with = "fine_tune")]
-    pub sorted_lobes: bool,
-    /// Rays along each side of the probe that computes the scene features, 1 to 24; default: the standard 11.
-    /// Fewer rays make every prediction faster.
-    #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
-    pub probe_side: Option<usize>,
-    /// Number of networks with different seeds; their mean is stored as one network.
-    #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
-    pub ensemble: usize,
-    /// Output quantity of the network.
-    #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
-    pub target: TargetChoice,
-    /// Loss function: mse, relative (with --target seconds), huber, huber:delta or pinball:quantile, which
-    /// gives an upper bound.
-    #[arg(long, default_value = "mse", value_parser = check_loss)]
-    pub loss: String,
-    /// Maximum number of passes over the training frames.
-    #[arg(long, default_value_t = 200)]
-    pub epochs: usize,
-    /// Frames per gradient step.
-    #[arg(long, default_value_t = 256)]
-    pub batch: usize,
-    /// Initial learning rate; it falls along half a cosine. Default: 1e-4 with --preset (as in the paper) and
-    /// --fine-tune, else 1e-3.
-    #[arg(long)]
-    pub learning_rate: Option<f64>,
-    /// Epochs without a better validation loss after which training stops.
-    #[arg(long, default_value_t = 50)]
-    pub patience: usize,
-    /// Seed of the split, the weights and the order of frames.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    /// The model, and its training.
+    #[command(flatten)]
+    pub recipe: Recipe,
     /// Start from this model: its layers, inputs, target and standardization stay, and training continues
     /// from its weights.
     #[arg(long, value_name = "SAFETENSORS")]
@@ -170,10 +106,6 @@ pub struct Options {
     pub threads: Option<usize>,
 }
 
-fn check_loss(text: &str) -> Result<String> {
-    parse_loss(text).map(|_| text.to_owned())
-}
-
 /// Standard deviation of ln(median time of a frame's repeats) above which a note says that the data are
 /// noisy.
 const NOISY: f64 = 0.2;
@@ -203,7 +135,7 @@ pub fn run(options: &Options) -> Result<()> {
         options.split,
         &options.validation_groups,
         &options.test_groups,
-        options.seed,
+        options.recipe.seed,
     )?;
     let seconds: BTreeMap<(usize, u64), f64> =
         frames.iter().map(|(f, t)| ((f.table, f.number), *t)).collect();
@@ -212,18 +144,18 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(limit) = options.limit {
         ensure!(limit > 0, "--limit is 0; at least 1 training frame is needed");
         if let Some(training) = parts.get_mut(&Part::Training) {
-            training.shuffle(&mut ChaCha8Rng::seed_from_u64(options.seed));
+            training.shuffle(&mut ChaCha8Rng::seed_from_u64(options.recipe.seed));
             training.truncate(limit);
         }
     }
-    let count = |p: Part| parts.get(&p).map_or(0, Vec::len);
+    let part = |p: Part| parts.get(&p).map_or(&[][..], Vec::as_slice);
     note(&format!(
         "{} frames, split by {}: {} for training, {} for validation, {} for testing",
         refs.len(),
         split.by.name(),
-        count(Part::Training),
-        count(Part::Validation),
-        count(Part::Test)
+        part(Part::Training).len(),
+        part(Part::Validation).len(),
+        part(Part::Test).len()
     ));
     if split.validation.is_empty() {
         note(&match split.test.is_empty() {
@@ -257,11 +189,8 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(text) = &leak {
         note(&format!("{text}; their errors are not those of unseen data"));
     }
-    let part_seconds = |p: Part| -> Vec<f64> {
-        parts.get(&p).map_or(vec![], |f| f.iter().map(|f| seconds[&(f.table, f.number)]).collect())
-    };
-    let none = Vec::new();
-    let part = |p: Part| parts.get(&p).unwrap_or(&none);
+    let part_seconds =
+        |p: Part| -> Vec<f64> { part(p).iter().map(|f| seconds[&(f.table, f.number)]).collect() };
 
     let stop = interrupt::flag()?;
     let bar = templated_bar("epoch {msg} [{bar:30}] {eta} left");
@@ -322,7 +251,7 @@ pub fn run(options: &Options) -> Result<()> {
         "shading": options.shade.map(|s| s.to_string()),
         "split": split,
         "earlier_splits": earlier,
-        "training_frames": count(Part::Training),
+        "training_frames": part(Part::Training).len(),
         "settings": trained.fitted.settings,
         "outcome": trained.fitted.outcome,
         "metrics": results.iter().map(|(p, m)| (p.name(), m)).collect::<BTreeMap<_, _>>(),
@@ -428,25 +357,10 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
 impl Options {
     fn recipe(&self) -> Recipe {
         Recipe {
-            kind: self.model_kind,
-            layers: self.layers.clone(),
-            preset: self.preset.clone(),
-            inputs: self.inputs.clone(),
-            scene_features: self.scene_features.clone(),
-            probe_side: self.probe_side,
-            ensemble: self.ensemble,
-            target: self.target,
-            loss: self.loss.clone(),
-            epochs: self.epochs,
-            batch: self.batch,
-            learning_rate: self.learning_rate,
-            patience: self.patience,
-            seed: self.seed,
             volumenet: self.volumenet.clone(),
             fine_tune: self.fine_tune.clone(),
-            sorted_lobes: self.sorted_lobes,
             dtype: self.dtype,
-            ..Recipe::default()
+            ..self.recipe.clone()
         }
     }
 }
@@ -485,7 +399,7 @@ fn check_used(recipe: &Recipe) -> Result<()> {
 }
 
 fn names(layout: &Layout) -> Vec<String> {
-    layout.scene_features().iter().map(ToString::to_string).collect()
+    layout.scene_features.iter().map(ToString::to_string).collect()
 }
 
 fn card(
@@ -511,10 +425,10 @@ fn card(
          --data FRAMES.csv`\n"
     );
     let _ = writeln!(md, "## Inputs\n");
-    for (group, size) in trained.layout.sizes() {
+    for &(group, size) in &trained.layout.groups {
         let _ = writeln!(md, "- `{group}`, {size} number{}", if size == 1 { "" } else { "s" });
     }
-    if !trained.layout.scene_features().is_empty() {
+    if !trained.layout.scene_features.is_empty() {
         let _ = writeln!(md, "\nScene features, in order: {}.", names(&trained.layout).join(", "));
     }
     let _ = writeln!(md, "\n## Data\n");
@@ -550,7 +464,8 @@ fn card(
     if let Some(s) = options.shade {
         let _ = writeln!(md, "Only frames with shading {s}.");
     }
-    let _ = writeln!(md, "\n## Split\n\nBy {}, never by frame; seed {}.\n", split.by.name(), options.seed);
+    let _ =
+        writeln!(md, "\n## Split\n\nBy {}, never by frame; seed {}.\n", split.by.name(), options.recipe.seed);
     for (part, groups) in
         [("training", &split.training), ("validation", &split.validation), ("test", &split.test)]
     {
@@ -570,7 +485,7 @@ fn card(
         let _ = writeln!(
             md,
             "Loss{} (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.\n",
-            if options.ensemble > 1 { " of network 1" } else { "" },
+            if options.recipe.ensemble > 1 { " of network 1" } else { "" },
             first.training_loss,
             first.validation_loss,
             last.training_loss,

@@ -5,8 +5,7 @@ use super::rivals::{
     Algorithm1, Filament, Fixed, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
 };
 use clap::ValueEnum;
-use entire_steer::control::Prior;
-use entire_steer::control::{Controller, Hybrid, HybridOptions, Session};
+use entire_steer::control::{Controller, Hybrid, HybridOptions, Prior, Session};
 use entire_steer::predict::Predictor;
 
 /// Names of the controllers.
@@ -55,6 +54,9 @@ entire_core::names! { ControllerKind:
 }
 
 impl ControllerKind {
+    /// The controllers that are compared by default.
+    pub(crate) const USUAL: [Self; 5] = [Self::Fixed, Self::Olp, Self::Pid, Self::Algorithm1, Self::Hybrid];
+
     /// The title in charts and tables.
     pub const fn title(self) -> &'static str {
         match self {

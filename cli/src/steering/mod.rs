@@ -9,4 +9,3 @@ pub mod play;
 pub mod race;
 pub mod report;
 pub mod rivals;
-pub mod sizes;

@@ -1,15 +1,13 @@
 //! Playing a path: every frame under every controller.
 
 use super::metrics::{Metrics, Played};
-use super::sizes::{scale_at, volume_at};
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
 use entire_io::dataset::{Clock, Timing};
 use entire_io::options::RenderArgs;
 use entire_io::path::FlightPath;
-use entire_steer::control::ObserveFlags;
-use entire_steer::control::{Quality, Reason, Session, StepLimits};
+use entire_steer::control::{ObserveFlags, Quality, Reason, Session, StepLimits};
 use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
@@ -77,8 +75,8 @@ impl DrawSettings {
         Self {
             width,
             height,
-            shading: render.shade.into(),
-            skipping: render.skip.into(),
+            shading: render.shade,
+            skipping: render.skip,
             termination: render.termination,
             clock,
         }
@@ -215,14 +213,14 @@ impl Playback {
 }
 
 /// A volume of the path.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Shown<'a> {
     /// Voxels of the volume.
     pub(crate) view: &'a VolumeView<'a>,
     /// Summary of the volume.
-    pub(crate) summary: &'a VolumeSummary,
+    pub(crate) summary: VolumeSummary,
     /// VolumeNet's output for the volume, if a model uses it.
-    pub(crate) volume_features: Option<&'a [f32]>,
+    pub(crate) volume_features: Option<Vec<f32>>,
 }
 
 /// Changes along a path besides those of the path itself, and the limits of the controllers.
@@ -264,16 +262,21 @@ impl Course<'_> {
     }
 }
 
-impl Task<'_> {
-    /// The target of a frame.
-    fn target_at(&self, frame: usize) -> f64 {
-        self.course
-            .retargets
-            .iter()
-            .rev()
-            .find(|(from, _)| *from as usize <= frame)
-            .map_or(self.target, |(_, t)| *t)
-    }
+/// Returns the index of the volume at a frame of a series: each volume is shown for `hold` frames in turn;
+/// always 0 if `hold` is 0.
+pub fn volume_at(hold: u32, volumes: usize, frame: usize) -> usize {
+    if hold == 0 { 0 } else { (frame / hold as usize) % volumes.max(1) }
+}
+
+/// Returns the image scale at a frame: the scale of the last change at or before the frame, and 1 before the
+/// first change.
+pub fn scale_at(scales: &[(u32, f32)], frame: usize) -> f32 {
+    value_at(scales, frame).unwrap_or(1.0)
+}
+
+/// Returns the value of the last change at or before a frame; `None` before the first change.
+fn value_at<T: Copy>(changes: &[(u32, T)], frame: usize) -> Option<T> {
+    changes.iter().rev().find(|(from, _)| *from as usize <= frame).map(|(_, value)| *value)
 }
 
 /// Quality law of the raycaster's pictures, for models that state no such law. `entire calibrate` fitted it
@@ -322,7 +325,7 @@ pub(crate) fn play(
                     || (i > 0 && (volume_of(i) != volume_of(i - 1) || (scale_of(i) != scale_of(i - 1))))
             })
             .collect(),
-        targets: (0..frames).map(|i| task.target_at(i)).collect(),
+        targets: (0..frames).map(|i| value_at(task.course.retargets, i).unwrap_or(task.target)).collect(),
         sizes: (0..frames).map(|i| scaled_size((draw.width, draw.height), scale_of(i))).collect(),
         volumes: (0..frames).map(volume_of).collect(),
         limits: task.course.limits,
@@ -337,9 +340,7 @@ pub(crate) fn play(
             shown = volume_of(index);
             renderer.set_volume(volume.view).with_context(place)?;
             for contender in contenders.iter_mut() {
-                contender
-                    .session
-                    .set_volume(volume.summary.clone(), volume.volume_features.map(<[f32]>::to_vec));
+                contender.session.set_volume(volume.summary.clone(), volume.volume_features.clone());
             }
         }
         if at.transfer_changed || swapped {
@@ -415,8 +416,8 @@ mod tests {
     use crate::scripted::ScriptedRenderer;
     use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
-    use entire_core::scene::{Scalars, TransferFunction};
-    use entire_io::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
+    use entire_core::scene::{GaussianLobe, Scalars, TransferFunction};
+    use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
     use entire_steer::control::Prior;
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
@@ -439,7 +440,7 @@ mod tests {
     }
 
     fn path() -> FlightPath {
-        let lobes = |height| Some(Transfer::Lobes(vec![Lobe { center: 0.5, width: 0.05, height }]));
+        let lobes = |height| Some(Transfer::Lobes(vec![GaussianLobe { center: 0.5, width: 0.05, height }]));
         let key = |frame, transfer, switch| Keyframe { frame, camera: None, transfer, switch };
         let camera = Some(CameraPose { rx_deg: 0.0, ry_deg: 0.0, dz_radii: 2.0, parallel_scale: None });
         PathFile {
@@ -458,16 +459,8 @@ mod tests {
         .unwrap()
     }
 
-    const KINDS: [ControllerKind; 5] = [
-        ControllerKind::Fixed,
-        ControllerKind::Olp,
-        ControllerKind::Pid,
-        ControllerKind::Algorithm1,
-        ControllerKind::Hybrid,
-    ];
-
     fn play_scripted(noise: f64, bias: f64, stop_at: Option<u64>) -> Option<Playback> {
-        play_scripted_with(&KINDS, noise, bias, stop_at, 1.0)
+        play_scripted_with(&ControllerKind::USUAL, noise, bias, stop_at, 1.0)
     }
 
     fn play_scripted_with(
@@ -499,7 +492,7 @@ mod tests {
             clock: Clock::Auto,
         };
         let path = path();
-        let shown = [Shown { view: &view, summary: &summary, volume_features: None }];
+        let shown = [Shown { view: &view, summary, volume_features: None }];
         let task = Task {
             volumes: &shown,
             path: &path,
@@ -555,7 +548,7 @@ mod tests {
     #[test]
     fn who_chooses_the_size_meets_the_target_with_a_better_picture() {
         let plain = play_scripted(0.02, 1.1, None).unwrap();
-        let sized = play_scripted_with(&KINDS, 0.02, 1.1, None, 2.0).unwrap();
+        let sized = play_scripted_with(&ControllerKind::USUAL, 0.02, 1.1, None, 2.0).unwrap();
         let hybrid = 4;
         // Only contenders that may choose the image size change it.
         assert!(plain.records.iter().flatten().all(|r| r.image_sample_distance == 1.0));

@@ -262,19 +262,12 @@ pub(crate) fn run(
             Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, race.prior))
         })
         .collect::<Result<_>>()?;
-    let summaries: Vec<VolumeSummary> =
-        race.series.iter().map(|v| Ok(VolumeSummary::new(v)?)).collect::<Result<_>>()?;
-    let features: Vec<Option<Vec<f32>>> =
-        race.series.iter().map(|v| race.model.encode(v)).collect::<Result<_>>()?;
-    let volume_features = race.model.volume_features();
-    let mut shown = vec![Shown { view: race.volume, summary: &prepared.summary, volume_features }];
-    shown.extend(
-        race.series.iter().zip(&summaries).zip(&features).map(|((view, summary), features)| Shown {
-            view,
-            summary,
-            volume_features: features.as_deref(),
-        }),
-    );
+    let volume_features = race.model.volume_features().map(<[f32]>::to_vec);
+    let mut shown = vec![Shown { view: race.volume, summary: prepared.summary.clone(), volume_features }];
+    for view in race.series {
+        let (summary, volume_features) = (VolumeSummary::new(view)?, race.model.encode(view)?);
+        shown.push(Shown { view, summary, volume_features });
+    }
     let task = Task { volumes: &shown, path, target: prepared.target, course: race.course, keep };
     let bar = progress_bar("play");
     let playback = play(&task, &race.draw, renderer, &mut contenders, stop, &bar);

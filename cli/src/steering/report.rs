@@ -97,48 +97,38 @@ pub fn color(name: &str) -> usize {
     }
 }
 
-fn percent(v: f64) -> String {
-    format!("{:.1}", 100.0 * v)
-}
-
 /// Returns the table of the controllers' metrics, with the best value of each column marked.
 pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
     let mut table = Table::headed(
         "controller | acts on | #> 1.1 T / % | #> 1.25 T / % | #|t-T|/T / % | #at switches / % | #calm / % | \
          #p95 / ms | #worst / ms | #recovery / frames | #PSNR / dB | #step",
     );
-    let recovery = |m: &Metrics| match m.recovery_frames.len() {
-        0 => f64::NAN,
-        n => m.recovery_frames.iter().sum::<usize>() as f64 / n as f64,
-    };
+    type Figure = fn(&Metrics) -> f64;
+    // The figures and their factors; missing ones are NaN.
+    let figures: [(Figure, f64); 9] = [
+        (|m| m.missed_by_10_percent, 100.0),
+        (|m| m.missed_by_25_percent, 100.0),
+        (|m| m.mean_error, 100.0),
+        (|m| m.mean_error_at_switches.unwrap_or(f64::NAN), 100.0),
+        (|m| m.mean_error_in_calm.unwrap_or(f64::NAN), 100.0),
+        (|m| m.p95_seconds, 1e3),
+        (|m| m.worst_seconds, 1e3),
+        (|m| m.recovery_frames.iter().sum::<usize>() as f64 / m.recovery_frames.len() as f64, 1.0),
+        (|m| m.mean_psnr, 1.0),
+    ];
     for (controller, (name, m)) in playback.names.iter().zip(metrics).enumerate() {
-        table.row(vec![
-            title(name).into(),
-            acts_on(playback, controller).into(),
-            percent(m.missed_by_10_percent).into(),
-            percent(m.missed_by_25_percent).into(),
-            percent(m.mean_error).into(),
-            m.mean_error_at_switches.map(percent).into(),
-            m.mean_error_in_calm.map(percent).into(),
-            format!("{:.1}", m.p95_seconds * 1e3).into(),
-            format!("{:.1}", m.worst_seconds * 1e3).into(),
-            recovery(m).is_finite().then(|| format!("{:.1}", recovery(m))).into(),
-            format!("{:.1}", m.mean_psnr).into(),
-            format!("{:.2}", m.mean_step).into(),
-        ]);
+        let mut row = vec![title(name).into(), acts_on(playback, controller).into()];
+        row.extend(figures.iter().map(|(value, factor)| {
+            let value = value(m) * factor;
+            value.is_finite().then(|| format!("{value:.1}")).into()
+        }));
+        row.push(format!("{:.2}", m.mean_step).into());
+        table.row(row);
     }
-    let mut mark = |column: usize, lowest: bool, value: &dyn Fn(&Metrics) -> f64| {
-        table.mark_best(column, &metrics.iter().map(value).collect::<Vec<_>>(), lowest);
-    };
-    mark(2, true, &|m| m.missed_by_10_percent);
-    mark(3, true, &|m| m.missed_by_25_percent);
-    mark(4, true, &|m| m.mean_error);
-    mark(5, true, &|m| m.mean_error_at_switches.unwrap_or(f64::NAN));
-    mark(6, true, &|m| m.mean_error_in_calm.unwrap_or(f64::NAN));
-    mark(7, true, &|m| m.p95_seconds);
-    mark(8, true, &|m| m.worst_seconds);
-    mark(9, true, &recovery);
-    mark(10, false, &|m| m.mean_psnr);
+    for (column, (value, _)) in (2..).zip(figures) {
+        // Of all figures, only PSNR is better if it is higher.
+        table.mark_best(column, &metrics.iter().map(value).collect::<Vec<_>>(), column != 10);
+    }
     table
 }
 
@@ -171,27 +161,10 @@ fn table_caption() -> String {
 
 fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
     let mut out = csv::Writer::from_writer(Vec::new());
-    out.write_record([
-        "frame",
-        "controller",
-        "switch",
-        "target_s",
-        "predicted_s",
-        "upper_s",
-        "seconds",
-        "seconds_device",
-        "seconds_wall",
-        "seconds_cpu",
-        "step_ref",
-        "psnr_db",
-        "reference_seconds",
-        "out_of_range",
-        "reason",
-        "image_sample_distance",
-        "width_px",
-        "height_px",
-        "volume",
-    ])?;
+    let columns = "frame,controller,switch,target_s,predicted_s,upper_s,seconds,seconds_device,seconds_wall,\
+                   seconds_cpu,step_ref,psnr_db,reference_seconds,out_of_range,reason,image_sample_distance,\
+                   width_px,height_px,volume";
+    out.write_record(columns.split(','))?;
     let known = |v: f64| if v.is_nan() { String::new() } else { v.to_string() };
     let clock = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
     for frame in 0..playback.references.len() {

@@ -3,7 +3,6 @@
 mod bad_input;
 mod c_log;
 mod calibrate;
-mod charts;
 mod collect;
 mod commands;
 mod farm;

@@ -1,5 +1,6 @@
 //! Every reader on files of other libraries (see fixtures/make_volumes.py).
 
+use crate::support::words;
 use entire_io::volume::{Reading, Volume, VolumeData};
 use std::path::{Path, PathBuf};
 
@@ -118,14 +119,10 @@ fn raw_voxels_without_a_description_go_by_their_name() {
 #[test]
 fn formats_are_found_by_their_first_bytes_where_the_ending_says_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    for name in [
-        "pynrrd_raw_uint8_little.nrrd",
-        "itk_local_uint8_little.mha",
-        "nibabel_one_int16_big.nii",
-        "nibabel_two_int16_big.nii",
-        "nibabel_gz_int16_little.nii.gz",
-        "vtk_raw_float64_big.vti",
-    ] {
+    for name in words(
+        "pynrrd_raw_uint8_little.nrrd itk_local_uint8_little.mha nibabel_one_int16_big.nii \
+         nibabel_two_int16_big.nii nibabel_gz_int16_little.nii.gz vtk_raw_float64_big.vti",
+    ) {
         let path = folder.path().join("noending");
         std::fs::copy(fixtures().join(name), &path).unwrap();
         let kind = name.split('_').nth(2).unwrap();
@@ -224,21 +221,13 @@ fn what_is_no_regular_file_is_refused_and_never_waited_for() {
 
 #[test]
 fn truncated_files_say_what_is_missing() {
-    for name in [
-        "pynrrd_raw_float64_big.nrrd",
-        "itk_local_float32_little.mha",
-        "itk_zlib_int16_little.mha",
-        "itk_text_int16_little.mha",
-        "nibabel_one_int16_big.nii",
-        "nibabel_gz_int16_little.nii.gz",
-        "vtk_ascii_int16_little.vti",
-        "vtk_binary_int16_little.vti",
-        "vtk_binary-zlib_int16_little.vti",
-        "vtk_raw_float64_big.vti",
-        "vtk_raw-zlib-wide_int16_little.vti",
-        "vtk_base64-zlib_int16_little.vti",
-        "pynrrd_gzip_int16_little.nrrd",
-    ] {
+    for name in words(
+        "pynrrd_raw_float64_big.nrrd itk_local_float32_little.mha itk_zlib_int16_little.mha \
+         itk_text_int16_little.mha nibabel_one_int16_big.nii nibabel_gz_int16_little.nii.gz \
+         vtk_ascii_int16_little.vti vtk_binary_int16_little.vti vtk_binary-zlib_int16_little.vti \
+         vtk_raw_float64_big.vti vtk_raw-zlib-wide_int16_little.vti vtk_base64-zlib_int16_little.vti \
+         pynrrd_gzip_int16_little.nrrd",
+    ) {
         let whole = std::fs::read(fixtures().join(name)).unwrap();
         // The file is cut within the voxels or within the header; reading must fail without a panic.
         for keep in [whole.len() * 3 / 5, whole.len() / 2, 100, 10, 0] {
@@ -256,30 +245,22 @@ fn lying_headers_do_not_allocate() {
              MET_SHORT\nElementDataFile = LOCAL\n"
         )
     };
-    let hundred = "x".repeat(100);
-    check(
-        "a.mha",
-        (mha("10000 10000 10000", "") + &hundred).as_bytes(),
-        "need 2000000000000 bytes, the file has 100",
-    );
-    check(
-        "a.mha",
-        (mha("10000 10000 10000", "CompressedData = True\n") + &hundred).as_bytes(),
-        "can hold 103200 at most",
-    );
-    check(
-        "a.mha",
-        (mha("4294967296 4294967296 4294967296", "") + &hundred).as_bytes(),
-        "more than can be addressed",
-    );
-    check("a.mha", mha("5 0 5", "").as_bytes(), "size along y is 0");
-    check("a.mha", mha("5 5 5", "ElementSpacing = 1 nan 1\n").as_bytes(), "need 250 bytes");
-    check("a.mha", (mha("5 5 2", "ElementSpacing = 1 nan 1\n") + &hundred).as_bytes(), "finite and positive");
-    check("a.mha", (mha("5 5 2", "ElementNumberOfChannels = 3\n") + &hundred).as_bytes(), "Channels is 3");
-    check("a.mha", mha("5 5", "").as_bytes(), "DimSize has 2 entries");
-    check("a.mha", mha("5 5 2", "HeaderSize = 1000\n").as_bytes(), "bytes, only 0 are left");
+    let (hundred, packed) = ("x".repeat(100), "CompressedData = True\n");
     let inside = "HeaderSize is 50, but the header alone has 109 bytes";
-    check("a.mha", mha("5 5 2", "HeaderSize = 50\n").as_bytes(), inside);
+    for (sizes, more, data, expected) in [
+        ("10000 10000 10000", "", &hundred[..], "need 2000000000000 bytes, the file has 100"),
+        ("10000 10000 10000", packed, &hundred, "can hold 103200 at most"),
+        ("4294967296 4294967296 4294967296", "", &hundred, "more than can be addressed"),
+        ("5 0 5", "", "", "size along y is 0"),
+        ("5 5 5", "ElementSpacing = 1 nan 1\n", "", "need 250 bytes"),
+        ("5 5 2", "ElementSpacing = 1 nan 1\n", &hundred, "finite and positive"),
+        ("5 5 2", "ElementNumberOfChannels = 3\n", &hundred, "Channels is 3"),
+        ("5 5", "", "", "DimSize has 2 entries"),
+        ("5 5 2", "HeaderSize = 1000\n", "", "bytes, only 0 are left"),
+        ("5 5 2", "HeaderSize = 50\n", "", inside),
+    ] {
+        check("a.mha", (mha(sizes, more) + data).as_bytes(), expected);
+    }
     check("a.mha", b"ObjectType = Scene\n", "ObjectType is \"Scene\"");
     check("a.mha", b"ObjectType = Image\n", "without ElementDataFile");
     check("a.mha", b"ElementDataFile = a%03d.raw 1 5\n", "no pattern of file names");
@@ -326,9 +307,9 @@ fn lying_headers_do_not_allocate() {
         ("Scalars=\"density\"", "Scalars=\"gone\"", "\"gone\" is not in the file"),
         ("Scalars=\"density\"", "Scalars=\"velocity\"", "has 3 components"),
         ("vtkZLibDataCompressor", "vtkLZMADataCompressor", "after its SetCompressorTypeToZLib()"),
-        ("vtkZLibDataCompressor", "vtkLZ4DataCompressor", "compressed block 0 of 4 is damaged"),
+        ("vtkZLibDataCompressor", "vtkLZ4DataCompressor", "\"density\": compressed block 0 of 4 is damaged"),
         ("ImageData", "PolyData", "accepted is ImageData"),
-        ("LittleEndian", "BigEndian", "compressed blocks hold"),
+        ("LittleEndian", "BigEndian", "array \"density\": the compressed blocks hold"),
         ("Int16", "String", "type \"String\", which is not read"),
         ("</DataArray>", "</DataArrau>", "not well-formed"),
     ] {
@@ -383,14 +364,10 @@ fn the_active_scalars_are_read_and_arrays_of_vtk_itself_never() {
         (ghosts.view().range(), ghosts.data()),
         ((-999.0, 4000.0), &VolumeData::I16(right()[..600].to_vec()))
     );
-    for name in [
-        "vti-cells-with-point-ghosts.vti",
-        "vti-points-ghost-first.vti",
-        "vti-points-mask-first.vti",
-        "vti-cells-ghost-first.vti",
-        "vti-cell-scalars-point-vectors.vti",
-        "vti-string-first.vti",
-    ] {
+    for name in words(
+        "vti-cells-with-point-ghosts.vti vti-points-ghost-first.vti vti-points-mask-first.vti \
+         vti-cells-ghost-first.vti vti-cell-scalars-point-vectors.vti vti-string-first.vti",
+    ) {
         let volume = assert_right(name);
         assert_eq!((volume.view().range(), volume.notes().len()), ((-999.0, 4000.0), 0), "{name}");
     }

@@ -7,6 +7,7 @@ use crate::error::bail;
 use crate::memory::collected;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
+use serde::{Deserialize, Serialize};
 
 /// Number of entries of a [`TransferTable`].
 pub const TABLE_LEN: usize = 256;
@@ -18,7 +19,8 @@ pub(crate) const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
 
 /// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) of the normalized scalar value s
 /// (paper, section "PredNet: Rendering Time Prediction").
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct GaussianLobe {
     /// c: position of the peak, in normalized scalar values [0, 1].
     pub center: f32,
@@ -29,7 +31,8 @@ pub struct GaussianLobe {
 }
 
 /// A point of a piecewise-linear transfer function.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ControlPoint {
     /// Normalized scalar value in [0, 1].
     pub position: f32,

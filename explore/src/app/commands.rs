@@ -45,32 +45,32 @@ impl App {
                 }
             }
             Command::LoadTransfer(file) => {
-                let range = self.state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);
-                match exchange::load(&file, range) {
-                    Ok(curve) => {
-                        self.state.replace(curve);
-                        self.state.say(format!("read {}", file.display()));
-                    }
-                    Err(error) => self.state.complain(&error),
-                }
+                let done = self.load_transfer(&file);
+                self.told(done, "read", &file);
             }
             Command::SaveTransfer { file, paraview } => {
                 let done = self.save_transfer(&file, paraview);
-                self.told(done, &file);
+                self.told(done, "wrote", &file);
             }
             Command::SaveRecording(file) => {
                 let done = self.save_recording(&file);
-                self.told(done, &file);
+                self.told(done, "wrote", &file);
             }
         }
         Ok(())
     }
 
-    fn told(&mut self, done: Result<()>, file: &Path) {
+    fn told(&mut self, done: Result<()>, what: &str, file: &Path) {
         match done {
-            Ok(()) => self.state.say(format!("wrote {}", file.display())),
+            Ok(()) => self.state.say(format!("{what} {}", file.display())),
             Err(error) => self.state.complain(&error),
         }
+    }
+
+    fn load_transfer(&mut self, file: &Path) -> Result<()> {
+        let range = self.state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);
+        self.state.replace(exchange::load(file, range)?);
+        Ok(())
     }
 
     fn save_transfer(&self, file: &Path, paraview: bool) -> Result<()> {
@@ -244,10 +244,7 @@ impl App {
             Action::FullFrame(_) => self.full_frame_at_once()?,
             Action::Map(on) => state.show_work = on,
             Action::SaveTransfer(file) => self.save_transfer(&file, false)?,
-            Action::LoadTransfer(file) => {
-                let range = state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);
-                state.replace(exchange::load(&file, range)?);
-            }
+            Action::LoadTransfer(file) => self.load_transfer(&file)?,
             Action::Undo(_) => state.changed.transfer |= state.edited.undo(),
             Action::Record(_) => {
                 state.recorder = Some(Recorder::new(state.view.fov_y));

@@ -137,12 +137,14 @@ fn every_wrong_field_is_named_with_its_line_and_column() {
     Writer::create(&path).unwrap().append(0, &plain, &[measured(0.1)]).unwrap();
     let good = std::fs::read_to_string(&path).unwrap();
     let line: Vec<String> = good.lines().nth(1).unwrap().split(',').map(str::to_owned).collect();
+    let says = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        format!("{:#}", Table::read(&path, 0).unwrap_err())
+    };
     let with = |column: &str, value: &str| {
         let mut fields = line.clone();
         fields[COLUMNS.iter().position(|c| *c == column).unwrap()] = value.to_owned();
-        let text = format!("{}\n{}\n", COLUMNS.join(","), fields.join(","));
-        std::fs::write(&path, text).unwrap();
-        format!("{:#}", Table::read(&path, 0).unwrap_err())
+        says(&format!("{}\n{}\n", COLUMNS.join(","), fields.join(",")))
     };
     for (column, value, expected) in [
         ("frame", "x", "column frame is \"x\""),
@@ -168,19 +170,12 @@ fn every_wrong_field_is_named_with_its_line_and_column() {
         let message = with(column, value);
         assert!(message.contains(expected) && message.contains("line 2"), "{column}={value}: {message}");
     }
-    let missing = good.replacen("step_ref", "step", 1);
-    std::fs::write(&path, missing).unwrap();
-    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("\"step_ref\" is missing"));
-    std::fs::write(&path, &good[..good.len() - 30]).unwrap();
-    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("26 expected"));
-    std::fs::write(&path, format!("{good}{}\n", line.join(","))).unwrap();
-    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("line 3: frame 0, repeat 0"));
-    std::fs::write(
-        &path,
-        format!("{good}{}\n", line.join(",").replacen("0,0,", "0,1,", 1).replace("320", "321")),
-    )
-    .unwrap();
-    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("another scene"));
+    let again = line.join(",");
+    let other = again.replacen("0,0,", "0,1,", 1).replace("320", "321");
+    assert!(says(&good.replacen("step_ref", "step", 1)).contains("\"step_ref\" is missing"));
+    assert!(says(&good[..good.len() - 30]).contains("26 expected"));
+    assert!(says(&format!("{good}{again}\n")).contains("line 3: frame 0, repeat 0"));
+    assert!(says(&format!("{good}{other}\n")).contains("another scene"));
     std::fs::write(&path, format!("{}\n", COLUMNS.join(","))).unwrap();
     assert!(read_tables(std::slice::from_ref(&path)).unwrap_err().to_string().contains("no frames"));
 }

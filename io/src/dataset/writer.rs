@@ -70,7 +70,7 @@ impl Writer {
     /// # Errors
     /// When the file cannot be read.
     pub fn is_fresh(path: &Path) -> Result<bool> {
-        let header = format!("{}\n", COLUMNS.join(","));
+        let header = header();
         let mut start = Vec::new();
         match File::open(path) {
             Ok(file) => file.take(header.len() as u64 + 1).read_to_end(&mut start),
@@ -96,7 +96,7 @@ impl Writer {
         lock(&file, path)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).with_context(fail)?;
-        let header = format!("{}\n", COLUMNS.join(","));
+        let header = header();
         if header.as_bytes().starts_with(&bytes) && bytes.len() < header.len() {
             // The file ends within its header line, so no frame is lost.
             file.set_len(0).and_then(|()| file.rewind()).with_context(fail)?;
@@ -191,7 +191,12 @@ fn lock(file: &File, path: &Path) -> Result<()> {
     )
 }
 
+/// The first line of a table.
+fn header() -> String {
+    COLUMNS.join(",") + "\n"
+}
+
 fn write_header(file: &mut File) -> std::io::Result<()> {
-    file.write_all(format!("{}\n", COLUMNS.join(",")).as_bytes())?;
+    file.write_all(header().as_bytes())?;
     file.sync_data()
 }

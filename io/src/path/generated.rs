@@ -1,8 +1,8 @@
 //! Paths that are generated from a volume's value distribution.
 
-use super::{CameraPose, Keyframe, Lobe, MAX_FRAMES, PATH_FORMAT, PathFile, Transfer};
+use super::{CameraPose, Keyframe, MAX_FRAMES, PATH_FORMAT, PathFile, Transfer};
 use anyhow::{Result, ensure};
-use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, VolumeView, normalize};
+use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, GaussianLobe, VolumeView, normalize};
 
 /// Paths that are generated for a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -127,7 +127,7 @@ impl Values {
 
     fn lobes(&self, lobes: [(f64, f32, f32); 3]) -> Transfer {
         Transfer::Lobes(
-            lobes.map(|(p, width, height)| Lobe { center: self.quantile(p), width, height }).to_vec(),
+            lobes.map(|(p, width, height)| GaussianLobe { center: self.quantile(p), width, height }).to_vec(),
         )
     }
 

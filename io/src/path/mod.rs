@@ -121,45 +121,16 @@ pub struct CameraPose {
 #[serde(rename_all = "lowercase")]
 pub enum Transfer {
     /// Gaussian lobes.
-    Lobes(Vec<Lobe>),
+    Lobes(Vec<GaussianLobe>),
     /// Piecewise-linear control points.
-    Points(Vec<Point>),
-}
-
-/// A Gaussian lobe (see [`GaussianLobe`]).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Lobe {
-    /// Position of the peak.
-    pub center: f32,
-    /// Width of the lobe.
-    pub width: f32,
-    /// Height of the lobe.
-    pub height: f32,
-}
-
-/// A control point (see [`ControlPoint`]).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Point {
-    /// Normalized scalar.
-    pub position: f32,
-    /// Red, green, blue.
-    pub color: [f32; 3],
-    /// Opacity of one reference step.
-    pub opacity: f32,
+    Points(Vec<ControlPoint>),
 }
 
 impl Transfer {
     /// Returns the lobes, if the function consists of lobes.
     pub fn lobes(&self) -> Option<Vec<GaussianLobe>> {
         match self {
-            Self::Lobes(lobes) => Some(
-                lobes
-                    .iter()
-                    .map(|l| GaussianLobe { center: l.center, width: l.width, height: l.height })
-                    .collect(),
-            ),
+            Self::Lobes(lobes) => Some(lobes.clone()),
             Self::Points(_) => None,
         }
     }
@@ -167,13 +138,8 @@ impl Transfer {
     /// Returns the core's transfer function.
     pub fn function(&self) -> TransferFunction {
         match self {
-            Self::Points(points) => TransferFunction::Points(
-                points
-                    .iter()
-                    .map(|p| ControlPoint { position: p.position, color: p.color, opacity: p.opacity })
-                    .collect(),
-            ),
-            Self::Lobes(_) => TransferFunction::Gaussian(self.lobes().unwrap_or_default()),
+            Self::Points(points) => TransferFunction::Points(points.clone()),
+            Self::Lobes(lobes) => TransferFunction::Gaussian(lobes.clone()),
         }
     }
 
@@ -190,7 +156,7 @@ impl Transfer {
             (Self::Lobes(a), Self::Lobes(b)) => Self::Lobes(
                 a.iter()
                     .zip(b)
-                    .map(|(a, b)| Lobe {
+                    .map(|(a, b)| GaussianLobe {
                         center: go(a.center, b.center),
                         width: go(a.width.ln(), b.width.ln()).exp(),
                         height: go(a.height, b.height),
@@ -200,7 +166,7 @@ impl Transfer {
             (Self::Points(a), Self::Points(b)) => Self::Points(
                 a.iter()
                     .zip(b)
-                    .map(|(a, b)| Point {
+                    .map(|(a, b)| ControlPoint {
                         position: go(a.position, b.position),
                         color: [0, 1, 2].map(|i| go(a.color[i], b.color[i])),
                         opacity: go(a.opacity, b.opacity),

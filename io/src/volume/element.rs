@@ -2,7 +2,7 @@
 
 use super::VolumeData;
 use super::stream::{Remaining, Stream};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use std::io::{self, Read};
 
 /// The scalar types that files hold.
@@ -31,6 +31,14 @@ pub(crate) enum Element {
 }
 
 impl Element {
+    /// Returns the type with this name. `names` has the names of every type, in the order of this enum,
+    /// separated by semicolons; a comma separates several names of one type.
+    pub(super) fn named(names: &str, name: &str) -> Option<Self> {
+        use Element::*;
+        let at = names.split(';').position(|of_one| of_one.split(',').any(|known| known.trim() == name))?;
+        [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64].get(at).copied()
+    }
+
     /// Returns the number of bytes per element in the file.
     pub(crate) const fn bytes(self) -> usize {
         match self {
@@ -216,12 +224,11 @@ pub(crate) fn grow<T>(out: &mut Vec<T>, more: usize, total: usize) -> Result<()>
 }
 
 fn reserve<T>(out: &mut Vec<T>, more: usize) -> Result<()> {
-    if out.try_reserve_exact(more).is_err() {
-        bail!(
-            "{} bytes of voxels do not fit into this machine's memory; scale the volume down",
-            (out.len() + more).saturating_mul(size_of::<T>())
-        );
-    }
+    ensure!(
+        out.try_reserve_exact(more).is_ok(),
+        "{} bytes of voxels do not fit into this machine's memory; scale the volume down",
+        (out.len() + more).saturating_mul(size_of::<T>())
+    );
     Ok(())
 }
 
@@ -272,14 +279,13 @@ pub(crate) fn parse_voxels(
     let voxels = x * y * z;
     // A number and the blank behind it take at least two bytes.
     let (Remaining::Exact(most) | Remaining::AtMost(most)) = stream.remaining();
-    if most.saturating_add(1) / 2 < voxels as u64 {
-        bail!(
-            "{}{x} x {y} x {z} voxels as text need at least {} bytes, the data has {most}; it is cut short or its header \
+    ensure!(
+        most.saturating_add(1) / 2 >= voxels as u64,
+        "{}{x} x {y} x {z} voxels as text need at least {} bytes, the data has {most}; it is cut short or its header \
              is wrong",
-            stream.prefix(),
-            (voxels as u64).saturating_mul(2) - 1
-        );
-    }
+        stream.prefix(),
+        (voxels as u64).saturating_mul(2) - 1
+    );
     macro_rules! parse_as {
         ($kind:ident, $stored:ty, $kept:ty) => {
             VolumeData::$kind(parse(stream, voxels, |text| {
@@ -310,21 +316,19 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
             == 0;
         if !end && !byte[0].is_ascii_whitespace() && byte[0] != b',' {
             token.push(byte[0]);
-            if token.len() > MAX_TOKEN {
-                bail!(
-                    "{prefix}number {} is longer than {MAX_TOKEN} characters; the data is not text",
-                    out.len()
-                );
-            }
+            ensure!(
+                token.len() <= MAX_TOKEN,
+                "{prefix}number {} is longer than {MAX_TOKEN} characters; the data is not text",
+                out.len()
+            );
             continue;
         }
         if !token.is_empty() {
-            if out.len() == voxels {
-                bail!(
-                    "{prefix}there are more than the {voxels} numbers that the sizes call for; check the sizes in the \
+            ensure!(
+                out.len() != voxels,
+                "{prefix}there are more than the {voxels} numbers that the sizes call for; check the sizes in the \
                      header"
-                );
-            }
+            );
             let Some(value) = std::str::from_utf8(&token).ok().and_then(&number) else {
                 bail!(
                     "{prefix}number {} is {:?}; the type in the header does not allow it",
@@ -340,12 +344,11 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
             break;
         }
     }
-    if out.len() < voxels {
-        bail!(
-            "{prefix}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its header is \
+    ensure!(
+        out.len() >= voxels,
+        "{prefix}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its header is \
              wrong",
-            out.len()
-        );
-    }
+        out.len()
+    );
     Ok(out)
 }

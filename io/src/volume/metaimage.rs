@@ -14,7 +14,7 @@ use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::several::Several;
 use super::stream::{Companions, Remaining, Stream};
 use super::{Element, Endian, Parts, VolumeData, checked_dims, number, numbers, three_axes};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 
 const MAX_LINE: usize = 1 << 16;
 const MAX_LINES: usize = 1 << 14;
@@ -46,16 +46,13 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     let sizes = header.sizes.take().context("MetaImage header has no DimSize")?;
     let spacing = header.spacing.take().or(header.element_size.take()).unwrap_or_else(|| vec![1.0; axes]);
     for (found, key) in [(sizes.len(), "DimSize"), (spacing.len(), "ElementSpacing or ElementSize")] {
-        if found != axes {
-            bail!("MetaImage {key} has {found} entries, NDims says {axes}");
-        }
+        ensure!(found == axes, "MetaImage {key} has {found} entries, NDims says {axes}");
     }
-    if header.channels != 1 {
-        bail!(
-            "MetaImage ElementNumberOfChannels is {}; one component per voxel is accepted, save one of them",
-            header.channels
-        );
-    }
+    ensure!(
+        header.channels == 1,
+        "MetaImage ElementNumberOfChannels is {}; one component per voxel is accepted, save one of them",
+        header.channels
+    );
     let ([x, y, z], spacing) = three_axes(&sizes, &spacing, &[])?;
     let dims = checked_dims([x, y, z])?;
     let mut notes = Vec::new();
@@ -156,9 +153,7 @@ impl Header {
             }
             "NDims" => {
                 let axes = number(key, value)?;
-                if !(1..=MAX_AXES).contains(&axes) {
-                    bail!("NDims is {axes}; 1 to {MAX_AXES} are possible");
-                }
+                ensure!((1..=MAX_AXES).contains(&axes), "NDims is {axes}; 1 to {MAX_AXES} are possible");
                 self.axes = Some(axes);
             }
             "DimSize" => self.sizes = Some(numbers(key, value, MAX_AXES)?),
@@ -166,22 +161,15 @@ impl Header {
             "ElementSize" => self.element_size = Some(numbers(key, value, MAX_AXES)?),
             "ElementNumberOfChannels" => self.channels = number(key, value)?,
             "ElementType" => {
-                self.element = Some(match value {
-                    "MET_CHAR" => Element::I8,
-                    "MET_UCHAR" => Element::U8,
-                    "MET_SHORT" => Element::I16,
-                    "MET_USHORT" => Element::U16,
-                    "MET_INT" | "MET_LONG" => Element::I32,
-                    "MET_UINT" | "MET_ULONG" => Element::U32,
-                    "MET_LONG_LONG" => Element::I64,
-                    "MET_ULONG_LONG" => Element::U64,
-                    "MET_FLOAT" => Element::F32,
-                    "MET_DOUBLE" => Element::F64,
-                    other => bail!(
-                        "ElementType {other:?} is not read; accepted are MET_CHAR to MET_ULONG_LONG, \
+                let types = "MET_CHAR; MET_UCHAR; MET_SHORT; MET_USHORT; MET_INT, MET_LONG; \
+                             MET_UINT, MET_ULONG; MET_LONG_LONG; MET_ULONG_LONG; MET_FLOAT; MET_DOUBLE";
+                let element = Element::named(types, value);
+                self.element = Some(element.with_context(|| {
+                    format!(
+                        "ElementType {value:?} is not read; accepted are MET_CHAR to MET_ULONG_LONG, \
                          MET_FLOAT and MET_DOUBLE"
-                    ),
-                });
+                    )
+                })?);
             }
             "BinaryData" => self.binary = flag(key, value)?,
             "BinaryDataByteOrderMSB" => self.big_endian[0] = Some(flag(key, value)?),
@@ -189,14 +177,10 @@ impl Header {
             "CompressedData" => self.compressed = flag(key, value)?,
             "HeaderSize" => {
                 self.header_size = number(key, value)?;
-                if self.header_size < -1 {
-                    bail!("HeaderSize is {value}; accepted are -1 and up");
-                }
+                ensure!(self.header_size >= -1, "HeaderSize is {value}; accepted are -1 and up");
             }
             "ElementDataFile" => {
-                if value.is_empty() {
-                    bail!("ElementDataFile names no file");
-                }
+                ensure!(!value.is_empty(), "ElementDataFile names no file");
                 self.several = Several::pattern(value)?;
                 self.data_file = value.to_owned();
                 return Ok(true);

@@ -46,7 +46,7 @@ pub use reading::{Fill, Range, Reading};
 pub(crate) use stream::{Companions, Folder, without_mark};
 pub use stream::{Stream, Watcher};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 use reading::{hide_fill, narrow, non_finite};
 use std::path::{Path, PathBuf};
@@ -198,16 +198,15 @@ impl Volume {
     ) -> Result<Self> {
         let view =
             VolumeView::with(data.scalars(), dims, VolumeOptions { spacing, ..VolumeOptions::default() })?;
-        if view.shape().voxels != data.len() as u64 {
-            bail!(
-                "volume of {} x {} x {} has {} voxels, the data has {}; check the sizes",
-                dims[0],
-                dims[1],
-                dims[2],
-                view.shape().voxels,
-                data.len()
-            );
-        }
+        ensure!(
+            view.shape().voxels == data.len() as u64,
+            "volume of {} x {} x {} has {} voxels, the data has {}; check the sizes",
+            dims[0],
+            dims[1],
+            dims[2],
+            view.shape().voxels,
+            data.len()
+        );
         let range = view.range();
         let (name, source) = (name.into(), PathBuf::new());
         Ok(Self { data, dims, spacing, range, name, source, notes: Vec::new() })
@@ -378,9 +377,7 @@ fn stem(name: &str) -> &str {
 /// When a size is 0 (the error names the axis), or the product of the sizes cannot be addressed.
 pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
     for (size, axis) in sizes.iter().zip(["x", "y", "z"]) {
-        if *size == 0 {
-            bail!("size along {axis} is 0; every axis needs at least one voxel");
-        }
+        ensure!(*size > 0, "size along {axis} is 0; every axis needs at least one voxel");
     }
     let voxels = sizes[0].checked_mul(sizes[1]).and_then(|p| p.checked_mul(sizes[2]));
     match voxels {
@@ -404,12 +401,11 @@ pub(crate) fn three_axes<T: Copy>(
     values: &[T],
     spatial: &[bool],
 ) -> Result<([u64; 3], [T; 3])> {
-    if sizes.len() < 3 {
-        bail!(
-            "the data has {} axes; a volume needs three (give a single slice a third axis of size 1)",
-            sizes.len()
-        );
-    }
+    ensure!(
+        sizes.len() >= 3,
+        "the data has {} axes; a volume needs three (give a single slice a third axis of size 1)",
+        sizes.len()
+    );
     let mut keep: Vec<usize> = (0..sizes.len()).collect();
     // Axes of one element carry no data: those without a direction in space are dropped first, then the last
     // ones.
@@ -433,19 +429,14 @@ pub(crate) fn three_axes<T: Copy>(
 
 /// Parses the number of a header's field.
 pub(crate) fn number<T: FromStr>(field: &str, value: &str) -> Result<T> {
-    match value.parse() {
-        Ok(number) => Ok(number),
-        Err(_) => bail!("{field:?} has {value:?} where a number is expected"),
-    }
+    value.parse().ok().with_context(|| format!("{field:?} has {value:?} where a number is expected"))
 }
 
 /// Parses the numbers of a header's field, at most `most`, with blanks between them.
 pub(crate) fn numbers<T: FromStr>(field: &str, value: &str, most: usize) -> Result<Vec<T>> {
     let found: Vec<T> =
         value.split_whitespace().take(most + 1).map(|word| number(field, word)).collect::<Result<_>>()?;
-    if found.len() > most {
-        bail!("{field:?} has more than {most} entries");
-    }
+    ensure!(found.len() <= most, "{field:?} has more than {most} entries");
     Ok(found)
 }
 

@@ -12,7 +12,7 @@
 use super::element::{expect_end, read_voxels};
 use super::stream::Stream;
 use super::{Element, Endian, Parts, checked_dims, three_axes};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use std::io::Read;
 
 const NIFTI1_BYTES: usize = 348;
@@ -37,9 +37,7 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
         stream = stream.gunzip();
     }
     let header = header(&mut stream)?;
-    if !(1..=7).contains(&header.axes) {
-        bail!("NIfTI dim[0] is {}; 1 to 7 are possible", header.axes);
-    }
+    ensure!((1..=7).contains(&header.axes), "NIfTI dim[0] is {}; 1 to 7 are possible", header.axes);
     let axes = header.axes as usize;
     let mut sizes = Vec::with_capacity(axes);
     for (axis, &size) in header.sizes[..axes].iter().enumerate() {

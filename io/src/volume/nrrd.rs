@@ -14,7 +14,7 @@ use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::several::Several;
 use super::stream::{Companions, Stream};
 use super::{Element, Endian, Parts, VolumeData, checked_dims, number, numbers, three_axes};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 
 const MAX_LINE: usize = 1 << 16;
 const MAX_LINES: usize = 1 << 14;
@@ -192,9 +192,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
             },
         };
         let field = field.trim().to_ascii_lowercase();
-        if seen.contains(&field) {
-            bail!("NRRD header line {number}: field \"{field}\" appears twice");
-        }
+        ensure!(!seen.contains(&field), "NRRD header line {number}: field \"{field}\" appears twice");
         header.set(&field, value).with_context(|| format!("NRRD header line {number}"))?;
         if field.replace(' ', "") == "datafile" && value.split_whitespace().next() == Some("LIST") {
             // Every further line is a name.
@@ -249,9 +247,7 @@ impl Header {
                 self.line_skip = number(field, value)?;
             }
             "data file" | "datafile" => {
-                if value.is_empty() {
-                    bail!("\"{field}\" names no file");
-                }
+                ensure!(!value.is_empty(), "\"{field}\" names no file");
                 self.several = Several::pattern(value)?;
                 self.data_file = Some(value.to_owned());
             }
@@ -262,25 +258,15 @@ impl Header {
 }
 
 fn element(value: &str) -> Result<Element> {
+    let types = "signed char, int8, int8_t; uchar, unsigned char, uint8, uint8_t; \
+        short, short int, signed short, signed short int, int16, int16_t; \
+        ushort, unsigned short, unsigned short int, uint16, uint16_t; \
+        int, signed int, int32, int32_t; uint, unsigned int, uint32, uint32_t; \
+        longlong, long long, long long int, signed long long, signed long long int, int64, int64_t; \
+        ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t; float; double";
     let words = value.to_ascii_lowercase().split_whitespace().collect::<Vec<_>>().join(" ");
-    Ok(match words.as_str() {
-        "signed char" | "int8" | "int8_t" => Element::I8,
-        "uchar" | "unsigned char" | "uint8" | "uint8_t" => Element::U8,
-        "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => Element::I16,
-        "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => Element::U16,
-        "int" | "signed int" | "int32" | "int32_t" => Element::I32,
-        "uint" | "unsigned int" | "uint32" | "uint32_t" => Element::U32,
-        "longlong"
-        | "long long"
-        | "long long int"
-        | "signed long long"
-        | "signed long long int"
-        | "int64"
-        | "int64_t" => Element::I64,
-        "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Element::U64,
-        "float" => Element::F32,
-        "double" => Element::F64,
-        other => bail!("type {other:?} is not read; accepted are 8- to 64-bit integers, float and double"),
+    Element::named(types, &words).with_context(|| {
+        format!("type {words:?} is not read; accepted are 8- to 64-bit integers, float and double")
     })
 }
 
@@ -290,9 +276,7 @@ fn directions(value: &str) -> Result<Vec<Option<f64>>> {
     let mut found = Vec::new();
     let mut rest = value.trim();
     while !rest.is_empty() {
-        if found.len() == MAX_AXES {
-            bail!("\"space directions\" has more than {MAX_AXES} entries");
-        }
+        ensure!(found.len() < MAX_AXES, "\"space directions\" has more than {MAX_AXES} entries");
         if let Some(after) = rest.strip_prefix("none") {
             found.push(None);
             rest = after.trim_start();

@@ -11,7 +11,7 @@
 use super::element::{expect_end, read_voxels};
 use super::stream::{Companions, Stream, without_mark};
 use super::{Element, Endian, Parts, checked_dims, strip_ending, three_axes};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use serde_json::Value;
 
 const MAX_JSON: u64 = 1 << 20;
@@ -103,10 +103,8 @@ fn voxels(mut stream: Stream<'_>, packed: bool, description: Description) -> Res
 
 fn describe(stream: &mut Stream<'_>) -> Result<Description> {
     let bytes = stream.all(MAX_JSON)?;
-    let json: Value = match serde_json::from_slice(without_mark(&bytes)) {
-        Ok(json) => json,
-        Err(error) => bail!("the description is not JSON: {error}"),
-    };
+    let json: Value = serde_json::from_slice(without_mark(&bytes))
+        .map_err(|error| anyhow!("the description is not JSON: {error}"))?;
     let Value::Object(json) = json else {
         bail!("the description is not a JSON object with \"size\" and \"type\"");
     };
@@ -155,26 +153,16 @@ fn list<T>(
         return Ok(None);
     };
     let numbers = value.as_array().and_then(|array| array.iter().map(number).collect::<Option<Vec<T>>>());
-    match numbers {
-        Some(numbers) => Ok(Some(numbers)),
-        None => bail!("\"{key}\" is {value}; accepted is an array of numbers, x first"),
-    }
+    numbers
+        .map(Some)
+        .with_context(|| format!("\"{key}\" is {value}; accepted is an array of numbers, x first"))
 }
 
 fn element(name: &str) -> Option<Element> {
-    Some(match name.to_ascii_lowercase().as_str() {
-        "int8" | "i8" | "char" => Element::I8,
-        "uint8" | "u8" | "uchar" | "byte" => Element::U8,
-        "int16" | "i16" | "short" => Element::I16,
-        "uint16" | "u16" | "ushort" => Element::U16,
-        "int32" | "i32" | "int" => Element::I32,
-        "uint32" | "u32" | "uint" => Element::U32,
-        "int64" | "i64" => Element::I64,
-        "uint64" | "u64" => Element::U64,
-        "float32" | "f32" | "float" => Element::F32,
-        "float64" | "f64" | "double" => Element::F64,
-        _ => return None,
-    })
+    let types = "int8, i8, char; uint8, u8, uchar, byte; int16, i16, short; uint16, u16, ushort; \
+                 int32, i32, int; uint32, u32, uint; int64, i64; uint64, u64; float32, f32, float; \
+                 float64, f64, double";
+    Element::named(types, &name.to_ascii_lowercase())
 }
 
 /// Parses names like `skull_256x256x256_uint8`.

@@ -10,16 +10,22 @@ use std::str::FromStr;
 /// Width of the value range of unsigned bytes, in scalar values, below which a note suggests `--range data`.
 const NARROW: f32 = 64.0;
 
-/// Options of reading a volume file. The default determines all of them from the file.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// Options of reading a volume file, also of commands. The default determines all of them from the file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default)]
 pub struct Reading {
-    /// The array's name, in a format that may hold several (VTK); default: the active scalars.
+    /// Array to read from a VTK file with several arrays; default: its active scalars.
+    #[arg(long, value_name = "NAME")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<String>,
-    /// Fill values: voxels without data.
+    /// Fill values, which mark voxels without data: numbers separated by commas, none, or auto for a minimum
+    /// or maximum that is frequent and far from all other values. Such voxels are shown as the low end of the
+    /// range.
+    #[arg(long, default_value_t, value_name = "VALUE,…|auto|none", allow_hyphen_values = true)]
     pub fill: Fill,
-    /// The scalar range that maps to [0, 1].
+    /// Scalar range that maps to [0, 1]: two numbers; `data`: the range of the voxel values; `auto`: 0 to
+    /// 255 for unsigned bytes, the range of the voxel values for other types.
+    #[arg(long, default_value_t, value_name = "LO,HI|data|auto", allow_hyphen_values = true)]
     pub range: Range,
 }
 

@@ -91,10 +91,8 @@ impl Several {
 }
 
 fn whole(word: &str) -> Result<i64> {
-    match word.parse::<i32>() {
-        Ok(number) => Ok(i64::from(number)),
-        Err(_) => bail!("{word:?} stands where a whole number is expected"),
-    }
+    let number = word.parse::<i32>().ok().map(i64::from);
+    number.with_context(|| format!("{word:?} stands where a whole number is expected"))
 }
 
 /// Returns the pattern with a number in place of `%d`, `%03d` and the like.

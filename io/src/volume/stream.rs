@@ -1,6 +1,6 @@
 //! Byte streams with a known upper bound on their length, from any source.
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use bzip2::bufread::MultiBzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
 use std::fs::{File, Metadata};
@@ -195,11 +195,10 @@ impl<'a> Stream<'a> {
             _ => io::copy(&mut self.take(count), &mut io::sink())
                 .with_context(|| format!("{prefix}skipping {count} bytes"))?,
         };
-        if left < count {
-            bail!(
-                "{prefix}the header says to skip {count} bytes, only {left} are left; is the file cut short?"
-            );
-        }
+        ensure!(
+            left >= count,
+            "{prefix}the header says to skip {count} bytes, only {left} are left; is the file cut short?"
+        );
         Ok(())
     }
 
@@ -392,9 +391,7 @@ impl<R: BufRead> Read for Hexadecimal<R> {
 /// Refuses files that have no end or wait for a writer: folders, FIFOs, sockets, devices.
 fn check_regular(path: &Path, metadata: &Metadata) -> Result<()> {
     let shown = path.display();
-    if metadata.is_dir() {
-        bail!("{shown}: is a folder; name a file in it");
-    }
+    ensure!(!metadata.is_dir(), "{shown}: is a folder; name a file in it");
     if metadata.is_file() {
         return Ok(());
     }

@@ -12,7 +12,7 @@
 use super::element::{byte_count, grow, parse_voxels, read_voxels};
 use super::stream::{Stream, without_mark};
 use super::{Element, Endian, Parts, VolumeData, checked_dims};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use flate2::bufread::ZlibDecoder;
@@ -91,9 +91,7 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     let bytes = without_mark(&bytes);
     let mut file = parse(bytes)?;
     file.pieces.retain(|piece| !piece.points.arrays.is_empty() || !piece.cells.arrays.is_empty());
-    let Some(first) = file.pieces.first() else {
-        bail!("the file has no point or cell data array");
-    };
+    let first = file.pieces.first().context("the file has no point or cell data array")?;
     let mut notes = Vec::new();
     let (array, cells) = choose(first, name, &mut notes)?;
     if let [piece] = &file.pieces[..]
@@ -145,11 +143,10 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     }
     let total = dims[0] * dims[1] * dims[2];
     let stored = parts.iter().map(|(data, ..)| data.len()).fold(0, usize::saturating_add);
-    if stored < total {
-        bail!(
-            "the pieces hold {stored} of the {total} voxels of WholeExtent; are some of them in other files?"
-        );
-    }
+    ensure!(
+        stored >= total,
+        "the pieces hold {stored} of the {total} voxels of WholeExtent; are some of them in other files?"
+    );
     let data = joined(&parts, dims)?;
     Ok(Parts { data, dims, spacing: file.spacing, name: None, notes })
 }
@@ -230,36 +227,40 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
             let mut text = Stream::from_bytes(&bytes[range.clone()]);
             return parse_voxels(&mut text, dims, element).with_context(context);
         }
-        Place::Inline(range) => Cow::Owned(from_base64(&bytes[range.clone()], file, expected)?),
+        Place::Inline(range) => {
+            Cow::Owned(from_base64(&bytes[range.clone()], file, expected).with_context(context)?)
+        }
         Place::Appended(offset) => {
             let Some((base64, start)) = file.appended else {
                 bail!("array {shown:?} is appended, the file has no AppendedData; is it cut short?");
             };
             let rest =
                 usize::try_from(*offset).ok().and_then(|offset| bytes.get(start.checked_add(offset)?..));
-            let Some(rest) = rest else {
-                bail!(
-                    "array {shown:?} begins at byte {offset} of the appended data, which has {}; is the file cut \
-                     short?",
-                    bytes.len() - start
-                );
-            };
-            if base64 { Cow::Owned(from_base64(rest, file, expected)?) } else { Cow::Borrowed(rest) }
+            let rest = rest.with_context(|| {
+                let length = bytes.len() - start;
+                format!(
+                    "array {shown:?} begins at byte {offset} of the appended data, which has {length}; is the file \
+                     cut short?"
+                )
+            })?;
+            match base64 {
+                true => Cow::Owned(from_base64(rest, file, expected).with_context(context)?),
+                false => Cow::Borrowed(rest),
+            }
         }
     };
     let voxels = if file.compressor != Compressor::None {
-        Cow::Owned(decompress(&stored, file, expected)?)
+        Cow::Owned(decompress(&stored, file, expected).with_context(context)?)
     } else {
-        let (header, rest) = word(&stored, file)?;
-        if header != expected {
-            bail!(
-                "array {shown:?} has {header} bytes, {} x {} x {} voxels of {} bytes need {expected}",
-                dims[0],
-                dims[1],
-                dims[2],
-                element.bytes()
-            );
-        }
+        let (header, rest) = word(&stored, file).with_context(context)?;
+        ensure!(
+            header == expected,
+            "array {shown:?} has {header} bytes, {} x {} x {} voxels of {} bytes need {expected}",
+            dims[0],
+            dims[1],
+            dims[2],
+            element.bytes()
+        );
         Cow::Borrowed(rest)
     };
     read_voxels(&mut Stream::from_bytes(&voxels), dims, element, file.endian, None).with_context(context)
@@ -458,15 +459,11 @@ fn parse(bytes: &[u8]) -> Result<File> {
             _ => {}
         }
         if !empty {
-            if path.len() == 64 {
-                bail!("XML elements are nested more than 64 deep");
-            }
+            ensure!(path.len() < 64, "XML elements are nested more than 64 deep");
             path.push(name.to_owned());
         }
     }
-    if !extent_found {
-        bail!("the file has no ImageData with a WholeExtent; is it cut short?");
-    }
+    ensure!(extent_found, "the file has no ImageData with a WholeExtent; is it cut short?");
     Ok(file)
 }
 
@@ -482,36 +479,20 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
     let name = attribute(tag, "Name")?;
     let shown = name.as_deref().unwrap_or("unnamed").to_owned();
     let kind = attribute(tag, "type")?.unwrap_or_default();
-    let element = match kind.as_str() {
-        "Int8" => Some(Element::I8),
-        "UInt8" => Some(Element::U8),
-        "Int16" => Some(Element::I16),
-        "UInt16" => Some(Element::U16),
-        "Int32" => Some(Element::I32),
-        "UInt32" => Some(Element::U32),
-        "Int64" => Some(Element::I64),
-        "UInt64" => Some(Element::U64),
-        "Float32" => Some(Element::F32),
-        "Float64" => Some(Element::F64),
-        _ => None,
-    };
+    let types = "Int8; UInt8; Int16; UInt16; Int32; UInt32; Int64; UInt64; Float32; Float64";
+    let element = Element::named(types, &kind);
     let components = match attribute(tag, "NumberOfComponents")? {
         None => 1,
-        Some(text) => match text.trim().parse() {
+        Some(text) => {
+            let stated = text.trim().parse::<u64>().ok();
             // Some versions of VTK write 0 or nothing for plain scalars.
-            Ok(0) => 1,
-            Ok(n) => n,
-            Err(_) => bail!("array {shown:?}: NumberOfComponents is {text:?}"),
-        },
+            stated.with_context(|| format!("array {shown:?}: NumberOfComponents is {text:?}"))?.max(1)
+        }
     };
     // The text up to the next tag.
     let inside = || {
-        let length = if empty {
-            0
-        } else {
-            bytes[position..].iter().position(|&b| b == b'<').unwrap_or(bytes.len() - position)
-        };
-        position..position + length
+        let text = if empty { &bytes[..0] } else { &bytes[position..] };
+        position..position + text.iter().position(|&b| b == b'<').unwrap_or(text.len())
     };
     let place = match attribute(tag, "format")?.as_deref() {
         None | Some("ascii") => Place::Ascii(inside()),
@@ -519,10 +500,8 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
         Some("appended") => {
             let offset = attribute(tag, "offset")?
                 .with_context(|| format!("array {shown:?} is appended and has no offset"))?;
-            match offset.trim().parse() {
-                Ok(offset) => Place::Appended(offset),
-                Err(_) => bail!("array {shown:?}: offset is {offset:?}"),
-            }
+            let at = offset.trim().parse().ok();
+            Place::Appended(at.with_context(|| format!("array {shown:?}: offset is {offset:?}"))?)
         }
         Some(other) => bail!("array {shown:?}: format is {other:?}; accepted are ascii, binary and appended"),
     };
@@ -531,15 +510,11 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
 
 fn attribute(tag: &BytesStart<'_>, name: &str) -> Result<Option<String>> {
     for attribute in tag.attributes() {
-        let attribute = match attribute {
-            Ok(attribute) => attribute,
-            Err(error) => bail!("broken XML attribute: {error}"),
-        };
+        let attribute = attribute.map_err(|error| anyhow!("broken XML attribute: {error}"))?;
         if attribute.key.as_ref() == name {
-            return match attribute.normalized_value(XmlVersion::Implicit1_0) {
-                Ok(value) => Ok(Some(value.into_owned())),
-                Err(error) => bail!("broken XML attribute {name:?}: {error}"),
-            };
+            let value = attribute.normalized_value(XmlVersion::Implicit1_0);
+            let value = value.map_err(|error| anyhow!("broken XML attribute {name:?}: {error}"))?;
+            return Ok(Some(value.into_owned()));
         }
     }
     Ok(None)
@@ -547,10 +522,8 @@ fn attribute(tag: &BytesStart<'_>, name: &str) -> Result<Option<String>> {
 
 fn numbers<T: std::str::FromStr, const N: usize>(name: &str, text: &str) -> Result<[T; N]> {
     let found: Option<Vec<T>> = text.split_whitespace().take(N + 1).map(|word| word.parse().ok()).collect();
-    match found.and_then(|found| found.try_into().ok()) {
-        Some(found) => Ok(found),
-        None => bail!("{name} is {text:?}; accepted are {N} numbers"),
-    }
+    let found = found.and_then(|found| found.try_into().ok());
+    found.with_context(|| format!("{name} is {text:?}; accepted are {N} numbers"))
 }
 
 /// Decodes the header and the data of one array from base64 text, which other arrays may follow.
@@ -624,11 +597,10 @@ fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     let (last, mut sizes) = word(rest, file)?;
     let full = if last == 0 { blocks } else { blocks.saturating_sub(1) };
     let total = full.checked_mul(block).and_then(|n| n.checked_add(if blocks == 0 { 0 } else { last }));
-    if total != Some(expected) {
-        bail!(
-            "the compressed blocks hold {blocks} x {block} (last {last}) bytes, the voxels need {expected}"
-        );
-    }
+    ensure!(
+        total == Some(expected),
+        "the compressed blocks hold {blocks} x {block} (last {last}) bytes, the voxels need {expected}"
+    );
     let table = blocks.checked_mul(file.width).filter(|n| *n <= sizes.len() as u64);
     let Some(table) = table else {
         bail!("the binary data ends within its table of {blocks} blocks; the file is cut short");
@@ -647,13 +619,12 @@ fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
         let wanted = if index + 1 == blocks && last != 0 { last } else { block };
         let before = out.len() as u64;
         if file.compressor == Compressor::Lz4 {
-            if wanted > (this.len() as u64).saturating_mul(LZ4_GROWTH) {
-                bail!(
-                    "compressed block {index} of {blocks} has {} bytes, which cannot hold the {wanted} that its \
+            ensure!(
+                wanted <= (this.len() as u64).saturating_mul(LZ4_GROWTH),
+                "compressed block {index} of {blocks} has {} bytes, which cannot hold the {wanted} that its \
                      header says",
-                    this.len()
-                );
-            }
+                this.len()
+            );
             grow(&mut out, wanted as usize, expected as usize)?;
             let from = out.len();
             out.resize(from + wanted as usize, 0);
@@ -670,12 +641,11 @@ fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
             bail!("compressed block {index} of {blocks} is damaged: {error}");
         }
         let got = out.len() as u64 - before;
-        if got != wanted {
-            bail!(
-                "compressed block {index} of {blocks} decompresses to {got} or more bytes, its header says \
+        ensure!(
+            got == wanted,
+            "compressed block {index} of {blocks} decompresses to {got} or more bytes, its header says \
                  {wanted}"
-            );
-        }
+        );
     }
     Ok(out)
 }

@@ -171,3 +171,53 @@ fn every_color_has_its_counterpart_on_a_dark_ground() {
         }
     }
 }
+
+#[test]
+fn every_kind_of_chart_is_drawn() {
+    let wave = |shift: f64| -> Vec<(f64, f64)> {
+        (0..120).map(f64::from).map(|x| (x, 18.0 + 3.0 * (0.21 * x + shift).sin())).collect()
+    };
+    let mut broken = wave(2.0);
+    broken[20].1 = f64::NAN;
+    let band = wave(1.0).into_iter().map(|(x, y)| (x, 16.0, 50.0 + y)).collect();
+    let cloud = wave(0.0).into_iter().map(|(x, y)| (0.004 * 1.05f64.powf(x), y, String::new())).collect();
+    let places = [(0.8, 22.0), (1.0, 20.5), (1.05, 20.4), (4.0, 14.0), (4.2, 13.9), (300.0, 8.7)];
+    let named = places.map(|(x, y)| (x, y, format!("predictor at {x}")));
+    let boxes = |by: f64| (0..3).map(|i| (f64::from(i), [0.2, 0.6, 1.0, 1.7, 4.0].map(|q| q * by))).collect();
+    let scenes = || ["zoom", "isovalue sweep", "switching light"].map(str::to_owned).to_vec();
+    let worst = [(1.0, 0.0), (1.3, 1.0), (2.4, 2.0), (1.1, 0.0)].map(|(x, y)| (x, y, String::new()));
+    let charts = [
+        Chart::new("Frame time", Axis::linear("frame"), Axis::log("frame time / ms"))
+            .size(900.0, 380.0)
+            .rule(Rule::Vertical(40.0, "switch 1".into()))
+            .rule(Rule::Horizontal(60.0, "limit".into()))
+            .series(Series::new("target", Mark::Steps(wave(0.0))).color(10))
+            .series(Series::new("reference step", Mark::Band(band)).color(6))
+            .series(Series::new("PID", Mark::Line(broken))),
+        Chart::new("Predicted over measured", Axis::log("measured / s"), Axis::log("predicted / s"))
+            .series(Series::new("held-out frames", Mark::Points(cloud)))
+            .rule(Rule::Diagonal("exact".into())),
+        Chart::new("Error against latency", Axis::log("latency / µs"), Axis::linear("error / %").from(0.0))
+            .series(Series::new("", Mark::Line(places.to_vec())).color(5))
+            .series(Series::new("predictors", Mark::Points(named.to_vec()))),
+        Chart::new("Errors", Axis::categories("scene", scenes()), Axis::log("absolute error / %"))
+            .series(Series::new("OLP", Mark::Boxes(boxes(2.0))))
+            .series(Series::new("network", Mark::Boxes(boxes(1.0)))),
+        Chart::new("Worst frame", Axis::linear("t / T").from(0.0).to(2.0), Axis::categories("", scenes()))
+            .series(Series::new("hybrid", Mark::Points(worst.to_vec())))
+            .series(Series::new("late", Mark::Stretches(vec![(1.0, 1.5, 0.0), (0.5, 3.0, 2.0)]))),
+        Chart::new("Nothing measured", Axis::log("x"), Axis::linear("y")).size(500.0, 200.0),
+    ];
+    let mut classes = std::collections::BTreeSet::new();
+    for chart in charts {
+        let svg = chart.to_svg_file();
+        let (all, _) = elements(&svg);
+        assert_eq!(all[0].name, "svg", "{}", chart.title);
+        assert!(all.iter().filter(|e| e.name == "text").count() >= 4, "{} lacks texts", chart.title);
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{}", chart.title);
+        classes.extend(all.into_iter().flat_map(|e| e.groups));
+    }
+    for class in ["line", "steps", "points", "band", "boxes", "stretches", "rule"] {
+        assert!(classes.contains(class), "no {class} among {classes:?}");
+    }
+}

@@ -125,13 +125,9 @@ fn shipped_models_give_times_for_ten_thousand_random_inputs() {
             None => (0..ROWS * net.inputs()).map(|_| 1e8 * (1.0 + uniform())).collect(),
         };
         let mut seconds = vec![0.0; ROWS];
-        net.predict_batch(
-            Executor::Serial,
-            &inputs,
-            &mut seconds,
-            std::slice::from_mut(&mut net.scratch(192).expect("memory")),
-        )
-        .expect("a batch");
+        let scratch = &mut net.scratch(192).expect("memory");
+        net.predict_batch(Executor::Serial, &inputs, &mut seconds, std::slice::from_mut(scratch))
+            .expect("a batch");
         check_predictions(&mut seconds).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         assert!(seconds.iter().all(|s| s.is_finite() && *s > 0.0), "{}", path.display());
         tried += 1;

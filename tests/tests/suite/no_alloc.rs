@@ -111,13 +111,8 @@ fn predictions_allocate_nothing() {
                 for row in inputs.chunks_exact(16) {
                     sum += net.predict(row, &mut scratch);
                 }
-                net.predict_batch(
-                    Executor::Serial,
-                    &inputs,
-                    &mut seconds,
-                    std::slice::from_mut(&mut scratches[0]),
-                )
-                .expect("a batch");
+                net.predict_batch(Executor::Serial, &inputs, &mut seconds, &mut scratches[..1])
+                    .expect("a batch");
                 sum += seconds[99];
                 net.predict_batch(Executor::Serial, &inputs, &mut seconds, &mut scratches)
                     .expect("a batch in two parts");

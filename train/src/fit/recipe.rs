@@ -74,53 +74,99 @@ impl DtypeChoice {
 }
 
 /// Recipe of a predictor. Omitted fields have the values of [`Recipe::default`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default, deny_unknown_fields)]
 pub struct Recipe {
-    /// Kind of the fitted model.
+    /// Kind of the model.
+    #[arg(
+        long = "model-kind",
+        value_enum,
+        default_value_t = Kind::Prednet,
+        value_name = "MODEL_KIND",
+        conflicts_with = "fine_tune"
+    )]
     pub kind: Kind,
-    /// Hidden layer widths of networks.
+    /// Hidden layer widths.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "WIDTHS",
+        conflicts_with_all = ["preset", "fine_tune"],
+        default_value = "64,64"
+    )]
     pub layers: Vec<usize>,
-    /// Layers of the paper, such as 12C256, instead of `layers`.
+    /// Layers of the paper, such as 0C256, 4C64 or 12C256, which is inputs → 256, 12 × (256 → 256), then
+    /// widths halved down to 16, then 1.
+    #[arg(long, conflicts_with = "fine_tune")]
     pub preset: Option<String>,
-    /// Input groups, in order.
+    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size,
+    /// scene_features.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "GROUPS",
+        default_value = "scene_features",
+        conflicts_with = "fine_tune"
+    )]
     pub inputs: Vec<String>,
-    /// Scene features, in order; default: [`standard_features`].
+    /// Scene features, in order, if `--inputs` names the group scene_features; default: the standard
+    /// features.
+    #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
-    /// Number of rays along each side of the probe for scene features; default: the standard number.
+    /// Rays along each side of the probe that computes the scene features, 1 to 24; default: the standard 11.
+    /// Fewer rays make every prediction faster.
+    #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_side: Option<usize>,
-    /// Number of networks with different seeds whose mean is taken; stored as one network.
+    /// Number of networks with different seeds; their mean is stored as one network.
+    #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
     pub ensemble: usize,
-    /// Output quantity of a network.
+    /// Output quantity of the network.
+    #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// `mse`, `relative`, `huber:DELTA` or `pinball:QUANTILE`.
+    /// Loss function: mse, relative (with --target seconds), huber, huber:delta or pinball:quantile, which
+    /// gives an upper bound.
+    #[arg(long, default_value = "mse", value_parser = checked_loss)]
     pub loss: String,
     /// Maximum number of passes over the training frames.
+    #[arg(long, default_value_t = 200)]
     pub epochs: usize,
-    /// Number of frames per training step.
+    /// Frames per gradient step.
+    #[arg(long, default_value_t = 256)]
     pub batch: usize,
-    /// First learning rate; default: 1e-4 with a preset or when fine-tuning, else 1e-3.
+    /// Initial learning rate; it falls along half a cosine. Default: 1e-4 with --preset (as in the paper) and
+    /// --fine-tune, else 1e-3.
+    #[arg(long)]
     pub learning_rate: Option<f64>,
     /// Last learning rate; default: a hundredth of the first.
+    #[arg(skip)]
     pub final_learning_rate: Option<f64>,
     /// Largest norm of the gradient.
+    #[arg(skip = 1.0)]
     pub clip: f64,
     /// Epochs without a better validation loss after which training stops.
+    #[arg(long, default_value_t = 50)]
     pub patience: usize,
-    /// Seed of weights and of the frames' order.
+    /// Seed of the split, the weights and the order of frames.
+    #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Model file with the VolumeNet that encodes volumes.
+    #[arg(skip)]
     pub volumenet: Option<PathBuf>,
     /// Model file whose weights training starts from; default: random weights.
+    #[arg(skip)]
     pub fine_tune: Option<PathBuf>,
-    /// True if Gaussian lobes are inputs in ascending order of their centers.
+    /// Sort the Gaussian lobes of `transfer_function` by center: their sum does not depend on the order, and
+    /// a network on sorted lobes need not learn that.
+    #[arg(long, conflicts_with = "fine_tune")]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub sorted_lobes: bool,
     /// An existing model file; all other fields are then ignored.
+    #[arg(skip)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
     /// Storage format of weights.
+    #[arg(skip)]
     pub dtype: DtypeChoice,
 }
 
@@ -156,7 +202,7 @@ impl Default for Recipe {
 ///
 /// # Errors
 /// When the text is no such loss.
-pub fn parse_loss(text: &str) -> Result<Loss> {
+fn parse_loss(text: &str) -> Result<Loss> {
     let (name, value) = match text.split_once(':') {
         Some((name, value)) => {
             let value: f64 = value.parse().map_err(|_| anyhow!("{value:?} after {name} is no number"))?;
@@ -173,6 +219,10 @@ pub fn parse_loss(text: &str) -> Result<Loss> {
     }
 }
 
+fn checked_loss(text: &str) -> Result<String> {
+    parse_loss(text).map(|_| text.to_owned())
+}
+
 /// Inputs of the training frames and of the validation frames.
 fn rows(
     layout: &Layout,
@@ -181,6 +231,12 @@ fn rows(
 ) -> Result<[Vec<f32>; 2]> {
     let of = |part: Timed<'_>| layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden());
     Ok([of(training)?, of(validation)?])
+}
+
+/// Samples for training and for validation.
+fn samples<'a>(inputs: &'a [Vec<f32>; 2], seconds: [&'a [f64]; 2]) -> (Samples<'a>, Samples<'a>) {
+    let of = |i: usize| Samples { inputs: &inputs[i], seconds: seconds[i] };
+    (of(0), of(1))
 }
 
 /// Returns numbers joined by hyphens.
@@ -274,12 +330,12 @@ impl Recipe {
             "--preset is for --model-kind prednet; give the widths of a residual model's network by --layers"
         );
         if let Some(path) = &self.fine_tune {
-            return self.fine_tune(path, context, training, validation);
+            return self.fine_tune(path, context, [training, validation]);
         }
         match self.kind {
             Kind::Analytic => self.analytic(context, training),
-            Kind::Residual => self.residual(context, training, validation),
-            Kind::Prednet => self.network(context, training, validation),
+            Kind::Residual => self.residual(context, [training, validation]),
+            Kind::Prednet => self.network(context, [training, validation]),
         }
     }
 
@@ -378,40 +434,31 @@ impl Recipe {
         })
     }
 
-    fn residual(
-        &self,
-        context: &FitContext<'_>,
-        training: Timed<'_>,
-        validation: Timed<'_>,
-    ) -> Result<FittedModel> {
-        let (mut file, layout) = self.layout(training)?;
-        let (model, report) = fit_analytic(context, training, self.side())?;
+    fn residual(&self, context: &FitContext<'_>, parts: [Timed<'_>; 2]) -> Result<FittedModel> {
+        let (mut file, layout) = self.layout(parts[0])?;
+        let (model, report) = fit_analytic(context, parts[0], self.side())?;
         let costs = model.costs();
-        let estimated = estimates(context, training, &costs, self.side())?;
-        let ratios = ratios_of(training.seconds, &estimated);
-        let judged = ratios_of(validation.seconds, &estimates(context, validation, &costs, self.side())?);
+        let estimated = estimates(context, parts[0], &costs, self.side())?;
+        let ratios = ratios_of(parts[0].seconds, &estimated);
+        let judged = ratios_of(parts[1].seconds, &estimates(context, parts[1], &costs, self.side())?);
         let settings = Settings { target: Target::LogSeconds, ..self.settings()? };
         let widths = self.widths(layout.width());
-        let [x, vx] = rows(&layout, context, [training, validation])?;
-        let (parts, history, outcome) = self.ensemble(
-            context,
-            &widths,
-            (Samples { inputs: &x, seconds: &ratios }, Samples { inputs: &vx, seconds: &judged }),
-            &settings,
-        )?;
-        let mut features = layout.scene_features().to_vec();
+        let inputs = rows(&layout, context, parts)?;
+        let samples = samples(&inputs, [&ratios, &judged]);
+        let (network, history, outcome) = self.ensemble(context, &widths, samples, &settings)?;
+        let mut features = layout.scene_features.clone();
         features.push(SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
         let logs: Vec<f64> = estimated.iter().map(|e| e.ln()).collect();
         let n = logs.len() as f64;
         let mean = logs.iter().sum::<f64>() / n;
         let sd = (logs.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
-        let parts = carry_past(parts, mean as f32, sd as f32);
+        let network = carry_past(network, mean as f32, sd as f32);
         let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?
             .with_probe_side(self.side())
             .with_unit_costs(costs);
-        self.store(&mut file, parts, &wide)?;
+        self.store(&mut file, network, &wide)?;
         // The estimate is not clamped, unlike the factor's inputs.
-        InputRange::of_rows(&x, layout.width(), 1).store(&mut file)?;
+        InputRange::of_rows(&inputs[0], layout.width(), 1).store(&mut file)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
             file,
@@ -435,28 +482,16 @@ impl Recipe {
         [&[inputs], &self.layers[..], &[1]].concat()
     }
 
-    fn network(
-        &self,
-        context: &FitContext<'_>,
-        training: Timed<'_>,
-        validation: Timed<'_>,
-    ) -> Result<FittedModel> {
-        let (mut file, layout) = self.layout(training)?;
+    fn network(&self, context: &FitContext<'_>, parts: [Timed<'_>; 2]) -> Result<FittedModel> {
+        let (mut file, layout) = self.layout(parts[0])?;
         let widths = match &self.preset {
             Some(preset) => preset_widths(preset, layout.width())?,
             None => self.widths(layout.width()),
         };
-        let [x, vx] = rows(&layout, context, [training, validation])?;
-        let (parts, history, outcome) = self.ensemble(
-            context,
-            &widths,
-            (
-                Samples { inputs: &x, seconds: training.seconds },
-                Samples { inputs: &vx, seconds: validation.seconds },
-            ),
-            &self.settings()?,
-        )?;
-        self.store(&mut file, parts, &layout)?;
+        let inputs = rows(&layout, context, parts)?;
+        let samples = samples(&inputs, parts.map(|part| part.seconds));
+        let (network, history, outcome) = self.ensemble(context, &widths, samples, &self.settings()?)?;
+        self.store(&mut file, network, &layout)?;
         Ok(FittedModel {
             file,
             what: format!("PredNet, widths {}", joined(&widths)),
@@ -500,32 +535,19 @@ impl Recipe {
         Ok((side_by_side(members)?, history, outcomes.join("; ")))
     }
 
-    fn fine_tune(
-        &self,
-        path: &Path,
-        context: &FitContext<'_>,
-        training: Timed<'_>,
-        validation: Timed<'_>,
-    ) -> Result<FittedModel> {
+    fn fine_tune(&self, path: &Path, context: &FitContext<'_>, parts: [Timed<'_>; 2]) -> Result<FittedModel> {
         ensure!(self.kind != Kind::Analytic, "an analytic model cannot be fine-tuned; leave out --fine-tune");
         let (mut file, model) = read_model_file(path)?;
         let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
-        let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
-        let settings = Settings { target: parts.target, ..self.settings()? };
-        let [x, vx] = rows(&layout, context, [training, validation])?;
-        let (parts, history, outcome) = run_training(
-            context,
-            Network::from_parts(parts)?,
-            Some(Standardization::of(parts)),
-            (
-                Samples { inputs: &x, seconds: training.seconds },
-                Samples { inputs: &vx, seconds: validation.seconds },
-            ),
-            &settings,
-        )?;
-        self.store(&mut file, parts, &layout)?;
+        let net = model.prednet.as_ref().context("the model file holds no PredNet")?;
+        let settings = Settings { target: net.target, ..self.settings()? };
+        let inputs = rows(&layout, context, parts)?;
+        let samples = samples(&inputs, parts.map(|part| part.seconds));
+        let (network, standardization) = (Network::from_parts(net)?, Some(Standardization::of(net)));
+        let (tuned, history, outcome) = run_training(context, network, standardization, samples, &settings)?;
+        self.store(&mut file, tuned, &layout)?;
         if let Some(mut range) = InputRange::of(&model, layout.width())? {
-            range.extend(&x);
+            range.extend(&inputs[0]);
             range.store(&mut file)?;
         }
         Ok(FittedModel {
@@ -543,6 +565,6 @@ impl Recipe {
         for layer in &mut parts.layers {
             layer.dtype = self.dtype.storage();
         }
-        layout.store(&parts, file)
+        Ok(layout.store(&parts, file)?)
     }
 }

@@ -3,7 +3,7 @@
 
 use super::Real;
 use super::matmul::{matrix, multiply, vectorized};
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use entire_core::kernels::{SELU_ALPHA, SELU_SCALE};
 use entire_core::nn::PredNetParts;
 use rand_chacha::ChaCha8Rng;
@@ -67,13 +67,12 @@ impl<T: Real> Network<T> {
         let mut parameters = Vec::new();
         for (i, (weight, bias)) in layers.iter().enumerate() {
             let (before, width) = (widths[i], bias.len());
-            if before.checked_mul(width) != Some(weight.len()) {
-                bail!(
-                    "layer {i} has {} weights and {width} biases for {before} inputs; {width} x {before} \
+            ensure!(
+                before.checked_mul(width) == Some(weight.len()),
+                "layer {i} has {} weights and {width} biases for {before} inputs; {width} x {before} \
                      weights are needed",
-                    weight.len()
-                );
-            }
+                weight.len()
+            );
             if let Some(at) = weight.iter().chain(*bias).position(|v| !v.is_finite()) {
                 bail!("layer {i} holds a NaN or an infinity (element {at})");
             }

@@ -3,7 +3,7 @@
 use super::matmul::vectorized;
 use super::network::{Network, Pass};
 use super::{Loss, Real};
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -100,14 +100,13 @@ impl<T: Real> Trainer<T> {
         weights: &[T],
     ) -> Result<Step> {
         let (width, rows) = (self.network.widths()[0], targets.len());
-        if rows == 0 || inputs.len() != rows * width || weights.len() != rows {
-            bail!(
-                "batch of {} inputs, {rows} targets and {} weights; {width} inputs, 1 target and 1 weight \
+        ensure!(
+            rows > 0 && inputs.len() == rows * width && weights.len() == rows,
+            "batch of {} inputs, {rows} targets and {} weights; {width} inputs, 1 target and 1 weight \
                  per row are needed",
-                inputs.len(),
-                weights.len()
-            );
-        }
+            inputs.len(),
+            weights.len()
+        );
         let count = (rows / ROWS_PER_TASK).clamp(1, MAX_TASKS);
         let bounds = |task: usize| task * rows / count..(task + 1) * rows / count;
         let same = self.tasks.len() == count && (0..count).all(|t| self.tasks[t].rows() == bounds(t).len());

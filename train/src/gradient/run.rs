@@ -3,7 +3,7 @@
 
 use super::optimizer::{cosine_learning_rate, predict};
 use super::{Loss, Network, Real, Trainer};
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
 use entire_steer::predict::LONGEST_FRAME;
 use rand_chacha::ChaCha8Rng;
@@ -38,13 +38,12 @@ pub struct Samples<'a> {
 
 impl Samples<'_> {
     fn check(&self, what: &str, width: usize) -> Result<()> {
-        if self.inputs.len() != self.seconds.len() * width {
-            bail!(
-                "{what}: {} inputs for {} frames; {width} per frame are needed",
-                self.inputs.len(),
-                self.seconds.len()
-            );
-        }
+        ensure!(
+            self.inputs.len() == self.seconds.len() * width,
+            "{what}: {} inputs for {} frames; {width} per frame are needed",
+            self.inputs.len(),
+            self.seconds.len()
+        );
         if let Some(i) = self.inputs.iter().position(|v| !v.is_finite()) {
             bail!(
                 "{what}: input {} of frame {} is {}; inputs must be finite",
@@ -108,23 +107,19 @@ impl Default for Settings {
 impl Settings {
     fn check(&self) -> Result<()> {
         for (name, value) in [("epochs", self.epochs), ("batch", self.batch), ("patience", self.patience)] {
-            if value == 0 {
-                bail!("{name} is 0; it must be at least 1");
-            }
+            ensure!(value > 0, "{name} is 0; it must be at least 1");
         }
         let (first, last) = (self.learning_rate, self.final_learning_rate);
-        if !(first.is_finite() && first > 0.0 && last.is_finite() && last >= 0.0) {
-            bail!(
-                "learning rate goes from {first} to {last}; both must be finite, the first positive, the \
+        ensure!(
+            first.is_finite() && first > 0.0 && last.is_finite() && last >= 0.0,
+            "learning rate goes from {first} to {last}; both must be finite, the first positive, the \
                  last not negative"
-            );
-        }
-        if self.loss == Loss::Relative && self.target == Target::LogSeconds {
-            bail!(
-                "the relative loss needs the target seconds; with log_seconds the squared error is relative \
+        );
+        ensure!(
+            self.loss != Loss::Relative || self.target != Target::LogSeconds,
+            "the relative loss needs the target seconds; with log_seconds the squared error is relative \
                  already"
-            );
-        }
+        );
         self.loss.check()
     }
 }
@@ -202,13 +197,12 @@ impl Standardization {
     }
 
     fn check(&self, width: usize) -> Result<()> {
-        if self.input_mean.len() != width || self.input_std.len() != width {
-            bail!(
-                "standardization of {} means and {} deviations for {width} inputs",
-                self.input_mean.len(),
-                self.input_std.len()
-            );
-        }
+        ensure!(
+            self.input_mean.len() == width && self.input_std.len() == width,
+            "standardization of {} means and {} deviations for {width} inputs",
+            self.input_mean.len(),
+            self.input_std.len()
+        );
         let all = self.input_mean.iter().chain(&self.input_std).chain([&self.output_mean, &self.output_std]);
         if all.into_iter().any(|v| !v.is_finite())
             || self.input_std.iter().chain([&self.output_std]).any(|s| *s <= 0.0)
@@ -399,9 +393,7 @@ pub fn train<T: Real>(
     training.check("training frames", width)?;
     validation.check("validation frames", width)?;
     let frames = training.seconds.len();
-    if frames == 0 {
-        bail!("there are no training frames");
-    }
+    ensure!(frames > 0, "there are no training frames");
     let standardization = match standardization {
         Some(given) => {
             given.check(width)?;

@@ -322,20 +322,13 @@ mod tests {
     fn the_bias_chart_shows_every_predictor_but_the_constant_one() {
         let seconds: Vec<f64> = (1..=20).map(f64::from).collect();
         let predicted: Vec<f64> = seconds.iter().map(|t| t * (1.0 + 0.01 * t)).collect();
-        let predictor = |name: &str, constant: bool| Predictor {
-            name: name.into(),
-            fnv1a: None,
-            metrics: Metrics::new(&predicted, &seconds).unwrap(),
-            by_group: BTreeMap::new(),
-            latency: None,
-            frames_seen: 0,
-            bound_coverage: None,
-            bound: None,
-            rmse_over_sd_interval: None,
-            mdape_interval: None,
-            by_kind: Vec::new(),
-            predicted: predicted.clone(),
-            constant,
+        let frames = vec![TimedFrame::of_no_volume("v", ""); seconds.len()];
+        let (frames, groups): (Vec<&TimedFrame>, Vec<String>) =
+            (frames.iter().collect(), vec!["v".into(); 20]);
+        let predictor = |name: &str, constant: bool| {
+            let made =
+                super::super::assess(name.into(), predicted.clone(), (&frames, &seconds, &groups), None);
+            Predictor { constant, ..made.unwrap() }
         };
         let all = [predictor("m", false), predictor("m, int8 weights", false), predictor("the mean", true)];
         let svg = bias_chart(&all).to_svg_file();

@@ -14,11 +14,12 @@ use entire_explore::{Host, Progress, RecordedTransfer, Recording, Steering, Volu
 use entire_farm::quoted;
 use entire_io::dataset::Clock;
 use entire_io::files::{write_json, write_whole};
-use entire_io::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
-use entire_io::volume::Reading;
-use entire_io::volume::{Volume, Watcher};
+use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
+use entire_io::volume::{Reading, Volume, Watcher};
+use entire_report::encode_png;
 use entire_steer::Session;
 use entire_steer::control::Prior;
+use entire_vk_raycaster::Image;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -171,6 +172,10 @@ impl Host for ExplorerHost {
         write_whole(file, bytes)
     }
 
+    fn write_picture(&self, file: &Path, picture: &Image) -> Result<()> {
+        write_whole(file, &encode_png(picture)?)
+    }
+
     fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()> {
         let path = path_file(recording);
         // A recording that cannot be played is not written.
@@ -238,15 +243,8 @@ fn alike(a: &Transfer, b: &Transfer) -> bool {
 
 fn transfer(recorded: &RecordedTransfer) -> Transfer {
     match recorded {
-        RecordedTransfer::Lobes(lobes) => Transfer::Lobes(
-            lobes.iter().map(|l| Lobe { center: l.center, width: l.width, height: l.height }).collect(),
-        ),
-        RecordedTransfer::Points(points) => Transfer::Points(
-            points
-                .iter()
-                .map(|p| Point { position: p.position, color: p.color, opacity: p.opacity })
-                .collect(),
-        ),
+        RecordedTransfer::Lobes(lobes) => Transfer::Lobes(lobes.clone()),
+        RecordedTransfer::Points(points) => Transfer::Points(points.clone()),
     }
 }
 

@@ -1,8 +1,7 @@
 //! Algorithm 1 of the paper, and its baselines: a fixed step, OLP and PID.
 
 use super::StepResponse;
-use entire_steer::control::Verdict;
-use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason};
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
 
 fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decision {
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }

@@ -8,11 +8,23 @@
 //! be set, s is taken as the ray step, assuming work ∝ 1 / step: in the window (`entire explore`), on stress
 //! scenes, and on traces without smaller images; the tables then say so.
 
-use entire_steer::control::Verdict;
-use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason};
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
 
 fn reactive(step: f32) -> Decision {
     Decision { step, seconds: f32::NAN, upper: f32::NAN, out_of_range: f32::NAN, reason: Reason::Reactive }
+}
+
+/// The name of a controller, and its reset to the state before the first frame.
+macro_rules! starts_as_new {
+    ($name:literal) => {
+        fn name(&self) -> &'static str {
+            $name
+        }
+
+        fn reset(&mut self) {
+            *self = Self::new();
+        }
+    };
 }
 
 /// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and the ratio of allocated to
@@ -33,9 +45,7 @@ impl VtkGpu {
 }
 
 impl Controller for VtkGpu {
-    fn name(&self) -> &'static str {
-        "vtk-gpu"
-    }
+    starts_as_new!("vtk-gpu");
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         if self.last > 0.0 {
@@ -58,10 +68,6 @@ impl Controller for VtkGpu {
         self.last = observed.seconds;
         Verdict::Learned
     }
-
-    fn reset(&mut self) {
-        *self = Self::new();
-    }
 }
 
 /// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), 1…10, from
@@ -81,9 +87,7 @@ impl VtkFixedPoint {
 }
 
 impl Controller for VtkFixedPoint {
-    fn name(&self) -> &'static str {
-        "vtk-fixed-point"
-    }
+    starts_as_new!("vtk-fixed-point");
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         if self.last > 0.0 {
@@ -98,10 +102,6 @@ impl Controller for VtkFixedPoint {
     fn observe(&mut self, observed: &Observed) -> Verdict {
         self.last = observed.seconds;
         Verdict::Learned
-    }
-
-    fn reset(&mut self) {
-        *self = Self::new();
     }
 }
 
@@ -123,9 +123,7 @@ impl VtkJs {
 }
 
 impl Controller for VtkJs {
-    fn name(&self) -> &'static str {
-        "vtk-js"
-    }
+    starts_as_new!("vtk-js");
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         if self.elapsed >= 1.0 {
@@ -145,10 +143,6 @@ impl Controller for VtkJs {
         self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
         self.frames += 1.0;
         Verdict::Learned
-    }
-
-    fn reset(&mut self) {
-        *self = Self::new();
     }
 }
 
@@ -179,9 +173,7 @@ impl Unreal {
 }
 
 impl Controller for Unreal {
-    fn name(&self) -> &'static str {
-        "unreal"
-    }
+    starts_as_new!("unreal");
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         let panic = self.over >= 2;
@@ -228,10 +220,6 @@ impl Controller for Unreal {
         self.over = if observed.seconds > observed.target { self.over.saturating_add(1) } else { 0 };
         Verdict::Learned
     }
-
-    fn reset(&mut self) {
-        *self = Self::new();
-    }
 }
 
 /// The frame-rate controller of Filament: the median of up to 15 frame times is the input of a PI controller
@@ -255,9 +243,7 @@ impl Filament {
 }
 
 impl Controller for Filament {
-    fn name(&self) -> &'static str {
-        "filament"
-    }
+    starts_as_new!("filament");
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         if self.len >= 3 {
@@ -290,9 +276,5 @@ impl Controller for Filament {
         self.times[self.len] = observed.seconds;
         self.len += 1;
         Verdict::Learned
-    }
-
-    fn reset(&mut self) {
-        *self = Self::new();
     }
 }

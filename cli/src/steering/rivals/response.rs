@@ -1,7 +1,7 @@
 //! G: relative frame time as a function of relative ray step (paper, Algorithm 1 and supplement to use case
 //! 1).
 
-use anyhow::{Result, bail};
+use anyhow::{Result, ensure};
 
 /// The curve G(step / reference step) = time / time at the reference step: measured, made monotone,
 /// interpolated linearly in logarithms.
@@ -21,13 +21,12 @@ impl StepResponse {
     pub fn from_samples(samples: &[(f32, f32)]) -> Result<Self> {
         let mut logs: Vec<(f64, f64)> = Vec::with_capacity(samples.len() + 1);
         for (i, &(step, time)) in samples.iter().enumerate() {
-            if !(step.is_finite() && step > 0.0 && time.is_finite() && time > 0.0) {
-                bail!(
-                    "step response sample {i} is ({step}, {time}); step ratio and time ratio must be finite \
+            ensure!(
+                step.is_finite() && step > 0.0 && time.is_finite() && time > 0.0,
+                "step response sample {i} is ({step}, {time}); step ratio and time ratio must be finite \
                      and \
                      positive"
-                );
-            }
+            );
             logs.push((libm::log(f64::from(step)), libm::log(f64::from(time))));
         }
         if !logs.iter().any(|p| libm::fabs(p.0) < 1.0e-6) {
@@ -43,12 +42,11 @@ impl StepResponse {
             blocks.push((first.0, median, n as f64));
             rest = &rest[n..];
         }
-        if blocks.len() < 2 {
-            bail!(
-                "the step response was sampled at one step only; sample at least one step other than the \
+        ensure!(
+            blocks.len() >= 2,
+            "the step response was sampled at one step only; sample at least one step other than the \
                  reference"
-            );
-        }
+        );
         // Pool adjacent violators: (sum of weighted values, weight, number of points).
         let mut pools: Vec<(f64, f64, usize)> = Vec::new();
         for &(_, y, w) in &blocks {
