@@ -414,13 +414,16 @@ fn card(
     let mut md = String::new();
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
     let _ = writeln!(md, "# {name}\n\n{}.\n", trained.fitted.what);
+    let (verb, adapt) = match options.recipe.kind {
+        Kind::Analytic => ("calibrate", "calibrate --data FRAMES.csv --prior"),
+        Kind::Prednet | Kind::Residual => ("fine-tune", "train --data FRAMES.csv --fine-tune"),
+    };
     let _ = writeln!(
         md,
         "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the \
          machine and with the \
-         renderer of its training frames. On another machine, fine-tune it first:\n\n```\nentire train \
-         --data FRAMES.csv \
-         --fine-tune {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate \
+         renderer of its training frames. On another machine, {verb} it first:\n\n```\nentire {adapt} \
+         {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate \
          --model {name}.safetensors \
          --data FRAMES.csv`\n"
     );

@@ -228,6 +228,11 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     let net = m.prednet.as_ref().unwrap();
     assert_eq!((net.layers.len(), net.layers[0].outputs), (1, 1));
     assert!(net.layers[0].weight.iter().chain(&net.layers[0].bias).all(|c| *c >= 0.0));
+    // Unit costs are not trained by gradient descent; the card and the error name the command that fits them.
+    let adapt = "entire calibrate --data FRAMES.csv --prior costs.safetensors";
+    assert!(text_of(&data, "costs.md").contains(adapt), "{}", text_of(&data, "costs.md"));
+    let tune = "train --quiet --data t.csv --out tuned.safetensors --fine-tune costs.safetensors";
+    fails(&data, tune, 1, "--prior costs.safetensors");
     assert_eq!(m.scene_features.len(), net.layers[0].inputs);
     let shown = works(&data, "evaluate --quiet --model costs.safetensors --data t.csv --by volume");
     assert!(shown.contains("blobs/m02/t0001.nrrd"), "{shown}");

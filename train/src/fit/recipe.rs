@@ -12,7 +12,7 @@ use entire_core::nn::{Dtype, PredNetParts, Target};
 use entire_io::dataset::Timed;
 use entire_io::files::read_model_file;
 use entire_steer::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
-use entire_steer::predict::{InputLayout, InputRange};
+use entire_steer::predict::{AnalyticModel, InputLayout, InputRange};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -538,6 +538,12 @@ impl Recipe {
     fn fine_tune(&self, path: &Path, context: &FitContext<'_>, parts: [Timed<'_>; 2]) -> Result<FittedModel> {
         ensure!(self.kind != Kind::Analytic, "an analytic model cannot be fine-tuned; leave out --fine-tune");
         let (mut file, model) = read_model_file(path)?;
+        ensure!(
+            AnalyticModel::from_model(&model)?.is_none(),
+            "{0} is an analytic model, which has no network to train; to fit its unit costs to the frames, \
+             run `entire calibrate --data TABLE.csv --prior {0} --out FILE.safetensors`",
+            path.display()
+        );
         let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
         let net = model.prednet.as_ref().context("the model file holds no PredNet")?;
         let settings = Settings { target: net.target, ..self.settings()? };
