@@ -2,7 +2,7 @@
 
 use crate::calibrate::report::law_text;
 use anyhow::{Context, Result, ensure};
-use entire_core::model::{Key, Model};
+use entire_core::model::{GroupKind, Key, Model};
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
@@ -365,8 +365,8 @@ impl Options {
     }
 }
 
-/// Refuses the options of networks for models of kind analytic, which have no network, and the target of residual
-/// networks.
+/// Refuses the options of networks for models of kind analytic, which have no network, the target of residual
+/// networks, and options of input groups that the model does not take.
 fn check_used(recipe: &Recipe) -> Result<()> {
     let usual = Recipe::default();
     let options = [
@@ -395,6 +395,17 @@ fn check_used(recipe: &Recipe) -> Result<()> {
         recipe.kind != Kind::Residual || recipe.target == usual.target,
         "--target is for --model-kind prednet; a residual network learns ratios of times: leave it out"
     );
+    for (option, given, group) in [
+        ("--scene-features", !recipe.scene_features.is_empty(), GroupKind::SceneFeatures),
+        ("--probe-side", recipe.probe_side.is_some(), GroupKind::SceneFeatures),
+        ("--sorted-lobes", recipe.sorted_lobes, GroupKind::TransferFunction),
+    ] {
+        ensure!(
+            !given || recipe.inputs.iter().any(|name| name.trim() == group.name()),
+            "{option} has no effect without the input group {group}; leave {option} out, or name the group in \
+             --inputs"
+        );
+    }
     Ok(())
 }
 

@@ -364,6 +364,10 @@ fn what_cannot_be_done_is_said() {
         ("--model-kind residual --preset 4C64", 1, "--preset is for --model-kind prednet"),
         ("--model-kind analytic --epochs 9", 1, "--epochs is for networks; --model-kind analytic"),
         ("--sorted-lobes --fine-tune m.safetensors", 2, "--sorted-lobes"),
+        ("--model-kind residual --fine-tune m.safetensors", 2, "--model-kind"),
+        ("--sorted-lobes", 1, "--sorted-lobes has no effect without the input group transfer_function"),
+        ("--inputs camera --probe-side 7", 1, "--probe-side has no effect without the input group"),
+        ("--inputs camera --scene-features pixels", 1, "--scene-features has no effect"),
     ] {
         train(more, code, expected);
     }
