@@ -305,7 +305,6 @@ fn output_that_cannot_be_written_is_an_error() {
         "predict --model pred.safetensors --inputs rows.csv",
         "encode --model volume.safetensors ball.nrrd",
         "render ball.nrrd --camera 0,0,2 --tf 0.5,0.1,0.5 --size 8x8 --out o.png --device cpu",
-        "probe --device cpu --frame-ms 0.1 --repeats 1",
     ] {
         let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
