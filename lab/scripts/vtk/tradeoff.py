@@ -154,8 +154,7 @@ def at_share(time, error, share):
 
 def report(times, errors, numbers):
     """Prints geometric means over scenes: the error of the law's choice divided by those of other choices; and the
-    error of each scene's best pair divided by that of smaller images at twice the step, which AutoAdjustSampleDistances
-    draws. No choice can have a smaller ratio than the latter."""
+    error of each scene's best pair divided by that of smaller images at twice the step."""
     time, error = law(*numbers[:4])
     rows = [("step alone", [(0, k) for k in range(len(STEPS))]), ("image alone", [(k, 0) for k in range(len(IMAGES))]),
             ("image at step 2.1", [(k, STEPS.index(2.1)) for k in range(len(IMAGES))])]
