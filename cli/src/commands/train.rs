@@ -537,7 +537,12 @@ fn card(
     }
     match noise {
         Some(n) => {
-            let _ = writeln!(md, "\nNoise floor: {}. No predictor can have a smaller error.", n.describe());
+            let perfect = 100.0 * n.mdape();
+            let _ = writeln!(
+                md,
+                "\nNoise floor: {}. Perfect predictions would have a median error of {perfect:.1} %.",
+                n.describe()
+            );
         }
         None => {
             let _ = writeln!(md, "\nNoise floor: unknown, since no frame was repeated.");
