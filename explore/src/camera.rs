@@ -208,11 +208,16 @@ impl Viewpoint {
 
     /// Changes the field of view and keeps the volume's size in the picture.
     pub(crate) fn set_fov(&mut self, degrees: f32) {
-        let half = |d: f32| (0.5 * d.to_radians()).tan();
         let degrees = degrees.clamp(1.0, 120.0);
         self.distance =
-            (self.distance * half(self.fov_y) / half(degrees)).clamp(*DISTANCES.start(), *DISTANCES.end());
+            (self.distance * self.distance_factor(degrees)).clamp(*DISTANCES.start(), *DISTANCES.end());
         self.fov_y = degrees;
+    }
+
+    /// Factor of the distance at which another field of view, in degrees, shows the volume in the same size.
+    pub(crate) fn distance_factor(&self, fov_y: f32) -> f32 {
+        let half = |degrees: f32| (0.5 * degrees.to_radians()).tan();
+        half(self.fov_y) / half(fov_y)
     }
 
     /// Projects a point of the scene into the image: x to the right and y up, both in [−1, 1] within the

@@ -63,8 +63,7 @@ impl Recorder {
         let mut camera = view.arcball();
         if !view.orthographic {
             // A path has one field of view: the distance is recorded at which it shows as much.
-            let half = |degrees: f32| (0.5 * degrees.to_radians()).tan();
-            camera.dz *= half(view.fov_y) / half(self.recording.fov_y_degrees);
+            camera.dz *= view.distance_factor(self.recording.fov_y_degrees);
         }
         let mut switched = false;
         let parallel_scale = view.parallel_scale();
