@@ -1,7 +1,7 @@
 //! The driver: sends bundles, records their results, and predicts the end of the job.
 
 use super::database::{Database, planner};
-use super::engine::{self, Bundle, Engine, Event};
+use super::engine::{self, Bundle, Engine, Event, STILLBORN};
 use super::job::Job;
 use super::options::Options;
 use super::planner::{Planner, Setting, State, Straggler};
@@ -22,8 +22,6 @@ const ETA_EVERY: Duration = Duration::from_millis(1000);
 const TABLE_EVERY: Duration = Duration::from_secs(30);
 /// Maximum number of restarts of an engine without a finished task in between.
 const RESTARTS: u32 = 3;
-/// Maximum number, per slot, of bundles that are lost one after another before a worker begins a task.
-const STILLBORN: usize = 3;
 /// Quantile of a bundle's seconds that its time request covers.
 const UPPER: f64 = 0.99;
 /// Interval, in views, between the views that a preview renders first.

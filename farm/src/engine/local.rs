@@ -1,7 +1,7 @@
 //! Workers as processes of this machine. Each is persistent, keeps its volume, and gets bundles through a
 //! pipe.
 
-use super::{Bundle, Engine, Event, Places};
+use super::{Bundle, Engine, Event, Places, STILLBORN};
 use crate::record::Line;
 use anyhow::{Context, Result, ensure};
 use entire_io::child::wait_at_most;
@@ -11,9 +11,6 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
-
-/// Maximum number of times in a row that the process of a slot ends before it begins another task.
-const DEATHS: u32 = 3;
 
 /// The engine.
 pub struct Local {
@@ -34,7 +31,7 @@ struct Worker {
     at: Option<String>,
     since: Instant,
     /// Number of times that this slot's process has ended since its last line.
-    deaths: u32,
+    deaths: usize,
 }
 
 impl Local {
@@ -139,7 +136,7 @@ impl Local {
                 }
                 let said = crate::spool::tail(&self.log(slot));
                 ensure!(
-                    deaths <= DEATHS,
+                    deaths <= STILLBORN,
                     "worker {slot} ended {deaths} times in a row before it began another task; the last time \
                      ({status}): {said}; remove the cause and continue with --resume"
                 );
