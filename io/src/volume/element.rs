@@ -31,12 +31,12 @@ pub(crate) enum Element {
 }
 
 impl Element {
-    /// Returns the type with this name. `names` has the names of every type, in the order of this enum,
-    /// separated by semicolons; a comma separates several names of one type.
-    pub(super) fn named(names: &str, name: &str) -> Option<Self> {
+    /// Returns the type with this name. `names` has the names of every type, in the order of this enum.
+    pub(super) fn named(names: [&[&str]; 10], name: &str) -> Option<Self> {
         use Element::*;
-        let at = names.split(';').position(|of_one| of_one.split(',').any(|known| known.trim() == name))?;
-        [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64].get(at).copied()
+        let types = [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64];
+        let (found, _) = types.into_iter().zip(names).find(|(_, known)| known.contains(&name))?;
+        Some(found)
     }
 
     /// Returns the number of bytes per element in the file.
