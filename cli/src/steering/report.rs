@@ -82,7 +82,7 @@ fn acts_on(playback: &Playback, controller: usize) -> &'static str {
 }
 
 /// Color of a controller, the same in all charts.
-pub fn color(name: &str) -> usize {
+fn color(name: &str) -> usize {
     match name {
         "fixed" => 5,
         "olp" => 1,
