@@ -16,6 +16,11 @@ skipped_all=75
 # skip_all NAME REASON: as `skip`, and ends the script. Outside of a gate the exit status is 0.
 skip_all() {
     skip "$1" "$2"
+    end_skipped
+}
+
+# end_skipped: ends a script whose skips are all listed.
+end_skipped() {
     [[ -z ${ENTIRE_SKIPPED:-} ]] || exit "$skipped_all"
     exit 0
 }

@@ -144,5 +144,5 @@ done
 if ((${#places[@]})); then
     python3 lab/scripts/reach.py record --results "$out/results.csv" --library "$library" --suites "${suites[@]}" --places "${places[@]}" || status=1
 fi
-if ((status == 0 && ${#suites[@]} == 0)) && [[ ${ENTIRE_SKIPPED:-} ]]; then status=$skipped_all; fi
+if ((status == 0 && ${#suites[@]} == 0)); then end_skipped; fi
 exit $status

@@ -150,6 +150,6 @@ fi
 if ((${#passed[@]})); then
     printf '\nPassed:\n'
     printf '  %s\n' "${passed[@]}"
-elif [[ ${ENTIRE_SKIPPED:-} ]]; then
-    exit "$skipped_all"
+else
+    end_skipped
 fi
