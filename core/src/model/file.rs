@@ -7,12 +7,15 @@ use crate::error::bail;
 use crate::memory::check_bytes;
 use crate::nn::{Dtype, Normalization, PredNetParts};
 use alloc::borrow::{Cow, ToOwned};
-use alloc::collections::BTreeMap;
+use alloc::collections::{BTreeMap, BTreeSet};
 use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
+use core::fmt;
 use safetensors::Dtype as Stored;
-use serde::ser::{Serialize, SerializeMap, Serializer};
+use serde::de::{IgnoredAny, MapAccess, Visitor};
+use serde::ser::{SerializeMap, Serializer};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Length of the first field of a safetensors file, in bytes. The field states the length of the header.
 const PREFIX: usize = 8;
@@ -48,7 +51,8 @@ impl<'a> Source<'a> {
         let (header, data) = rest.split_at(stated as usize);
         // Parsing makes many small allocations, in all several times the header's length.
         check_bytes(header.len().saturating_mul(HEADER_MEMORY))?;
-        let header: safetensors::tensor::Metadata = match serde_json::from_slice(header) {
+        let unique = serde_json::from_slice(header).and_then(|_: Names| serde_json::from_slice(header));
+        let header: safetensors::tensor::Metadata = match unique {
             Ok(header) => header,
             Err(e) => bail!(InvalidModel, "the safetensors header is damaged: {e}"),
         };
@@ -235,6 +239,44 @@ impl ModelFile {
             bytes.extend_from_slice(&tensor.data);
         }
         Ok(bytes)
+    }
+}
+
+/// The names in a safetensors header, for the check that none occurs twice. The format forbids this; the
+/// parser of [`safetensors`] would keep the last entry.
+#[derive(Deserialize)]
+#[serde(expecting = "a JSON object")]
+struct Names {
+    #[serde(rename = "__metadata__")]
+    _metadata: Option<Unique>,
+    #[serde(flatten)]
+    _tensors: Unique,
+}
+
+/// A JSON object without repeated names.
+struct Unique;
+
+impl<'de> Deserialize<'de> for Unique {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> core::result::Result<Self, D::Error> {
+        deserializer.deserialize_map(Self)
+    }
+}
+
+impl<'de> Visitor<'de> for Unique {
+    type Value = Self;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a JSON object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> core::result::Result<Self, A::Error> {
+        let mut names = BTreeSet::new();
+        while let Some((name, IgnoredAny)) = map.next_entry::<String, IgnoredAny>()? {
+            if let Some(name) = names.replace(name) {
+                return Err(serde::de::Error::custom(format!("it names {name:?} twice")));
+            }
+        }
+        Ok(self)
     }
 }
 

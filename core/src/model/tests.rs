@@ -182,6 +182,14 @@ fn damaged_containers_are_refused() {
     ] {
         assert_eq!(with_header(header, 4).kind(), ErrorKind::InvalidModel, "{header}");
     }
+    let tensor = r#""a":{"dtype":"U8","shape":[4],"data_offsets":[0,4]}"#;
+    for (header, name) in [
+        (r#"{"__metadata__":{"entire.format":"2","x":"","entire.format":"1"}}"#.into(), "entire.format"),
+        (format!("{{{tensor},{tensor}}}"), "a"),
+    ] {
+        let error = with_header(&header, 4).to_string();
+        assert!(error.contains(&format!("{name:?} twice")), "{error}");
+    }
     let mut lying = bytes;
     lying[..8].copy_from_slice(&u64::MAX.to_le_bytes());
     assert!(Model::from_bytes(&lying).unwrap_err().to_string().contains("18446744073709551615"));
