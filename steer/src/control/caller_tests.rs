@@ -33,6 +33,12 @@ fn a_plan_taken_back_leaves_its_id_to_the_next() {
     session.observe(next.id, 0.01, flags).unwrap();
     session.withdraw(next.id);
     assert_eq!(session.plan(&f, 0.02).unwrap().id, next.id + 1);
+    // Only the newest plan can be withdrawn, not the plan before a withdrawn one.
+    let [kept, withdrawn] = [0.02, 1e-6].map(|target| session.plan(&f, target).unwrap().id);
+    session.withdraw(withdrawn);
+    session.withdraw(kept);
+    session.observe(kept, 0.01, flags).unwrap();
+    assert_eq!(session.plan(&f, 0.02).unwrap().id, withdrawn);
 }
 
 #[test]

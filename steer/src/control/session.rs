@@ -63,8 +63,6 @@ struct Pending {
     expected: f32,
     scene: SceneMark,
     observed: bool,
-    /// State before the plan was made, for [`Session::withdraw`].
-    before: Before,
 }
 
 /// State of a session before a plan.
@@ -107,6 +105,8 @@ pub struct Session {
     last_termination: f32,
     pending: Box<[Option<Pending>; PENDING_PLANS]>,
     next_id: u64,
+    /// Id of the newest plan, and the state before it, for [`Session::withdraw`]; `None` after a withdrawal.
+    newest: Option<(u64, Before)>,
     /// Names of the renderer and the clock of observed times; empty where unknown.
     timing: [String; 2],
     /// True if the clock of observed times is known not to be that of predicted times.
@@ -154,6 +154,7 @@ impl Session {
             last_termination: f32::NAN,
             pending: Box::new([None; PENDING_PLANS]),
             next_id: 1,
+            newest: None,
             timing: [String::new(), String::new()],
             converted: false,
             recording: None,
@@ -462,18 +463,17 @@ impl Session {
     }
 
     /// Withdraws the newest plan if the caller draws no frame with it. The next plan gets its id and
-    /// continues the frame before the withdrawn one. An older or an observed plan is not changed.
+    /// continues the frame before the withdrawn one. An older or an observed plan is not changed: only one
+    /// plan in a row can be withdrawn.
     pub fn withdraw(&mut self, id: u64) {
-        if id == 0 || id.checked_add(1) != Some(self.next_id) {
-            return;
-        }
+        let Some((_, before)) = self.newest.take_if(|newest| newest.0 == id) else { return };
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
-        if let Some(plan) = slot.take_if(|p| p.id == id && !p.observed) {
+        if slot.take_if(|plan| !plan.observed).is_some() {
             self.next_id = id;
-            self.coarsening.set_level(plan.before.level);
+            self.coarsening.set_level(before.level);
             self.controller.withdraw();
-            (self.last, self.last_termination) = (plan.before.last, plan.before.last_termination);
-            self.mark(plan.before.changes);
+            (self.last, self.last_termination) = (before.last, before.last_termination);
+            self.mark(before.changes);
         }
     }
 
@@ -565,13 +565,10 @@ impl Session {
             expected: decision.seconds,
             scene: self.controller.scene(),
             observed: false,
-            before: Before {
-                level,
-                changes: self.changes,
-                last: self.last,
-                last_termination: self.last_termination,
-            },
         });
+        let before =
+            Before { level, changes: self.changes, last: self.last, last_termination: self.last_termination };
+        self.newest = Some((id, before));
         self.changes = Changes::default();
         self.last = Some(Setting::from(frame));
         self.last_termination = frame.termination;
