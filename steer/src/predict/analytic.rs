@@ -9,7 +9,8 @@ use super::{
     Quality, RangePoint, Source, UPPER_LEVEL, UpperBound,
 };
 use crate::features::{
-    COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, PROBE_SIDE, SceneFeature, Setting, UnitCosts,
+    COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, Setting,
+    UnitCosts,
 };
 use crate::numeric::{dot, median};
 use alloc::collections::BTreeMap;
@@ -161,10 +162,11 @@ impl AnalyticModel {
         Ok(Self { costs, fitted: true, ..Self::default() })
     }
 
-    /// Sets the probe to whose counts the costs were fitted: `side` rays along each side.
+    /// Sets the probe to whose counts the costs were fitted: `side` rays along each side, clamped to 1 to
+    /// [`MAX_PROBE_SIDE`].
     #[must_use]
     pub fn with_probe_side(mut self, side: usize) -> Self {
-        self.probe_side = side;
+        self.probe_side = side.clamp(1, MAX_PROBE_SIDE);
         self
     }
 
@@ -578,6 +580,15 @@ mod tests {
         }
         file.metadata.remove(Key::CachedVoxels.name());
         assert_eq!(read(&file).unwrap().unwrap().costs().cached_voxels, UnitCosts::CACHED_VOXELS);
+    }
+
+    #[test]
+    fn a_probe_side_beyond_the_limits_is_clamped_and_survives_a_file() {
+        for (asked, side) in [(0, 1), (7, 7), (1000, MAX_PROBE_SIDE)] {
+            let file = AnalyticModel::default().with_probe_side(asked).to_model_file().unwrap();
+            let back = AnalyticModel::from_model(&file.to_model().unwrap()).unwrap().unwrap();
+            assert_eq!(back.probe_side(), side);
+        }
     }
 
     #[test]
