@@ -5,8 +5,8 @@ use super::layout::stored_cached_voxels;
 use super::network::Stored;
 use super::quality::KnownQuality;
 use super::{
-    Clock, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor,
-    Quality, RangePoint, Source, UPPER_LEVEL, UpperBound,
+    Clock, CostTerms, GroupKind, InputLayout, InputRange, Inputs, LONGEST_FRAME, Prediction, Predictor,
+    Quality, Source, UPPER_LEVEL, UpperBound,
 };
 use crate::features::{
     COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, Setting,
@@ -124,7 +124,8 @@ pub struct AnalyticModel {
     probe_side: usize,
     /// Calibration of [`Prediction::upper`].
     pub(super) calibration: UpperBound,
-    range: FeatureRange,
+    /// Range of the training frames' [`range_point`]s; `None` where unknown.
+    range: Option<InputRange>,
     /// Clock of the file that the costs come from.
     clock: Option<Clock>,
     /// Picture quality law in the file, with its renderer.
@@ -139,7 +140,7 @@ impl Default for AnalyticModel {
             fitted: false,
             probe_side: PROBE_SIDE,
             calibration: UpperBound::default(),
-            range: FeatureRange::unknown(),
+            range: None,
             clock: None,
             quality: None,
         }
@@ -173,7 +174,7 @@ impl AnalyticModel {
     /// Sets the training range to that of frames with the given work.
     #[cfg(feature = "calibrate")]
     pub(crate) fn ranging_over<'a>(mut self, works: impl Iterator<Item = &'a [f64; COSTS]>) -> Self {
-        self.range = FeatureRange::from_rows(&works.map(range_point).collect::<Vec<_>>());
+        self.range = Some(range_of(works));
         self
     }
 
@@ -219,8 +220,7 @@ impl AnalyticModel {
         (self.clock, self.quality) = (None, None);
         let logs = usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30)));
         self.calibration = UpperBound::from_groups(logs.map(|log| (log, ())));
-        let rows: Vec<RangePoint> = usable.iter().map(|m| range_point(&m.work)).collect();
-        self.range = FeatureRange::from_rows(&rows);
+        self.range = Some(range_of(usable.iter().map(|m| &m.work)));
         let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();
         let median_error = median(&mut sizes).unwrap_or(f64::NAN);
         let p95_error = sizes[((sizes.len() as f64 * 0.95) as usize).min(sizes.len() - 1)];
@@ -266,11 +266,12 @@ impl AnalyticModel {
         layout.probe_side = self.probe_side;
         layout.cached_voxels = self.costs.cached_voxels;
         layout.store(&parts, &mut file)?;
+        let (low, high) = self.range.as_ref().map(InputRange::ends).unzip();
         let stored = Stored {
             level: UPPER_LEVEL,
             log_factor: Some(self.calibration.log_factor).filter(|f| f.is_finite()),
-            low: self.range.ends().map(|(low, _)| low.to_vec()),
-            high: self.range.ends().map(|(_, high)| high.to_vec()),
+            low,
+            high,
             input_low: None,
             input_high: None,
         };
@@ -318,10 +319,7 @@ impl AnalyticModel {
         out.quality = KnownQuality::of(model)?;
         if let Some(stored) = Stored::of(model)? {
             out.calibration = UpperBound { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
-            let ends = |end: Option<Vec<f32>>| end.and_then(|end| end.try_into().ok());
-            if let (Some(low), Some(high)) = (ends(stored.low), ends(stored.high)) {
-                out.range = FeatureRange::from_ends(low, high);
-            }
+            out.range = InputRange::of_ends(stored.low, stored.high, RANGE_TERMS)?;
         }
         Ok(Some(out))
     }
@@ -329,6 +327,11 @@ impl AnalyticModel {
     /// The unit costs.
     pub fn costs(&self) -> UnitCosts {
         self.costs
+    }
+
+    /// Returns the out-of-range score of a frame with this work; NaN for an unknown range.
+    fn score(&self, work: &[f64; COSTS]) -> f32 {
+        self.range.as_ref().map_or(f32::NAN, |range| range.score(&range_point(work)))
     }
 
     /// Returns the predicted terms of a frame's time at a setting.
@@ -342,7 +345,7 @@ impl AnalyticModel {
         if !(parts.iter().sum::<f32>() >= SHORTEST) {
             parts[0] = SHORTEST;
         }
-        CostTerms { parts, out_of_range: self.range.score(&range_point(&work)), source: Source::Analytic }
+        CostTerms { parts, out_of_range: self.score(&work), source: Source::Analytic }
     }
 }
 
@@ -401,9 +404,18 @@ impl Predictor for AnalyticModel {
     }
 }
 
+/// Number of quantities of a frame that are compared with the model's range.
+const RANGE_TERMS: usize = 5;
+
+/// Returns the range of frames with the given work.
+fn range_of<'a>(works: impl Iterator<Item = &'a [f64; COSTS]>) -> InputRange {
+    let rows: Vec<_> = works.map(range_point).collect();
+    InputRange::of_rows(rows.as_flattened(), RANGE_TERMS, 0)
+}
+
 /// Returns the quantities of a frame that are compared with the model's range: logarithm of its pixels, and
 /// logarithms of its rays, skips, samples and lane samples, each per pixel.
-fn range_point(work: &[f64; COSTS]) -> RangePoint {
+fn range_point(work: &[f64; COSTS]) -> [f32; RANGE_TERMS] {
     let log = |v: f64| libm::log(v + 1.0) as f32;
     let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;
     [log(work[1]), per_pixel(work[2]), per_pixel(work[3]), per_pixel(work[4]), per_pixel(work[5])]
@@ -592,14 +604,29 @@ mod tests {
     }
 
     #[test]
+    fn a_damaged_range_is_refused() {
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
+        for (damaged, says) in [
+            (r#""low":[0,0,0,0,0]"#, "5 inputs and upper limits for 0"),
+            (r#""low":[0,0,0],"high":[1,1,1,1,1]"#, "3 inputs and upper limits for 5"),
+            (r#""low":[0,2,0,0,0],"high":[1,1,1,1,1]"#, "input 1 has the limits 2 and 1"),
+        ] {
+            file.metadata.insert(Key::Calibration.into(), alloc::format!("{{\"level\":0.95,{damaged}}}"));
+            let error = AnalyticModel::from_model(&file.to_model().unwrap()).unwrap_err();
+            assert_eq!(error.kind(), entire_core::ErrorKind::InvalidModel);
+            assert!(error.to_string().contains(says), "{error}");
+        }
+    }
+
+    #[test]
     fn range_scores_rise_outside_what_was_seen() {
         let mut model = AnalyticModel::default();
         let rows = measurements(100, 0.0, false);
-        assert!(model.range.score(&range_point(&rows[0].work)).is_nan());
+        assert!(model.score(&rows[0].work).is_nan());
         model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
-        assert_eq!(model.range.score(&range_point(&rows[0].work)), 0.0);
+        assert_eq!(model.score(&rows[0].work), 0.0);
         let mut far = rows[0].work;
         far[4] *= 1e5;
-        assert!(model.range.score(&range_point(&far)) > 1.0);
+        assert!(model.score(&far) > 1.0);
     }
 }

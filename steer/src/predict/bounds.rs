@@ -1,4 +1,4 @@
-//! Upper bounds from residuals (split-conformal), and out-of-range scores of inputs.
+//! Upper bounds from residuals (split-conformal).
 
 use alloc::collections::BTreeMap;
 use alloc::string::ToString;
@@ -100,76 +100,4 @@ pub(super) fn store_in_calibration<const N: usize>(
     }
     file.metadata.insert(Key::Calibration.into(), stored.to_string());
     Ok(())
-}
-
-/// Number of quantities of a frame that are compared with the analytic model's range.
-const RANGE_TERMS: usize = 5;
-
-/// Logarithms of a frame's quantities that are compared with the analytic model's range.
-pub(crate) type RangePoint = [f32; RANGE_TERMS];
-
-/// Range of each quantity of a [`RangePoint`] in the training data.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct FeatureRange {
-    low: RangePoint,
-    high: RangePoint,
-    known: bool,
-}
-
-impl FeatureRange {
-    /// An unknown range: scores are NaN.
-    pub(crate) const fn unknown() -> Self {
-        Self { low: [0.0; RANGE_TERMS], high: [0.0; RANGE_TERMS], known: false }
-    }
-
-    /// A range with the given ends; unknown where an end is not finite.
-    pub(crate) fn from_ends(low: RangePoint, high: RangePoint) -> Self {
-        let known = low.iter().chain(&high).all(|v| v.is_finite());
-        if known { Self { low, high, known } } else { Self::unknown() }
-    }
-
-    /// Low and high ends; `None` for an unknown range.
-    pub(crate) fn ends(&self) -> Option<(&RangePoint, &RangePoint)> {
-        self.known.then_some((&self.low, &self.high))
-    }
-
-    /// Returns the range of the rows; values that are not finite are ignored.
-    pub(crate) fn from_rows(rows: &[RangePoint]) -> Self {
-        if rows.is_empty() {
-            return Self::unknown();
-        }
-        let mut out =
-            Self { low: [f32::INFINITY; RANGE_TERMS], high: [f32::NEG_INFINITY; RANGE_TERMS], known: true };
-        for row in rows {
-            for k in 0..RANGE_TERMS {
-                if row[k].is_finite() {
-                    out.low[k] = out.low[k].min(row[k]);
-                    out.high[k] = out.high[k].max(row[k]);
-                }
-            }
-        }
-        for k in 0..RANGE_TERMS {
-            if out.low[k] > out.high[k] {
-                (out.low[k], out.high[k]) = (0.0, 0.0);
-            }
-        }
-        out
-    }
-
-    /// Returns the out-of-range score of a frame: 0 inside the range; outside, the largest distance of a
-    /// quantity from its range, in units of half the range's width (at least 0.7, a factor of two in
-    /// logarithms). NaN for an unknown range.
-    pub(crate) fn score(&self, row: &RangePoint) -> f32 {
-        if !self.known {
-            return f32::NAN;
-        }
-        let mut worst = 0.0f32;
-        for k in 0..RANGE_TERMS {
-            let beyond = (self.low[k] - row[k]).max(row[k] - self.high[k]);
-            let unit = (0.5 * (self.high[k] - self.low[k])).max(0.7);
-            let score = if row[k].is_finite() { beyond / unit } else { f32::INFINITY };
-            worst = worst.max(score);
-        }
-        worst
-    }
 }

@@ -4,7 +4,6 @@
 //! [`load`] makes the predictor of a model file.
 
 mod analytic;
-#[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod bounds;
 mod clock;
 mod cost_fit;
@@ -17,7 +16,6 @@ mod seconds;
 
 pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
-pub(crate) use bounds::{FeatureRange, RangePoint};
 pub use bounds::{UPPER_LEVEL, UpperBound};
 pub use clock::Clock;
 #[cfg(feature = "calibrate")]

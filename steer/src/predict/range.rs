@@ -1,4 +1,4 @@
-//! Clamps the inputs of a learned factor to the range of its training data.
+//! Range of a model's training data: of a learned factor's inputs, and of an analytic model's work.
 
 use super::network::Stored;
 use alloc::boxed::Box;
@@ -7,7 +7,7 @@ use entire_core::Result;
 use entire_core::bail;
 use entire_core::model::{Key, Model, ModelFile};
 
-/// Range of each input in a network's training data, to which its inputs are clamped.
+/// Range of each input in a model's training data, to which a network's inputs are clamped.
 ///
 /// Outside their training data, networks extrapolate linearly. This is not justified for a factor on an
 /// estimated time.
@@ -45,13 +45,27 @@ impl InputRange {
     /// [`crate::ErrorKind::InvalidModel`] if the number of inputs is not `width`, or if ends are not
     /// ascending or not finite.
     pub fn of(model: &Model, width: usize) -> Result<Option<Self>> {
-        let Some(Stored { input_low: Some(low), input_high: Some(high), .. }) = Stored::of(model)? else {
+        let Some(stored) = Stored::of(model)? else { return Ok(None) };
+        Self::of_ends(stored.input_low, stored.input_high, width)
+    }
+
+    /// Returns the range with these low and high ends of `width` inputs; `None` if both are missing.
+    ///
+    /// # Errors
+    /// As [`InputRange::of`].
+    pub(super) fn of_ends(
+        low: Option<Vec<f32>>,
+        high: Option<Vec<f32>>,
+        width: usize,
+    ) -> Result<Option<Self>> {
+        if low.is_none() && high.is_none() {
             return Ok(None);
-        };
+        }
+        let [low, high] = [low, high].map(Option::unwrap_or_default);
         if low.len() != width || high.len() != width {
             bail!(
                 InvalidModel,
-                "{} has lower limits for {} inputs and upper limits for {}; the model takes {width} inputs",
+                "{} has lower limits for {} inputs and upper limits for {}; {width} of each are expected",
                 Key::Calibration,
                 low.len(),
                 high.len()
@@ -70,12 +84,17 @@ impl InputRange {
         Ok(Some(Self { ends: ends.into() }))
     }
 
+    /// The low ends and the high ends.
+    pub(super) fn ends(&self) -> (Vec<f32>, Vec<f32>) {
+        self.ends.iter().copied().unzip()
+    }
+
     /// Stores the range in a model file and keeps the other entries of its calibration.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] where the file's calibration is damaged.
     pub fn store(&self, file: &mut ModelFile) -> Result<()> {
-        let (low, high): (Vec<f32>, Vec<f32>) = self.ends.iter().copied().unzip();
+        let (low, high) = self.ends();
         super::bounds::store_in_calibration(
             file,
             [("input_low", serde_json::json!(low)), ("input_high", serde_json::json!(high))],
@@ -88,6 +107,15 @@ impl InputRange {
             // NaN remains NaN.
             *x = x.clamp(low, high);
         }
+    }
+
+    /// Returns the out-of-range score of a row: 0 inside the range; outside, the largest distance of an input
+    /// from its range, in units of half the range's width (at least 0.7, a factor of two in logarithms).
+    pub(super) fn score(&self, row: &[f32]) -> f32 {
+        row.iter().zip(&self.ends).fold(0.0, |worst: f32, (x, (low, high))| {
+            let beyond = (low - x).max(x - high) / (0.5 * (high - low)).max(0.7);
+            worst.max(if x.is_finite() { beyond } else { f32::INFINITY })
+        })
     }
 }
 
@@ -143,6 +171,7 @@ mod tests {
         for bad in [
             r#"{"level":0.95,"input_low":[0.0],"input_high":[1.0]}"#,
             r#"{"level":0.95,"input_low":[0.0,2.0],"input_high":[1.0,1.0]}"#,
+            r#"{"level":0.95,"input_low":[0.0,0.0]}"#,
         ] {
             stored.metadata.insert(Key::Calibration.into(), bad.into());
             let error = InputRange::of(&stored.to_model().unwrap(), 2).unwrap_err();
