@@ -256,10 +256,12 @@ impl TransferSummary {
         (self.edits, self.edit) = (edits, packed::edit(edits));
     }
 
-    /// Optical properties of a cell; `None` where it is empty or outside the grid.
+    /// Optical properties of a cell; `None` where it is empty. Where rounding carries a ray out of the grid,
+    /// `cell` is too large, and the result is that of the last cell, as for packets of rays.
     #[inline(always)]
     pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Option<Optics> {
-        let mut word = *self.cells.get(cell)? ^ self.edit;
+        let cell = cell.min(self.cells.len() - 1);
+        let mut word = self.cells[cell] ^ self.edit;
         if word & packed::EDIT != 0 {
             word = self.compute(volume, cell) ^ self.edit;
         }

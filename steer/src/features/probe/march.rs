@@ -210,15 +210,21 @@ impl<'a> March<'a> {
         }
     }
 
-    /// Computes the optics of the `cells` whose bit in `lanes` is set.
+    /// Upper bound of the number of cells along a ray: it crosses each plane between cells at most once. If
+    /// cells are nearly as thin as the rounding error of t, [`Walk`] may leave the grid before t reaches the
+    /// exit.
+    pub(super) fn most_cells(&self) -> i32 {
+        self.grid.iter().sum::<i32>() + 3
+    }
+
+    /// Computes the optics of the `cells` whose bit in `lanes` is set; the last cell replaces cells outside
+    /// the grid.
     #[cold]
     #[inline(never)]
     pub(super) fn compute(&mut self, cells: &[i32; 16], mut lanes: u32) {
         while lanes != 0 {
             let cell = cells[lanes.trailing_zeros() as usize] as usize;
-            if cell < self.transfer.cell_count() {
-                self.transfer.compute(self.volume, cell);
-            }
+            self.transfer.compute(self.volume, cell.min(self.transfer.cell_count() - 1));
             lanes &= lanes - 1;
         }
     }
@@ -268,9 +274,7 @@ impl<'a> March<'a> {
         let mut was_occupied = false;
         // t at which the shadow ray starts; negative for none.
         let mut lit = -1.0f32;
-        // Upper bound of the number of steps: a ray crosses each plane between cells at most once. If cells
-        // are nearly as thin as the rounding error of t, `walk` may leave the grid before t reaches the exit.
-        for _ in 0..self.grid.iter().sum::<i32>() + 3 {
+        for _ in 0..self.most_cells() {
             let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
             let cell = walk.index as usize;
@@ -379,7 +383,10 @@ impl<'a> March<'a> {
         let end = self.shadow_end;
         let (mut t, mut depth, mut occupied, mut skips, mut segments) =
             (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
-        while t < t_exit {
+        for _ in 0..self.most_cells() {
+            if !(t < t_exit) {
+                break;
+            }
             let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
             let cell = walk.index as usize;
@@ -399,9 +406,6 @@ impl<'a> March<'a> {
                 segments += length * here.looks * crossings;
             } else {
                 skips += 1.0;
-            }
-            if t_next >= t_exit {
-                break;
             }
             t = t_next;
             walk.advance();

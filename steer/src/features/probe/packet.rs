@@ -429,8 +429,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let mut lit = simd.splat(-1.0);
         let mut was_occupied = simd.lt(zero, zero);
         let mut kept_count = self.kept_count;
-        // Upper bound of the number of steps: a ray crosses each plane between cells at most once.
-        let mut left = self.march.grid.iter().sum::<i32>() + 3;
+        let mut left = self.march.most_cells();
         while simd.any(alive) && left > 0 {
             left -= 1;
             let t_next = simd.min(self.leaves(&walk), t_exit);
@@ -602,7 +601,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let (mut t, mut depth, mut occupied, mut skips, mut segments) = (zero, zero, zero, zero, zero);
         let mut all = simd.mul(simd.max(t_exit, zero), rate);
         let mut alive = simd.and_m(simd.lt(zero, t_exit), lights);
-        let mut left = self.march.grid.iter().sum::<i32>() + 3;
+        let mut left = self.march.most_cells();
         while simd.any(alive) && left > 0 {
             left -= 1;
             let t_next = simd.min(self.leaves(&walk), t_exit);
