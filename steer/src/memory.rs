@@ -1,7 +1,8 @@
-//! Buffers that grow before anything is changed, and hashes.
+//! Buffers that grow before anything is changed, hashes, and work spread over threads.
 
 use alloc::vec::Vec;
 use entire_core::Result;
+use entire_core::kernels::Executor;
 use entire_core::memory::filled;
 
 /// Returns a new vector of `len` zeros if the capacity of `vector` is below `len`, otherwise `None`.
@@ -29,6 +30,18 @@ fn zeroed<T: bytemuck::Zeroable + Clone>(len: usize) -> Result<Vec<T>> {
 pub(crate) fn chunks_mut<const N: usize, T: bytemuck::Pod>(all: &mut [T]) -> (&mut [[T; N]], &mut [T]) {
     let (whole, rest) = all.split_at_mut(all.len() - all.len() % N);
     (bytemuck::cast_slice_mut(whole), rest)
+}
+
+/// Calls `f` with each item, spread over the executor's threads.
+pub(crate) fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) + Sync)) {
+    match items {
+        [] => {}
+        [one] => f(one),
+        _ => {
+            let (a, b) = items.split_at_mut(items.len() / 2);
+            executor.join(|| each(executor, a, f), || each(executor, b, f));
+        }
+    }
 }
 
 /// Returns `fingerprint` with `number` mixed in. Different sequences of numbers are very unlikely to give the

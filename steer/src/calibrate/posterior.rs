@@ -7,6 +7,7 @@
 //! their root mean square.
 
 use crate::features::{SceneFeature, SceneQuantity};
+use crate::memory::each;
 use crate::numeric::{dot, median, rmse_over_sd};
 use crate::predict::{
     AnalyticModel, COST_SD, COSTS, CostFit, Expected, FitRow, InputLayout, InputRange, Inputs, UnitCosts,
@@ -428,18 +429,6 @@ fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
             .collect();
     }
     values
-}
-
-/// Calls `f` with each item, spread over the executor's threads.
-fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) + Sync)) {
-    match items {
-        [] => {}
-        [one] => f(one),
-        _ => {
-            let (a, b) = items.split_at_mut(items.len() / 2);
-            executor.join(|| each(executor, a, f), || each(executor, b, f));
-        }
-    }
 }
 
 /// Returns the fold of each frame in cross-validation. All frames of a group are in the same fold, and folds

@@ -2,8 +2,8 @@
 
 use super::QUANTILES;
 use super::entries::{Map, Voxel};
-use super::scan::{Bounds, Grid, Scratch, Source, Tally, all, bounds_of, deal, nothing};
-use crate::memory::mixed;
+use super::scan::{Bounds, Grid, Scratch, Source, Tally, bounds_of, deal, nothing};
+use crate::memory::{each, mixed};
 use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
@@ -136,7 +136,8 @@ pub(super) fn look<T: Voxel>(
             outcome: Ok(()),
         });
     }
-    all(&mut tasks, Level::detect(), executor);
+    let level = Level::detect();
+    each(executor, &mut tasks, &|task| level.run(task));
     let mut outcome = Ok(());
     for task in tasks {
         let counts = cells.counts.iter_mut().zip(task.more.iter().zip(&task.less));

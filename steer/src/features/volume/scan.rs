@@ -2,6 +2,7 @@
 
 use super::QUANTILES;
 use super::entries::{Map, Voxel};
+use crate::memory::each;
 use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
@@ -100,7 +101,7 @@ impl<T: Voxel> Found<T> {
             });
         }
         let level = Level::detect();
-        all(&mut tasks, level, executor);
+        each(executor, &mut tasks, &|task| level.run(task));
         // The bounds of a task's last blocks also include the first plane of voxels of the next task.
         let mut previous: Option<&mut [Bounds<T>]> = None;
         for task in tasks {
@@ -121,21 +122,6 @@ impl<T: Voxel> Found<T> {
 fn last<T>(of: &mut [T], count: usize) -> Option<&mut [T]> {
     let at = of.len().checked_sub(count)?;
     Some(&mut of[at..])
-}
-
-/// Runs tasks on the executor's threads.
-pub(super) fn all<K: Send>(tasks: &mut [K], level: Level, executor: Executor<'_>)
-where
-    for<'a> &'a mut K: Kernel<Output = ()>,
-{
-    match tasks {
-        [] => {}
-        [task] => level.run(task),
-        tasks => {
-            let (a, b) = tasks.split_at_mut(tasks.len() / 2);
-            executor.join(|| all(a, level, executor), || all(b, level, executor));
-        }
-    }
 }
 
 /// Voxels of a volume, and the view that gives their locations.
