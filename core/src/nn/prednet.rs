@@ -271,6 +271,13 @@ mod tests {
         libm::exp(x[0] * 0.5 - 4.0)
     }
 
+    /// Predicts all rows at once.
+    fn predicted(net: &PredNet, inputs: &[f32], rows: usize) -> Vec<f32> {
+        let mut seconds = vec![0.0; rows];
+        net.predict_batch(Executor::Serial, inputs, &mut seconds, &mut [net.scratch(rows).unwrap()]).unwrap();
+        seconds
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
@@ -292,8 +299,7 @@ mod tests {
                     let tolerance = PredNet::tolerance(storage, Dtype::F32);
                     let net = PredNet::with(&parts, level, storage).unwrap();
                     let mut scratch = net.scratch(1).unwrap();
-                    let mut batch = vec![0.0; rows];
-                    net.predict_batch(Executor::Serial, &inputs, &mut batch, std::slice::from_mut(&mut net.scratch(rows).unwrap())).unwrap();
+                    let batch = predicted(&net, &inputs, rows);
                     for (i, row) in inputs.chunks(sizes[0]).enumerate() {
                         let single = net.predict(row, &mut scratch);
                         for found in [single, batch[i]] {
@@ -322,14 +328,7 @@ mod tests {
             for level in Level::available() {
                 for storage in Storage::ALL {
                     let net = PredNet::with(&parts, level, storage).unwrap();
-                    let mut batch = vec![0.0; rows];
-                    net.predict_batch(
-                        Executor::Serial,
-                        &inputs,
-                        &mut batch,
-                        std::slice::from_mut(&mut net.scratch(rows).unwrap()),
-                    )
-                    .unwrap();
+                    let batch = predicted(&net, &inputs, rows);
                     for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
                         let exact = plain(&parts, row);
                         let single = net.predict(row, &mut net.scratch(1).unwrap());
@@ -360,18 +359,9 @@ mod tests {
             for level in Level::available() {
                 for storage in Storage::ALL {
                     let net = PredNet::with(&parts, level, storage).unwrap();
-                    let (mut whole, mut parted) = ([0.0; 50], [0.0; 50]);
-                    net.predict_batch(
-                        Executor::Serial,
-                        &x,
-                        &mut whole,
-                        std::slice::from_mut(&mut net.scratch(50).unwrap()),
-                    )
-                    .unwrap();
-                    let mut scratches =
-                        [net.scratch(9).unwrap(), net.scratch(9).unwrap(), net.scratch(9).unwrap()];
+                    let (mut parted, mut scratches) = ([0.0; 50], [(); 3].map(|()| net.scratch(9).unwrap()));
                     net.predict_batch(executor, &x, &mut parted, &mut scratches).unwrap();
-                    assert_eq!(whole, parted, "{level}");
+                    assert_eq!(predicted(&net, &x, 50), parted, "{level}");
                 }
             }
         };

@@ -354,16 +354,9 @@ mod tests {
             let words: Vec<u16> = (0..voxels).map(|_| 60000 + next() as u16 % 1000).collect();
             check(&VolumeView::new(Scalars::U16(&words), dims).unwrap(), n);
             let signed: Vec<i16> = (0..voxels).map(|_| next() as i16).collect();
-            check(&VolumeView::new(Scalars::I16(&signed), dims).unwrap(), n);
-            check(
-                &VolumeView::with(
-                    Scalars::I16(&signed),
-                    dims,
-                    VolumeOptions { range: Some((-100.0, 9000.0)), ..VolumeOptions::default() },
-                )
-                .unwrap(),
-                n,
-            );
+            let view = VolumeView::new(Scalars::I16(&signed), dims).unwrap();
+            check(&view, n);
+            check(&ranged(&view, (-100.0, 9000.0)), n);
             let floats: Vec<f32> = (0..voxels)
                 .map(|_| match next() % 50 {
                     0 => f32::NAN,
@@ -405,24 +398,10 @@ mod tests {
             ([8, 5, 16], [1, 0, 40]),
             ([8, 16, 16], [0, 1, 40]),
         ] {
-            check(
-                &VolumeView::with(
-                    Scalars::U8(&data),
-                    dims,
-                    VolumeOptions { strides: Some(strides), ..VolumeOptions::default() },
-                )
-                .unwrap(),
-                8,
-            );
-            check(
-                &VolumeView::with(
-                    Scalars::I16(&words),
-                    dims,
-                    VolumeOptions { strides: Some(strides), ..VolumeOptions::default() },
-                )
-                .unwrap(),
-                8,
-            );
+            for scalars in [Scalars::U8(&data), Scalars::I16(&words)] {
+                let options = VolumeOptions { strides: Some(strides), ..VolumeOptions::default() };
+                check(&VolumeView::with(scalars, dims, options).unwrap(), 8);
+            }
         }
     }
 
@@ -433,12 +412,7 @@ mod tests {
         let dims = [128, 128, 128];
         for value in [0.1f32, 0.7, 0.3333] {
             let floats = vec![value; 128 * 128 * 128];
-            let view = VolumeView::with(
-                Scalars::F32(&floats),
-                dims,
-                VolumeOptions { range: Some((0.0, 1.0)), ..VolumeOptions::default() },
-            )
-            .unwrap();
+            let view = ranged(&VolumeView::new(Scalars::F32(&floats), dims).unwrap(), (0.0, 1.0));
             let mut out = [0.0; 8];
             Resampler::default().resample(&view, 2, &mut out, Executor::Serial).unwrap();
             for o in out {

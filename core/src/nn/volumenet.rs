@@ -434,45 +434,17 @@ mod tests {
             padded[3 + i / n * (n + 5) + i % n] = v;
         }
         let cube = [n; 3];
+        let with = |scalars, strides, low: f32| {
+            let range = Some((low, low + 60000.0));
+            let options = VolumeOptions { strides, range, ..VolumeOptions::default() };
+            VolumeView::with(scalars, cube, options).unwrap()
+        };
         let views = [
-            VolumeView::with(
-                Scalars::I16(&words),
-                cube,
-                VolumeOptions { range: Some((-30000.0, 30000.0)), ..VolumeOptions::default() },
-            )
-            .unwrap(),
-            VolumeView::with(
-                Scalars::U16(&unsigned),
-                cube,
-                VolumeOptions { range: Some((2768.0, 62768.0)), ..VolumeOptions::default() },
-            )
-            .unwrap(),
-            VolumeView::with(
-                Scalars::F32(&floats),
-                cube,
-                VolumeOptions { range: Some((-30000.0, 30000.0)), ..VolumeOptions::default() },
-            )
-            .unwrap(),
-            VolumeView::with(
-                Scalars::F32(&transposed),
-                cube,
-                VolumeOptions {
-                    strides: Some([n * n, n, 1]),
-                    range: Some((-30000.0, 30000.0)),
-                    ..VolumeOptions::default()
-                },
-            )
-            .unwrap(),
-            VolumeView::with(
-                Scalars::F32(&padded[3..]),
-                cube,
-                VolumeOptions {
-                    strides: Some([1, n + 5, n * (n + 5)]),
-                    range: Some((-30000.0, 30000.0)),
-                    ..VolumeOptions::default()
-                },
-            )
-            .unwrap(),
+            with(Scalars::I16(&words), None, -30000.0),
+            with(Scalars::U16(&unsigned), None, 2768.0),
+            with(Scalars::F32(&floats), None, -30000.0),
+            with(Scalars::F32(&transposed), Some([n * n, n, 1]), -30000.0),
+            with(Scalars::F32(&padded[3..]), Some([1, n + 5, n * (n + 5)]), -30000.0),
         ];
         for level in Level::available() {
             let net = VolumeNet::with(&parts, level).unwrap();

@@ -394,6 +394,14 @@ mod tests {
     use super::*;
     use alloc::vec::Vec;
 
+    fn ranged(low: f32, high: f32) -> VolumeOptions {
+        VolumeOptions { range: Some((low, high)), ..VolumeOptions::default() }
+    }
+
+    fn strided(strides: [usize; 3]) -> VolumeOptions {
+        VolumeOptions { strides: Some(strides), ..VolumeOptions::default() }
+    }
+
     #[test]
     fn u8_keeps_the_full_byte_range_and_f32_finds_its_finite_range() {
         let bytes = [3u8; 8];
@@ -409,29 +417,11 @@ mod tests {
     #[test]
     fn a_known_range_is_taken_without_a_scan() {
         let floats = [f32::NAN, -2.0, 9.0, 6.0];
-        let v = VolumeView::with(
-            Scalars::F32(&floats),
-            [4, 1, 1],
-            VolumeOptions { range: Some((0.0, 12.0)), ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let scalars = Scalars::F32(&floats);
+        let v = VolumeView::with(scalars, [4, 1, 1], ranged(0.0, 12.0)).unwrap();
         assert_eq!((v.range(), v.normalized(3, 0, 0)), ((0.0, 12.0), 0.5));
-        assert!(
-            VolumeView::with(
-                Scalars::F32(&floats),
-                [4, 1, 1],
-                VolumeOptions { range: Some((1.0, 0.0)), ..VolumeOptions::default() }
-            )
-            .is_err()
-        );
-        assert!(
-            VolumeView::with(
-                Scalars::F32(&floats),
-                [4, 2, 1],
-                VolumeOptions { range: Some((0.0, 1.0)), ..VolumeOptions::default() }
-            )
-            .is_err()
-        );
+        assert!(VolumeView::with(scalars, [4, 1, 1], ranged(1.0, 0.0)).is_err());
+        assert!(VolumeView::with(scalars, [4, 2, 1], ranged(0.0, 1.0)).is_err());
     }
 
     #[test]
@@ -457,12 +447,8 @@ mod tests {
     fn strides_address_a_sub_block() {
         // The 2 x 2 x 2 corner at (1, 1, 1) of a 3 x 4 x 5 volume.
         let data: Vec<u16> = (0..60).collect();
-        let v = VolumeView::with(
-            Scalars::U16(&data[1 + 3 + 12..]),
-            [2, 2, 2],
-            VolumeOptions { strides: Some([1, 3, 12]), ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let scalars = Scalars::U16(&data[1 + 3 + 12..]);
+        let v = VolumeView::with(scalars, [2, 2, 2], strided([1, 3, 12])).unwrap();
         assert_eq!(v.value(0, 0, 0), 16.0);
         assert_eq!(v.value(1, 1, 1), 32.0);
         assert!(!v.is_contiguous());
@@ -487,8 +473,8 @@ mod tests {
         ] {
             assert_eq!(with(VolumeOptions { spacing: bad, ..VolumeOptions::default() }).err(), refused);
         }
-        for bad in [(2.0, 1.0), (f32::NAN, 1.0), (0.0, f32::INFINITY)] {
-            assert_eq!(with(VolumeOptions { range: Some(bad), ..VolumeOptions::default() }).err(), refused);
+        for (low, high) in [(2.0, 1.0), (f32::NAN, 1.0), (0.0, f32::INFINITY)] {
+            assert_eq!(with(ranged(low, high)).err(), refused);
         }
         assert_eq!(with(VolumeOptions::default()).unwrap().range(), (0.0, 255.0));
     }
@@ -496,45 +482,27 @@ mod tests {
     #[test]
     fn declared_sizes_are_refused_before_a_voxel_is_read() {
         let one = [0.0f32];
-        let strided = |n: [usize; 3], strides| {
-            VolumeView::with(
-                Scalars::F32(&one),
-                n,
-                VolumeOptions { strides: Some(strides), ..VolumeOptions::default() },
-            )
-        };
+        let repeated = |n: [usize; 3], strides| VolumeView::with(Scalars::F32(&one), n, strided(strides));
         for (n, says) in [
             (200_000, "at most 134217728 voxels"),
             (1 << 21, "an axis has at most 1048576"),
             (1 << 24, "too large to address"),
         ] {
-            let error = strided([n; 3], [0; 3]).unwrap_err();
+            let error = repeated([n; 3], [0; 3]).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::SizeMismatch, "{n}");
             assert!(error.to_string().contains(says), "{error}");
         }
         // The number of elements that this stride needs overflows.
-        let error = strided([2, 1, 1], [usize::MAX, 0, 0]).unwrap_err();
+        let error = repeated([2, 1, 1], [usize::MAX, 0, 0]).unwrap_err();
         assert!(!error.to_string().contains("needs 0 elements"), "{error}");
         // Overlapping axes repeat elements, too.
         let voxels = [0u8; 3 * 512 + 1];
-        let overlapping = |n: usize| {
-            VolumeView::with(
-                Scalars::U8(&voxels),
-                [n; 3],
-                VolumeOptions { strides: Some([1; 3]), ..VolumeOptions::default() },
-            )
-        };
+        let scalars = Scalars::U8(&voxels);
+        let overlapping = |n: usize| VolumeView::with(scalars, [n; 3], strided([1; 3]));
         assert!(overlapping(512).is_ok(), "2^27 voxels are accepted");
         assert!(overlapping(513).is_err());
         // A volume without repeated elements is limited only by its number of elements.
-        assert!(
-            VolumeView::with(
-                Scalars::U8(&voxels),
-                [512, 1, 1],
-                VolumeOptions { strides: Some([3, 9, 9]), ..VolumeOptions::default() }
-            )
-            .is_ok()
-        );
+        assert!(VolumeView::with(scalars, [512, 1, 1], strided([3, 9, 9])).is_ok());
     }
 
     #[test]
@@ -558,12 +526,8 @@ mod tests {
     #[test]
     fn geometry_is_spacing_aware() {
         let data = [0u8; 4 * 2];
-        let v = VolumeView::with(
-            Scalars::U8(&data),
-            [4, 2, 1],
-            VolumeOptions { spacing: [0.5, 1.0, 4.0], ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { spacing: [0.5, 1.0, 4.0], ..VolumeOptions::default() };
+        let v = VolumeView::with(Scalars::U8(&data), [4, 2, 1], options).unwrap();
         let extent = 2.0 * v.shape().half_extent * v.shape().bounding_radius;
         assert!((extent - Vec3::new(2.0, 2.0, 4.0)).length() < 1e-6, "{extent}");
         assert!((v.shape().bounding_radius - 0.5 * 24f32.sqrt()).abs() < 1e-6);

@@ -56,6 +56,7 @@ impl Margin {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numeric::Noise;
 
     #[test]
     fn the_miss_rate_tends_to_the_rate_asked_for() {
@@ -63,11 +64,10 @@ mod tests {
         // the bound must be within a quarter of the rate.
         for rate in [0.03f32, 0.05, 0.2] {
             let mut margin = Margin::starting_at(2.0, rate, 0.1);
-            let mut state = 1u64;
+            let mut noise = Noise(1);
             let (mut misses, n) = (0, 20_000);
             for _ in 0..n {
-                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                let u = (state >> 11) as f64 / (1u64 << 53) as f64;
+                let u = noise.uniform();
                 let e = 0.3 * (u - 0.5) / (u * (1.0 - u) + 0.02);
                 misses += usize::from(e > margin.multiple());
                 margin.observe(e);

@@ -367,6 +367,7 @@ fn descend(mut at: [f64; 3], rounds: usize, of: &dyn Fn(&[f64; 3]) -> f64) -> [f
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numeric::Noise;
 
     const STEPS: [f32; 5] = [1.0, 1.5, 2.2, 3.2, 4.5];
     const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0];
@@ -374,11 +375,8 @@ mod tests {
         Quality { image_weight: 5.0, step_exponent: 1.2, image_exponent: 0.9, ray_share: 0.2 };
 
     fn pictures(truth: &Quality, scenes: u64, noise: f64) -> Vec<Picture> {
-        let mut state = 3u64;
-        let mut wobble = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            libm::exp(noise * (((state >> 11) as f64) / (1u64 << 52) as f64 - 1.0))
-        };
+        let mut random = Noise(3);
+        let mut wobble = || libm::exp(noise * (2.0 * random.uniform() - 1.0));
         let mut out = Vec::new();
         for scene in 0..scenes {
             for distance in DISTANCES {

@@ -1,12 +1,13 @@
 //! Tests the fit on work with known costs, and the random sampling of frames by a calibration.
 
 use super::*;
+use crate::features::tests::{cube, frame, lobe_at};
 use crate::features::{COST_QUANTITIES, SceneFeature, SceneQuantity};
 use crate::numeric::median;
 use crate::predict::{AnalyticModel, GroupKind, InputLayout};
 use alloc::vec;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
-use entire_core::scene::{Arcball, Camera, GaussianLobe, Scalars, Skipping, TransferFunction, VolumeView};
+use entire_core::scene::Skipping;
 
 /// Returns a model file with the unit costs of a software renderer and a learned factor that is always 1, for
 /// a probe with `side`² rays.
@@ -249,8 +250,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
         entire_core::ErrorKind::NotReady
     );
     let features = FrameFeatures::default();
-    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
-    let at = |size: u32| Setting::from(&Frame::new(camera, size, size).unwrap());
+    let at = |size: u32| Setting::from(&frame(10.0, 20.0, 2.0, size));
     let inputs = |size: u32| Inputs {
         features: &features,
         setting: at(size),
@@ -298,12 +298,8 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
 
 #[test]
 fn a_frame_is_measured_with_the_probe_of_the_prior() {
-    let voxels: Vec<u8> = (0..24 * 24 * 24).map(|i| (i * 7 % 256) as u8).collect();
-    let volume = VolumeSummary::new(&VolumeView::new(Scalars::U8(&voxels), [24; 3]).unwrap()).unwrap();
-    let table = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.4, width: 0.05, height: 0.2 }]);
-    let table = table.to_table().unwrap();
-    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
-    let frame = Frame { skipping: Skipping::Distance, ..Frame::new(camera, 90, 70).unwrap() };
+    let (volume, table) = (cube(24), lobe_at(0.4));
+    let frame = Frame { skipping: Skipping::Distance, height: 70, ..frame(10.0, 20.0, 2.0, 90) };
     let added = |side: usize| {
         let mut calibration = Calibration::new(Some(&unit_factor(side)), 8).unwrap();
         calibration.add(&volume, &table, &frame, 0.02).unwrap();

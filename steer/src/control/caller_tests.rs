@@ -4,6 +4,7 @@
 use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
 use crate::adapt::{ObserveFlags, Verdict};
+use crate::features::tests::summary;
 use crate::features::{FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use crate::predict::{AnalyticModel, Clock, Inputs, Prediction, Predictor, Source, UnitCosts};
 use alloc::boxed::Box;
@@ -236,9 +237,7 @@ fn options_that_steering_cannot_hold_to_are_refused() {
 #[test]
 fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     let f = frame(20.0, 30.0, 2.0);
-    let summary = |voxels: &[u8], dims| {
-        VolumeSummary::new(&VolumeView::new(Scalars::U8(voxels), dims).unwrap()).unwrap()
-    };
+    let summary = |voxels: &[u8], dims| summary(voxels, dims, 48);
     let mut voxels = vec![0u8; 32 * 32 * 32];
     let mut session = Session::untrained();
     let error = session.set_time_step(summary(&voxels, [32; 3]), None).unwrap_err();

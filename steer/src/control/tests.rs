@@ -2,11 +2,12 @@
 
 use super::*;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
-use crate::features::{Setting, VolumeSummary};
+use crate::features::Setting;
+use crate::features::tests::summary;
 use crate::numeric::Noise;
 use crate::predict::{AnalyticModel, COSTS, Source, TERMS, UnitCosts};
 use entire_core::ErrorKind;
-use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction};
 use std::boxed::Box;
 use std::vec::Vec;
 
@@ -54,11 +55,8 @@ pub(super) fn frame(rx: f32, ry: f32, dz: f32) -> Frame {
 
 #[test]
 fn a_session_learns_an_unknown_machine_and_holds_its_target() {
-    let voxels = sphere(64);
-    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
-    let summary = VolumeSummary::new(&view).unwrap();
     let mut session = Session::untrained();
-    session.set_volume(summary, None);
+    session.set_volume(summary(&sphere(64), [64; 3], 48), None);
     // The simulated machine has other ratios of unit costs than the default, and is far slower.
     let truth = AnalyticModel::from_costs(UnitCosts::new([
         4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -243,9 +241,7 @@ pub(super) fn ready_session() -> Session {
 }
 
 pub(super) fn make_ready(session: &mut Session) {
-    let voxels = sphere(32);
-    let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).unwrap();
-    session.set_volume(VolumeSummary::new(&view).unwrap(), None);
+    session.set_volume(summary(&sphere(32), [32; 3], 48), None);
     let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
     session.set_transfer(&table, None).unwrap();
 }
@@ -536,15 +532,13 @@ fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
 
 #[test]
 fn a_ladder_climbs_no_further_than_the_plan_needs() {
-    let voxels = sphere(64);
-    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
-    let summary = VolumeSummary::new(&view).unwrap();
+    let volume = summary(&sphere(64), [64; 3], 48);
     let l = lobes(0.4, 0.05);
     let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
     let session = |ladder: Option<f32>, side: usize| {
         let side = if ladder.is_some() { 24 } else { side };
         let mut session = Session::untrained().with_probe(side, ladder).unwrap();
-        session.set_volume(summary.clone(), None);
+        session.set_volume(volume.clone(), None);
         session.set_transfer(&table, Some(&l)).unwrap();
         session
     };
@@ -578,12 +572,11 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
 #[test]
 fn rays_serve_while_the_view_has_hardly_turned() {
     let voxels = sphere(64);
-    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
-    let summary = VolumeSummary::new(&view).unwrap();
+    let volume = summary(&voxels, [64; 3], 48);
     let l = lobes(0.4, 0.05);
     let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
     let mut session = Session::untrained().with_probe(7, Some(0.3)).unwrap();
-    session.set_volume(summary, None);
+    session.set_volume(volume.clone(), None);
     session.set_transfer(&table, Some(&l)).unwrap();
     let seen = |session: &mut Session, frame: &Frame| {
         session.plan(frame, 1e3).unwrap();
@@ -618,8 +611,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     }
     // After another time step, rays are cast again.
     let thinner: Vec<u8> = voxels.iter().map(|&v| if v < 120 { 0 } else { v }).collect();
-    let next = VolumeView::new(Scalars::U8(&thinner), [64; 3]).unwrap();
-    session.set_time_step(VolumeSummary::new(&next).unwrap(), None).unwrap();
+    session.set_time_step(summary(&thinner, [64; 3], 48), None).unwrap();
     let step = Setting::from(&wide);
     let shown = |session: &Session| session.features().work(&step).samples;
     let of_first = shown(&session);
@@ -627,7 +619,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     assert!(shown(&session) < 0.5 * of_first, "{of_first}");
     // Without a tolerance, every plan casts rays.
     let mut plain = Session::untrained().with_probe(7, None).unwrap();
-    plain.set_volume(VolumeSummary::new(&view).unwrap(), None);
+    plain.set_volume(volume, None);
     plain.set_transfer(&table, Some(&l)).unwrap();
     let first = seen(&mut plain, &frame(20.0, 30.0, 2.6));
     assert_ne!(seen(&mut plain, &frame(21.0, 30.0, 2.6)).0, first.0);

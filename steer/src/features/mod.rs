@@ -17,7 +17,7 @@ mod interior;
 mod probe;
 mod schema;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod transfer;
 mod volume;
 

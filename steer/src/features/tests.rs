@@ -18,16 +18,28 @@ pub(super) fn noise(n: usize, seed: u64) -> Vec<u8> {
         .collect()
 }
 
-pub(super) fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
+pub(crate) fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
     let view = VolumeView::new(Scalars::U8(data), dims).unwrap();
     VolumeSummary::with_cells(&view, cells_per_axis, Executor::Serial).unwrap()
+}
+
+/// Returns the summary of a cube of `edge`³ voxels with repeating values.
+pub(crate) fn cube(edge: usize) -> VolumeSummary {
+    let data: Vec<u8> = (0..edge.pow(3)).map(|i| (i * 7 % 256) as u8).collect();
+    summary(&data, [edge; 3], 48)
 }
 
 pub(super) fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
     TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, opacity(i)])).unwrap()
 }
 
-fn frame(rx: f32, ry: f32, dz: f32, size: u32) -> Frame {
+/// Returns the table of one Gaussian lobe.
+pub(crate) fn lobe_at(center: f32) -> TransferTable {
+    let lobe = GaussianLobe { center, width: 0.05, height: 0.2 };
+    TransferFunction::Gaussian(std::vec![lobe]).to_table().unwrap()
+}
+
+pub(crate) fn frame(rx: f32, ry: f32, dz: f32, size: u32) -> Frame {
     Frame::new(Camera::from_arcball(Arcball { rx, ry, dz }).unwrap(), size, size).unwrap()
 }
 
@@ -242,23 +254,14 @@ fn every_type_range_and_layout_is_summarized_as_defined() {
         ];
         for (scalars, ranges) in views {
             for (low, high) in ranges {
-                let view = VolumeView::with(
-                    scalars,
-                    dims,
-                    VolumeOptions { range: Some((low, high)), ..VolumeOptions::default() },
-                )
-                .unwrap();
-                check_against_definitions(&view, per_axis);
+                let options = VolumeOptions { range: Some((low, high)), ..VolumeOptions::default() };
+                check_against_definitions(&VolumeView::with(scalars, dims, options).unwrap(), per_axis);
             }
         }
         // The same voxels with x as the slowest axis.
         let [x, y, z] = dims;
-        let view = VolumeView::with(
-            Scalars::U8(&bytes),
-            [z, y, x],
-            VolumeOptions { strides: Some([x * y, x, 1]), ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { strides: Some([x * y, x, 1]), ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::U8(&bytes), [z, y, x], options).unwrap();
         check_against_definitions(&view, per_axis);
     }
 }
@@ -358,12 +361,8 @@ fn distances_match_a_search_over_all_cells() {
 fn thin_flat_and_tiny_volumes_give_finite_features() {
     for dims in [[1, 1, 1], [200, 1, 1], [1, 64, 64], [2, 300, 2]] {
         let data = noise(dims.iter().product(), 4);
-        let view = VolumeView::with(
-            Scalars::U8(&data),
-            dims,
-            VolumeOptions { spacing: [1.0, 10.0, 0.1], ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { spacing: [1.0, 10.0, 0.1], ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::U8(&data), dims, options).unwrap();
         let s = VolumeSummary::new(&view).unwrap();
         for (rx, ry, dz) in [(0.0, 0.0, 2.0), (90.0, 0.0, 1.1), (30.0, 45.0, 0.01), (0.0, 90.0, 50.0)] {
             for size in [1, 33] {
@@ -533,12 +532,8 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     let n = dims.iter().product::<usize>();
     let of = |scalars: Scalars<'_>| {
         // The result must depend on the stored values only, not on the range that maps them to the table.
-        let view = VolumeView::with(
-            scalars,
-            dims,
-            VolumeOptions { range: Some((3.0, 90.0)), ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { range: Some((3.0, 90.0)), ..VolumeOptions::default() };
+        let view = VolumeView::with(scalars, dims, options).unwrap();
         VolumeSummary::new(&view).unwrap().remapped()
     };
     let with = |low: f32, high: f32| -> Vec<f32> {
@@ -584,9 +579,8 @@ const ALONG_TOLERANCE: f64 = 0.06;
 fn shares_of_borders_are_those_that_rays_count() {
     let (dims, spacing) = ([40usize, 24, 30], [1.0f32, 2.0, 0.5]);
     let data = noise(dims.iter().product(), 9);
-    let view =
-        VolumeView::with(Scalars::U8(&data), dims, VolumeOptions { spacing, ..VolumeOptions::default() })
-            .unwrap();
+    let options = VolumeOptions { spacing, ..VolumeOptions::default() };
+    let view = VolumeView::with(Scalars::U8(&data), dims, options).unwrap();
     let s = VolumeSummary::new(&view).unwrap();
     let half = s.shape().half_extent;
     let voxel = [0, 1, 2].map(|a| 2.0 * half[a] / dims[a] as f32);

@@ -278,14 +278,13 @@ impl Predictor for ModelPredictor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{
-        Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary,
-    };
+    use crate::features::tests::{cube, lobe_at};
+    use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts};
     use alloc::vec;
     use entire_core::ErrorKind;
     use entire_core::model::{InputGroup, ModelFile};
     use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
-    use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+    use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe};
 
     fn model(
         groups: &[(&str, usize)],
@@ -524,12 +523,9 @@ mod tests {
         }
         assert_eq!(back.calibration.log_factor, 0.25);
         // The same file loaded as a network predicts the same seconds.
-        let voxels: Vec<u8> = (0..24 * 24 * 24).map(|i| (i * 7 % 256) as u8).collect();
-        let volume = VolumeSummary::new(&VolumeView::new(Scalars::U8(&voxels), [24; 3]).unwrap()).unwrap();
-        let lobe = GaussianLobe { center: 0.4, width: 0.05, height: 0.2 };
-        let table = TransferFunction::Gaussian(vec![lobe]).to_table().unwrap();
-        let mut features = FrameFeatures::default();
-        features.measure(&volume, &mut TransferSummary::new(&volume, &table).unwrap(), &frame()).unwrap();
+        let (volume, mut features) = (cube(24), FrameFeatures::default());
+        let mut transfer = TransferSummary::new(&volume, &lobe_at(0.4)).unwrap();
+        features.measure(&volume, &mut transfer, &frame()).unwrap();
         let inputs = inputs(&features, &[], &[]);
         let mut net = ModelPredictor::new(&model).unwrap();
         let (a, b) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());

@@ -177,21 +177,10 @@ mod tests {
     use crate::calibrate::tests::unit_factor;
     use crate::control::HybridOptions;
     use crate::features::Setting;
+    use crate::features::tests::{cube, lobe_at};
     use crate::predict::{AnalyticModel, UnitCosts, load};
-    use alloc::vec;
     use entire_core::ErrorKind;
-    use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
-
-    fn summary(edge: usize) -> VolumeSummary {
-        let voxels: Vec<u8> = (0..edge.pow(3)).map(|i| (i * 7 % 256) as u8).collect();
-        let view = VolumeView::new(Scalars::U8(&voxels), [edge; 3]).unwrap();
-        VolumeSummary::new(&view).unwrap()
-    }
-
-    fn table(center: f32) -> TransferTable {
-        let lobe = GaussianLobe { center, width: 0.05, height: 0.2 };
-        TransferFunction::Gaussian(vec![lobe]).to_table().unwrap()
-    }
+    use entire_core::scene::{Arcball, Camera, Frame};
 
     fn frame(i: u32) -> Frame {
         let pose = Arcball { rx: (i * 13 % 80) as f32, ry: (i * 29 % 360) as f32, dz: 1.5 + (i % 4) as f32 };
@@ -230,9 +219,9 @@ mod tests {
         );
         session.record(None, 400).unwrap();
         for edge in [24, 32, 40] {
-            session.set_volume(summary(edge), None);
+            session.set_volume(cube(edge), None);
             for center in [0.2, 0.6] {
-                session.set_transfer(&table(center), None).unwrap();
+                session.set_transfer(&lobe_at(center), None).unwrap();
                 play(&mut session, 0..30);
             }
         }
@@ -245,8 +234,8 @@ mod tests {
         let model = made.file.to_model().unwrap();
         session.set_predictor(load(&model).unwrap(), HybridOptions::default()).unwrap();
         // Predictions are accurate from the first frame on, for a volume that was not recorded.
-        session.set_volume(summary(48), None);
-        session.set_transfer(&table(0.4), None).unwrap();
+        session.set_volume(cube(48), None);
+        session.set_transfer(&lobe_at(0.4), None).unwrap();
         let mut errors = play(&mut session, 100..120);
         errors.sort_by(f32::total_cmp);
         assert!(errors[10] < 0.08 && errors[19] < 0.4, "{errors:?}");
@@ -255,8 +244,8 @@ mod tests {
     #[test]
     fn what_was_not_an_ordinary_frame_is_not_kept() {
         let mut session = Session::untrained();
-        session.set_volume(summary(24), None);
-        session.set_transfer(&table(0.3), None).unwrap();
+        session.set_volume(cube(24), None);
+        session.set_transfer(&lobe_at(0.3), None).unwrap();
         session.record(None, 100).unwrap();
         let flags = |unusual, cancelled| ObserveFlags { unusual, cancelled };
         // Five frames: the first of the session, an ordinary one, an unusual one, a cancelled one, and one
@@ -280,8 +269,8 @@ mod tests {
     #[test]
     fn recorded_frames_are_of_one_clock_and_of_the_finest_probe() {
         let mut session = Session::untrained().with_probe(12, Some(1.0)).unwrap();
-        session.set_volume(summary(24), None);
-        session.set_transfer(&table(0.3), None).unwrap();
+        session.set_volume(cube(24), None);
+        session.set_transfer(&lobe_at(0.3), None).unwrap();
         play(&mut session, 0..1);
         assert_eq!(session.features().probe_side(), 4);
         session.record(None, 100).unwrap();
@@ -317,8 +306,8 @@ mod tests {
         session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
         assert_eq!((session.features().probe_side(), session.ladder.is_some()), (24, true));
         // After a plan with fewer rays, a prior with the finest probe is still accepted.
-        session.set_volume(summary(24), None);
-        session.set_transfer(&table(0.3), None).unwrap();
+        session.set_volume(cube(24), None);
+        session.set_transfer(&lobe_at(0.3), None).unwrap();
         session.plan(&frame(1), 1e3).unwrap();
         assert!(session.features().probe_side() < 24);
         session.record(Some(&unit_factor(24)), 100).unwrap();

@@ -1,7 +1,7 @@
 //! Compares packets of rays with single rays, edited summaries with new ones, and parallel rays with closed
 //! forms and with a distant perspective camera.
 
-use crate::features::tests::{noise, summary, table};
+use crate::features::tests::{frame, noise, summary, table};
 use crate::features::*;
 use entire_core::kernels::Level;
 use entire_core::scene::*;
@@ -69,8 +69,7 @@ fn an_edit_forgets_what_cells_were() {
     let data = noise(24 * 24 * 24, 5);
     let s = summary(&data, [24; 3], 48);
     let (thin, thick) = (table(|_| 0.001), table(|_| 0.6));
-    let frame =
-        Frame::new(Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 1.8 }).unwrap(), 64, 64).unwrap();
+    let frame = frame(10.0, 20.0, 1.8, 64);
     let mut edited = TransferSummary::new(&s, &thin).unwrap();
     for table in [&thick, &thin, &thick] {
         edited.update(&s, table).unwrap();
@@ -120,8 +119,7 @@ fn rays_from_afar_end_where_cells_are_thinner_than_the_rounding_error() {
 fn a_transfer_function_for_other_blocks_casts_no_ray() {
     // The grids of cells are equal; the cells have one, two and four blocks.
     let volumes = [384usize, 768, 1536].map(|n| summary(&std::vec![9u8; 64 * n], [n, 8, 8], 48));
-    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
-    let frame = Frame::new(camera, 64, 64).unwrap();
+    let frame = frame(10.0, 20.0, 2.0, 64);
     for (i, of) in volumes.iter().enumerate() {
         let mut transfer = TransferSummary::new(of, &table(|_| 0.1)).unwrap();
         for (j, volume) in volumes.iter().enumerate() {
@@ -278,8 +276,7 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
         let s = summary(&noise(64 * 64 * 64, 7), dims, 4);
         let mut transfer =
             TransferSummary::new(&s, &table(|i| if i >= least { 1.0e-4 } else { 0.0 })).unwrap();
-        let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.0 }).unwrap();
-        let frame = Frame { shading: Shading::Scatter, ..Frame::new(camera, 64, 64).unwrap() };
+        let frame = Frame { shading: Shading::Scatter, ..frame(20.0, 30.0, 2.0, 64) };
         let mut features = FrameFeatures::default();
         features.measure(&s, &mut transfer, &frame).unwrap();
         let (shown, busy) = {
@@ -322,9 +319,8 @@ fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
     let n = 64 * 64 * 64;
     let s = summary(&noise(n, 3), [64, 64, 64], 8);
     let mut transfer = TransferSummary::new(&s, &table(|i| if i >= 128 { 2.0e-3 } else { 0.0 })).unwrap();
-    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 50.0, dz: 2.0 }).unwrap();
     for shading in Shading::ALL {
-        let frame = Frame { shading, ..Frame::new(camera, 256, 256).unwrap() };
+        let frame = Frame { shading, ..frame(10.0, 50.0, 2.0, 256) };
         let mut features = FrameFeatures::default();
         features.measure(&s, &mut transfer, &frame).unwrap();
         let share = |size: u32, step: f32| {

@@ -54,12 +54,8 @@ impl Volume {
     fn planes(&self, planes: usize) -> [VolumeView<'_>; 4] {
         let part = ..DIMS[0] * DIMS[1] * planes;
         let view = |scalars, range| {
-            VolumeView::with(
-                scalars,
-                [DIMS[0], DIMS[1], planes],
-                VolumeOptions { range: Some(range), ..VolumeOptions::default() },
-            )
-            .unwrap()
+            let options = VolumeOptions { range: Some(range), ..VolumeOptions::default() };
+            VolumeView::with(scalars, [DIMS[0], DIMS[1], planes], options).unwrap()
         };
         [
             view(Scalars::U8(&self.bytes[part]), (0.0, 255.0)),
