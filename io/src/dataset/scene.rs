@@ -79,7 +79,7 @@ impl Scene {
                 "{name} {text:?} holds a line break or another control character; rename it"
             );
         }
-        ensure!(!self.volume.is_empty(), "the volume's name is empty; give the file's path");
+        ensure!(!self.volume.trim().is_empty(), "the volume's name is empty; give the file's path");
         ensure!(self.dims.iter().all(|&n| n > 0), "volume size {:?} holds a 0", self.dims);
         self.to_frame()?;
         self.to_table()?;

@@ -204,9 +204,13 @@ struct Row<'a> {
 }
 
 impl Row<'_> {
-    fn text(&self, name: &'static str) -> &str {
+    fn raw(&self, name: &'static str) -> &str {
         let column = COLUMNS.iter().position(|c| *c == name).unwrap_or(0);
-        self.record.get(self.at[column]).unwrap_or("").trim()
+        self.record.get(self.at[column]).unwrap_or("")
+    }
+
+    fn text(&self, name: &'static str) -> &str {
+        self.raw(name).trim()
     }
 
     fn number<T: std::str::FromStr>(&self, name: &'static str, accepted: &str) -> Result<T> {
@@ -223,8 +227,9 @@ impl Row<'_> {
         const NUMBER: &str = "a number";
         const OR_EMPTY: &str = "a number or nothing";
         let scene = Scene {
-            volume: self.text("volume").to_owned(),
-            member: self.text("member").to_owned(),
+            // Spaces at the ends of a name belong to it.
+            volume: self.raw("volume").to_owned(),
+            member: self.raw("member").to_owned(),
             time_step: self.optional("time_step", "a whole number or nothing")?,
             dims: [
                 self.number("dims_x", WHOLE)?,

@@ -44,7 +44,8 @@ fn a_written_table_reads_back_bit_for_bit() {
     let path = dir.path().join("t.csv");
     let mut writer = Writer::create(&path).unwrap();
     writer.append(4, &scene(), &[measured(0.1), measured(0.3), measured(0.2)]).unwrap();
-    let bare = Scene { member: String::new(), time_step: None, lobes: vec![], ..scene() };
+    let name = " a.nrrd ".into();
+    let bare = Scene { volume: name, member: String::new(), time_step: None, lobes: vec![], ..scene() };
     let lone = Timing { device: Some(1e-7), ..Timing::default() };
     writer.append(9, &bare, &[lone]).unwrap();
     let table = Table::read(&path, 2).unwrap();
