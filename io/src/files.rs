@@ -6,10 +6,10 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Maximum size of a model file, in bytes.
@@ -95,6 +95,22 @@ pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Pat
             "{} is an input of this command and would be replaced; choose another name",
             out.display()
         );
+    }
+    Ok(())
+}
+
+/// Checks that every file is given once, also by different spellings of its path.
+///
+/// # Errors
+/// When two paths lead to the same file; the error names them.
+pub fn ensure_distinct(paths: &[PathBuf]) -> Result<()> {
+    let mut seen: BTreeMap<PathBuf, &Path> = BTreeMap::new();
+    for path in paths {
+        let place = path.canonicalize().unwrap_or_else(|_| path.clone());
+        if let Some(before) = seen.insert(place, path) {
+            let (path, before) = (path.display(), before.display());
+            bail!("{path} is given twice, first as {before}; give every file once");
+        }
     }
     Ok(())
 }

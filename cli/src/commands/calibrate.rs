@@ -10,7 +10,7 @@ use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use entire_core::scene::{Shading, Skipping};
-use entire_io::dataset::{Clock, Manifest, Writer, left_out, read_tables};
+use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables};
 use entire_io::device::{self, Device};
 use entire_io::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
 use entire_io::interrupt;
@@ -268,8 +268,7 @@ fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
 
 /// Fits models to logged frames.
 fn from_tables(options: &Options) -> Result<()> {
-    let mut tables = read_tables(&options.data)?;
-    tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
+    let tables = open_tables(&options.data, options.root.as_deref())?;
     let threads = thread_pool(options.threads)?;
     // Device timestamps of a software renderer are no better than wall time, so `auto` means wall time, as in
     // a calibration that renders frames.

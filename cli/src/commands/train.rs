@@ -4,7 +4,7 @@ use crate::calibrate::report::law_text;
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_io::dataset::{
-    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
+    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, open_tables, read_pictures, timed,
 };
 use entire_io::device::names_software;
 use entire_io::files::{check_model_out, note, open_model, write_whole};
@@ -120,8 +120,7 @@ pub fn run(options: &Options) -> Result<()> {
     let recipe = options.recipe();
     check_used(&recipe)?;
     let pool = thread_pool(options.threads)?;
-    let mut tables = read_tables(&options.data)?;
-    tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
+    let tables = open_tables(&options.data, options.root.as_deref())?;
     let pictures = options.pictures.as_deref().map(fitted_pictures).transpose()?;
     let base = options.fine_tune.as_deref().map(|path| anyhow::Ok((path.display(), open_model(path)?)));
     let base = base.transpose()?;

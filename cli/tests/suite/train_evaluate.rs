@@ -374,6 +374,7 @@ fn what_cannot_be_done_is_said() {
     for (line, code, expected) in [
         ("train --data t.csv --out m.bin", 1, ".safetensors"),
         ("train --data nowhere.csv --out m.safetensors", 1, "cannot read nowhere.csv"),
+        ("train --data t.csv ./t.csv --out m.safetensors", 1, "./t.csv is given twice, first as t.csv"),
         ("train --out m.safetensors", 2, "--data"),
         ("evaluate --model nowhere.safetensors --data t.csv", 1, "cannot read nowhere.safetensors"),
         ("evaluate --model t.csv --data t.csv", 1, "safetensors"),

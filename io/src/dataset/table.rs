@@ -2,7 +2,7 @@
 
 use super::feature_table::FeatureTable;
 use super::{Manifest, Scene, TimedFrame, Timing, parse_lobes};
-use crate::files::{fnv1a, read_decompressed};
+use crate::files::{ensure_distinct, fnv1a, read_decompressed};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::scene::Arcball;
 use entire_vk_raycaster::WorkCounts;
@@ -125,6 +125,17 @@ pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
         "no frames in {}; collect some with `entire collect`",
         paths.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ")
     );
+    Ok(tables)
+}
+
+/// Reads the tables that a command's user names. Their volumes are below the folder `root`, if it is given.
+///
+/// # Errors
+/// Those of [`read_tables`], and a table that is given twice: its frames would count twice.
+pub fn open_tables(paths: &[PathBuf], root: Option<&Path>) -> Result<Vec<Table>> {
+    ensure_distinct(paths)?;
+    let mut tables = read_tables(paths)?;
+    tables.iter_mut().for_each(|t| t.root = root.map(Path::to_owned));
     Ok(tables)
 }
 

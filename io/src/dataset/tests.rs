@@ -182,6 +182,20 @@ fn every_wrong_field_is_named_with_its_line_and_column() {
 }
 
 #[test]
+fn a_table_that_is_given_twice_is_refused() {
+    let dir = folder();
+    let path = dir.path().join("t.csv");
+    Writer::create(&path).unwrap().append(0, &scene(), &[measured(0.1)]).unwrap();
+    let other = dir.path().join("..").join(dir.path().file_name().unwrap()).join("t.csv");
+    for twice in [&path, &other] {
+        let said = open_tables(&[path.clone(), twice.clone()], None).unwrap_err().to_string();
+        assert!(said.contains("t.csv is given twice"), "{said}");
+    }
+    let root = Some(dir.path());
+    assert_eq!(open_tables(&[path], root).unwrap()[0].root.as_deref(), root);
+}
+
+#[test]
 fn the_writer_refuses_what_could_not_be_read_back() {
     let dir = folder();
     let mut writer = Writer::create(&dir.path().join("t.csv")).unwrap();

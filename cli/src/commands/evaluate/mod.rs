@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use entire_core::kernels::{Level, Storage};
 use entire_core::model::Model;
 use entire_core::nn::PredNet;
-use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
+use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, open_tables, timed};
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
 use entire_io::metrics::{Metrics, bootstrap_by_group};
@@ -125,8 +125,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             model.name = path.display().to_string();
         }
     }
-    let mut tables = read_tables(&options.data)?;
-    tables.iter_mut().for_each(|t| t.root.clone_from(&options.root));
+    let tables = open_tables(&options.data, options.root.as_deref())?;
     let named = || models.iter().map(|m| (m.name.as_str(), &m.model));
     let clock = entire_io::clock::agreed(options.clock, named())?;
     let mut frames = timed(&tables, clock, options.shade)?;
