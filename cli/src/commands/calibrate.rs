@@ -12,7 +12,9 @@ use clap::builder::{PossibleValue, PossibleValuesParser};
 use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables};
 use entire_io::device::{self, Device};
-use entire_io::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
+use entire_io::files::{
+    check_model_out, ensure_distinct, make_folder_of, note, open_model, read_model_file, write_whole,
+};
 use entire_io::interrupt;
 use entire_io::options::{check_termination, shades, skip_parser, thread_pool};
 use entire_io::progress::templated_bar;
@@ -175,6 +177,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         );
         volumes_in(folder).with_context(|| format!("cannot list the files in {DATA_FOLDER}/"))?
     } else {
+        // A second copy of a volume would not be held out with the first one.
+        ensure_distinct(&options.volumes)?;
         options.volumes.clone()
     };
     check_termination(options.termination)?;

@@ -4,7 +4,7 @@ use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pas
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
-use entire_io::files::{open_volume, read_model_file};
+use entire_io::files::{ensure_distinct, open_volume, read_model_file};
 use entire_io::identity::{self, Identity};
 use entire_io::options::{RenderArgs, check_termination};
 use entire_io::progress::progress_bar;
@@ -160,12 +160,7 @@ fn check(jobs: &[Job], remedy: &str) -> Result<()> {
         ensure!(!job.path.is_dir(), "{shown}: is a folder; name volume files in it");
         ensure!(job.path.is_file(), "{shown}: no such file; {remedy}");
     }
-    let mut paths: Vec<&PathBuf> = jobs.iter().map(|j| &j.path).collect();
-    paths.sort();
-    if let Some(twice) = paths.windows(2).find(|w| w[0] == w[1]) {
-        bail!("{} is given twice; give every volume once", twice[0].display());
-    }
-    Ok(())
+    ensure_distinct(&jobs.iter().map(|j| j.path.clone()).collect::<Vec<_>>())
 }
 
 /// Runs the command.

@@ -185,6 +185,8 @@ fn what_cannot_be_calibrated_is_said() {
     // The CPU version has no time stamps.
     let line = format!("calibrate a.nrrd --clock device --out m.safetensors {QUICK}");
     refuses_after_output(at, &line, &["no clock device", "--clock"]);
+    let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";
+    refuses_after_output(at, twice, &["./a.nrrd is given twice, first as a.nrrd"]);
     assert!(!at.join("m.safetensors").exists());
 }
 

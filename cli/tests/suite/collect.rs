@@ -154,6 +154,9 @@ fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
     assert_eq!(output.status.code(), Some(2));
     let output = collect(&volume, &out, &["--member", "a", "b", "--frames", "1"]).output().unwrap();
     assert!(stderr(&output).contains("2 members for 1 volumes"), "{}", stderr(&output));
+    let again = dir.path().join("..").join(dir.path().file_name().unwrap()).join("v.nrrd");
+    let output = collect(&volume, &out, &[]).arg(again).output().unwrap();
+    assert!(stderr(&output).contains("v.nrrd is given twice"), "{}", stderr(&output));
 }
 
 #[test]
