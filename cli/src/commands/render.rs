@@ -1,6 +1,6 @@
 //! `entire render`: render one frame and time it.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction};
 use entire_io::device;
 use entire_io::files::{ensure_not_input, make_folder_of, note, open_volume, parse_numbers, write_whole};
@@ -98,6 +98,11 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
 pub(crate) fn run(options: &Options) -> Result<()> {
     // All options are checked before the volume is loaded.
     ensure_not_input(&options.out, [options.volume.as_path()]).context("--out")?;
+    ensure!(
+        options.out.extension().is_none_or(|e| e.eq_ignore_ascii_case("png")),
+        "--out is {}; the picture is written as PNG: give a name that ends in .png",
+        options.out.display()
+    );
     make_folder_of(&options.out)?;
     let camera = camera(options.camera, options.fov, options.parallel_scale)?;
     let frame = Frame {

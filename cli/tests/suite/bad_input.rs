@@ -210,6 +210,7 @@ fn frames_that_cannot_be() {
             render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "ball.nrrd"]),
             vec!["--out: ball.nrrd is an input"],
         ),
+        (render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "x.jpg"]), vec!["--out is x.jpg", ".png"]),
     ] {
         // The --out of a case replaces the usual --out, since an option may be given only once.
         let arguments: Vec<&str> = match arguments.iter().rposition(|a| *a == "--out") {
