@@ -172,7 +172,8 @@ pub(super) fn hide_fill(
     if values.is_empty() {
         return Ok(None);
     }
-    let is_fill = |v: f32| values.contains(&v) || v.is_nan() && values.iter().any(|f| f.is_nan());
+    let same = |f: f32, v: f32| f == v || f.is_nan() && v.is_nan();
+    let is_fill = |v: f32| values.iter().any(|&f| same(f, v));
     let (mut low, mut high, mut hidden) = (f32::INFINITY, f32::NEG_INFINITY, 0usize);
     for v in data.scalars().iter() {
         if is_fill(v) {
@@ -187,11 +188,16 @@ pub(super) fn hide_fill(
         Range::Default if matches!(data, VolumeData::U8(_)) => 0.0,
         Range::Default | Range::Data => low,
     };
+    let list = |values: &[f32]| values.iter().map(f32::to_string).collect::<Vec<_>>().join(", ");
+    let missing = |f: &f32| !data.scalars().iter().any(|v| same(*f, v));
+    let missing: Vec<f32> = if found { Vec::new() } else { values.iter().copied().filter(missing).collect() };
+    let mut changed = false;
     macro_rules! replace {
         ($($kind:ident $number:ty),*) => {
             match data {
                 $(VolumeData::$kind(voxels) => {
                     for v in voxels.iter_mut().filter(|v| is_fill(f32::from(**v))) {
+                        changed |= *v != shown as $number;
                         *v = shown as $number;
                     }
                 })*
@@ -199,16 +205,21 @@ pub(super) fn hide_fill(
         };
     }
     replace!(U8 u8, U16 u16, I16 i16, F32 f32);
-    let list = values.iter().map(f32::to_string).collect::<Vec<_>>().join(", ");
     let (share, all) = (100.0 * hidden as f64 / data.len() as f64, data.len());
-    Ok(match (found, hidden) {
-        (true, _) => Some(format!(
+    Ok(if found {
+        let list = list(&values);
+        Some(format!(
             "{hidden} of {all} voxels ({share:.1} %) hold {list}, far from all other values ({low} to \
              {high}), which is taken as a fill value: these voxels are shown as the low end of the range. \
              With `--fill none`, they are shown as data"
-        )),
-        (false, 0) => Some(format!("no voxel holds the fill value {list}")),
-        (false, _) => None,
+        ))
+    } else if !missing.is_empty() {
+        Some(format!("no voxel holds the fill value {}", list(&missing)))
+    } else {
+        let values = list(&values);
+        (!changed).then(|| {
+            format!("the fill value {values} is the low end of the range already, so --fill changes no voxel")
+        })
     })
 }
 
@@ -277,6 +288,17 @@ mod tests {
         assert!(hide_fill(&mut all, [8, 1, 1], &values(3.0, Range::Default)).is_err());
         let note = hide_fill(&mut all, [8, 1, 1], &values(4.0, Range::Default)).unwrap().unwrap();
         assert!(note.contains("no voxel"));
+        // The low end of bytes is 0; a byte is never below 0.
+        for (fill, expected) in [
+            (vec![0.0], Some("the fill value 0 is the low end")),
+            (vec![0.0, -9999.0], Some("no voxel holds the fill value -9999")),
+            (vec![0.0, 7.0], None),
+        ] {
+            let mut bytes = VolumeData::U8(vec![0, 5, 7, 9]);
+            let note = hide_fill(&mut bytes, [4, 1, 1], &with(Fill::Values(fill), Range::Default)).unwrap();
+            assert_eq!(note.is_some(), expected.is_some(), "{note:?}");
+            assert!(note.unwrap_or_default().contains(expected.unwrap_or_default()), "{expected:?}");
+        }
         // The low end is that of the range: 0 for bytes, the given number, or the minimum of the data.
         for (range, low) in [(Range::Default, 0), (Range::Data, 50), (Range::Given(20.0, 90.0), 20)] {
             let mut bytes = VolumeData::U8(vec![50, 200, 255, 60]);
