@@ -5,7 +5,7 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
 use entire_core::scene::Shading;
-use entire_io::files::{digits, note, open_model};
+use entire_io::files::{digits, note, open_model, read_decompressed};
 use entire_io::options::shade_parser;
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use std::io::Read;
@@ -56,8 +56,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let seconds = if options.inputs == Path::new("-") {
         predict(&net, &model, std::io::stdin().lock()).context("standard input")
     } else {
-        let stream = entire_io::volume::Stream::open(&options.inputs)?;
-        predict(&net, &model, stream).with_context(|| format!("{}", options.inputs.display()))
+        let shown = options.inputs.display();
+        let table = read_decompressed(&options.inputs).with_context(|| format!("cannot read {shown}"))?;
+        predict(&net, &model, &table[..]).with_context(|| format!("{shown}"))
     }?;
     if let Some(clock) = entire_io::clock::of(&model) {
         note(&format!("{} predicts {} seconds", path.display(), clock.name()));

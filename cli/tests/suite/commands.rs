@@ -47,6 +47,10 @@ fn predict_prints_a_line_per_row_that_agrees_with_double_precision() {
         let found = nine_digits(line);
         assert!((found - y).abs() <= 2e-5 * y.abs(), "{found} {y}");
     }
+    let packed = entire_io::files::gzip(table.as_bytes()).unwrap();
+    std::fs::write(folder.path().join("rows.csv.gz"), packed).unwrap();
+    let line = "predict --model pred.safetensors --inputs rows.csv.gz";
+    assert_eq!(succeeds(folder.path(), &words(line)), printed);
 }
 
 #[test]
