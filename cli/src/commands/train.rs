@@ -7,7 +7,7 @@ use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, open_tables, read_pictures, timed,
 };
 use entire_io::device::names_software;
-use entire_io::files::{check_model_out, note, open_model, write_whole};
+use entire_io::files::{check_model_out, ensure_not_input, note, open_model, write_whole};
 use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
@@ -117,6 +117,8 @@ const NOISY: f64 = 0.2;
 pub fn run(options: &Options) -> Result<()> {
     let started = Instant::now();
     check_model_out(&options.out)?;
+    let bases = options.fine_tune.iter().chain(&options.volumenet);
+    ensure_not_input(&options.out, bases.map(PathBuf::as_path)).context("--out")?;
     let recipe = options.recipe();
     check_used(&recipe)?;
     let pool = thread_pool(options.threads)?;

@@ -156,6 +156,8 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     assert_eq!(a.prednet.as_ref().unwrap().input, b.prednet.as_ref().unwrap().input);
     assert_ne!(a.prednet.as_ref().unwrap().layers, b.prednet.as_ref().unwrap().layers);
     fails(&data, &format!("{tune} --preset 0C64"), 2, "--preset");
+    let onto_itself = "train --data t.csv --out m.safetensors --fine-tune ./m.safetensors";
+    fails(&data, onto_itself, 1, "m.safetensors is an input of this command");
 
     // The groups that the base was trained on stay known after fine-tuning with another split.
     works(&data, &format!("{tune} --epochs 1 --test-groups blobs/m01"));
