@@ -40,6 +40,9 @@ const FIT_SECONDS: f64 = 6.0;
 /// Share of the time for comparing pictures.
 const PICTURES_SHARE: f64 = 0.08;
 
+/// Seconds of measurement in which most machines draw more than [`FEWEST_FRAMES`].
+const MEASUREMENT_SECONDS: f64 = 10.0;
+
 /// Settings and time limit of a calibration.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings {
@@ -120,6 +123,18 @@ fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
     (priors.iter().map(|p| p.1.clone()).collect(), names)
 }
 
+/// The reason why a calibration of `seconds` drew too few frames, and the remedy. The first `choosing` seconds were spent
+/// on the choice of frames.
+fn too_short(seconds: f64, choosing: f64) -> String {
+    let measured = (1.0 - PICTURES_SHARE) * seconds - FIT_SECONDS - choosing;
+    let needed = MEASUREMENT_SECONDS.max(2.0 * measured) + FIT_SECONDS + choosing;
+    format!(
+        "within {seconds} s, of which the choice of frames took {choosing:.1} s; give --seconds {:.0}, or name fewer or \
+         smaller volumes",
+        (needed / (1.0 - PICTURES_SHARE)).ceil()
+    )
+}
+
 /// Renders frames until the time is over or `stop` returns true, and fits a model to them.
 /// [`PriorModel::new`] makes the prior from the models `priors`.
 ///
@@ -142,6 +157,7 @@ pub(crate) fn calibrate(
     let (files, names) = named(priors);
     let typical = typical_costs(renderer.backend(), &renderer.device());
     let pool = Pool::draw(settings, (&files, &typical), threads)?;
+    let choosing = start.elapsed().as_secs_f64();
     let frames_end =
         deadline - Duration::from_secs_f64(PICTURES_SHARE * settings.seconds).min(deadline - start);
     let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, bar);
@@ -155,11 +171,7 @@ pub(crate) fn calibrate(
         frames.len() >= FEWEST_FRAMES,
         "{} frames were drawn {}; at least {FEWEST_FRAMES} are needed, and nothing was written",
         frames.len(),
-        if stop() {
-            "before the interruption".to_owned()
-        } else {
-            format!("within {} s; allow more seconds, or name fewer or smaller volumes", settings.seconds)
-        }
+        if stop() { "before the interruption".to_owned() } else { too_short(settings.seconds, choosing) }
     );
     let mut groups = Groups::default();
     let observed: Vec<Observed> = frames
