@@ -5,12 +5,11 @@ use crate::study::{
     judge as judge_split, shipped,
 };
 use anyhow::{Context, Result, ensure};
+use entire_cli::calibrate::can_be_prior;
 use entire_core::model::{GroupKind, Key, ModelFile};
 use entire_io::dataset::{Table, read_tables};
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
-use entire_steer::calibrate::PriorModel;
-use entire_steer::predict::UnitCosts;
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, predict};
 use entire_train::split::TimedFrames;
@@ -193,7 +192,7 @@ fn card(
             .unwrap_or_default();
     let text = |key: &str| stored.get(key).and_then(|v| v.as_str()).unwrap_or("not known").to_owned();
     let shading = text("shading");
-    let calibrate = if PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok() {
+    let calibrate = if can_be_prior(file) {
         format!("calibrate --data FRAMES.csv --shade {shading} --prior models/{name}.safetensors")
     } else {
         format!("train --data FRAMES.csv --fine-tune models/{name}.safetensors")

@@ -106,6 +106,12 @@ pub(crate) struct Calibrated {
 /// Name and model file of a prior.
 pub type NamedPrior = (String, ModelFile);
 
+/// True if a calibration can take the model as prior, and so adapt it to another machine. Other models are adapted by
+/// fine-tuning.
+pub fn can_be_prior(file: &ModelFile) -> bool {
+    PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok()
+}
+
 /// Refuses [`Clock::Auto`]: a model states one clock.
 ///
 /// # Errors

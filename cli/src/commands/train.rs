@@ -1,6 +1,6 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
-use crate::calibrate::report::law_text;
+use crate::calibrate::{can_be_prior, report::law_text};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_io::dataset::{
@@ -426,9 +426,10 @@ fn card(
     let mut md = String::new();
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
     let _ = writeln!(md, "# {name}\n\n{}.\n", trained.fitted.what);
-    let (verb, adapt) = match options.recipe.kind {
-        Kind::Analytic => ("calibrate", "calibrate --data FRAMES.csv --prior"),
-        Kind::Prednet | Kind::Residual => ("fine-tune", "train --data FRAMES.csv --fine-tune"),
+    let shade = options.shade.map_or(String::new(), |s| format!(" --shade {s}"));
+    let (verb, adapt) = match can_be_prior(&trained.fitted.file) {
+        true => ("calibrate", format!("calibrate --data FRAMES.csv{shade} --prior")),
+        false => ("fine-tune", "train --data FRAMES.csv --fine-tune".to_owned()),
     };
     let _ = writeln!(
         md,
