@@ -1,11 +1,13 @@
-//! Options of several commands: rendering, number of threads.
+//! Options of several commands: rendering, settings of drawing, number of threads.
 
+use crate::dataset::{Clock, Timing};
 use crate::device::Device;
 use crate::machine;
 use anyhow::{Context, Result, bail, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use entire_core::scene::{MAX_IMAGE_SIDE, Shading, Skipping};
+use entire_core::scene::{Camera, Frame, MAX_IMAGE_SIDE, Shading, Skipping};
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use serde::{Deserialize, Serialize};
 
 /// Rendering options.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -22,6 +24,85 @@ pub struct RenderArgs {
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
+}
+
+/// Settings with which frames are drawn. In a file, modes and clock have their names.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DrawSettings {
+    /// Image width, pixels.
+    #[serde(rename = "width_px")]
+    pub width: u32,
+    /// Image height, pixels.
+    #[serde(rename = "height_px")]
+    pub height: u32,
+    /// Shading of each sample.
+    #[serde(with = "by_name")]
+    pub shading: Shading,
+    /// Skipping of empty space.
+    #[serde(with = "by_name")]
+    pub skipping: Skipping,
+    /// Accumulated opacity at which rays stop.
+    pub termination: f32,
+    /// The clock of frame times.
+    #[serde(with = "by_name")]
+    pub clock: Clock,
+}
+
+/// Values that a file has by their names.
+mod by_name {
+    use serde::de::{Deserialize, Deserializer, Error};
+    use serde::ser::Serializer;
+    use std::fmt::Display;
+    use std::str::FromStr;
+
+    pub(super) fn serialize<T: Display, S: Serializer>(value: &T, to: S) -> Result<S::Ok, S::Error> {
+        to.collect_str(value)
+    }
+
+    pub(super) fn deserialize<'de, T: FromStr<Err: Display>, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<T, D::Error> {
+        String::deserialize(from)?.parse().map_err(D::Error::custom)
+    }
+}
+
+impl DrawSettings {
+    /// Settings from the options.
+    pub fn new((width, height): (u32, u32), render: &RenderArgs, clock: Clock) -> Self {
+        Self {
+            width,
+            height,
+            shading: render.shade,
+            skipping: render.skip,
+            termination: render.termination,
+            clock,
+        }
+    }
+
+    /// A frame with these settings at the reference step.
+    ///
+    /// # Errors
+    /// When the core refuses a value.
+    pub fn frame(&self, camera: Camera) -> Result<Frame> {
+        Ok(Frame {
+            termination: self.termination,
+            shading: self.shading,
+            skipping: self.skipping,
+            ..Frame::new(camera, self.width, self.height)?
+        }
+        .checked()?)
+    }
+
+    /// Seconds of a measurement by the chosen clock.
+    ///
+    /// # Errors
+    /// When the renderer has no such clock.
+    pub fn seconds(&self, measurement: &Timing) -> Result<f64> {
+        measurement.seconds(self.clock).with_context(|| {
+            format!("the renderer has no {} clock; choose another with --clock", self.clock.name())
+        })
+    }
 }
 
 /// Returns the values of an option, by name, with their descriptions.

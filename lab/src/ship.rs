@@ -1,13 +1,13 @@
 //! Ships the models of a study: writes model files with their cards. The models are evaluated with the weights as stored.
 
 use crate::study::{
-    Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, SplitResult, Study, clock,
+    Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, SplitResult, Study,
     judge as judge_split, shipped,
 };
 use anyhow::{Context, Result, ensure};
 use entire_cli::calibrate::can_be_prior;
 use entire_core::model::{GroupKind, Key, ModelFile};
-use entire_io::dataset::{Table, read_tables};
+use entire_io::dataset::{Clock, Table, read_tables};
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
 use entire_train::bound;
@@ -101,7 +101,7 @@ fn judge(
     runner: &Runner<'_>,
     crossed: bool,
 ) -> Result<Vec<SplitResult>> {
-    let clock = clock(&study.clock)?;
+    let clock: Clock = study.clock.parse()?;
     let model = file.to_model()?;
     let upper = bound::of(&model);
     let hidden = indicatif::ProgressBar::hidden();
@@ -164,7 +164,7 @@ fn provenance(
         })
         .collect();
     file.metadata.insert(Key::Provenance.into(), stored.to_string());
-    entire_io::clock::set(file, clock(&study.clock)?);
+    entire_io::clock::set(file, study.clock.parse()?);
     file.metadata.remove(STUDY_KEY);
     if let Some(manifest) = training.iter().find_map(|t| t.manifest.as_ref()) {
         file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());

@@ -14,17 +14,18 @@
 
 mod format;
 
-pub use format::{TRACE_FORMAT, Trace, TraceDraw, TracePoint, TraceVolume};
+pub use format::{TRACE_FORMAT, Trace, TracePoint, TraceVolume};
 
 use anyhow::{Context, Result, ensure};
 use entire_cli::pictures::{BEST_PSNR, psnr, resized, scaled_size, ssim};
-use entire_cli::steering::play::{DrawSettings, scale_at, volume_at};
+use entire_cli::steering::play::{scale_at, volume_at};
 use entire_core::scene::Frame;
 use entire_io::dataset::Timing;
 use entire_io::enlarge::enlarge;
 use entire_io::identity::difference;
 use entire_io::machine::Provenance;
 use entire_io::metrics::median;
+use entire_io::options::DrawSettings;
 use entire_io::path::{FlightPath, PathFile};
 use entire_io::volume::Volume;
 use entire_steer::features::VolumeSummary;
@@ -88,14 +89,7 @@ impl Recording<'_> {
             path: self.path.clone(),
             hold: self.hold,
             scales: self.scales.to_vec(),
-            draw: TraceDraw {
-                width_px: self.draw.width,
-                height_px: self.draw.height,
-                shading: self.draw.shading.to_string(),
-                skipping: self.draw.skipping.to_string(),
-                termination: self.draw.termination,
-                clock: self.draw.clock.name().into(),
-            },
+            draw: self.draw,
             frames: Vec::new(),
             provenance: serde_json::Value::Null,
         }
@@ -149,22 +143,6 @@ impl Trace {
         .collect()
     }
 
-    /// Settings of drawing.
-    ///
-    /// # Errors
-    /// When a mode is not known.
-    pub fn draw_settings(&self) -> Result<DrawSettings> {
-        let (clock, shading, skipping) = self.draw.modes()?;
-        Ok(DrawSettings {
-            width: self.draw.width_px,
-            height: self.draw.height_px,
-            shading,
-            skipping,
-            termination: self.draw.termination,
-            clock,
-        })
-    }
-
     /// Index of the volume of a frame.
     pub fn volume_at(&self, frame: usize) -> usize {
         volume_at(self.hold, self.volumes.len(), frame)
@@ -174,9 +152,8 @@ impl Trace {
     ///
     /// # Errors
     /// When the core refuses a value.
-    pub fn frame(&self, path: &FlightPath, draw: &DrawSettings, index: usize) -> Result<Frame> {
-        let scale = scale_at(&self.scales, index);
-        drawn_frame(path, draw, scale, index)
+    pub fn frame(&self, path: &FlightPath, index: usize) -> Result<Frame> {
+        drawn_frame(path, &self.draw, scale_at(&self.scales, index), index)
     }
 
     /// Summaries of the volumes, opened relative to the working folder.

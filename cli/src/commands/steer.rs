@@ -2,7 +2,7 @@
 
 use crate::collection::{Job, manifest_of};
 use crate::steering::contenders::ControllerKind;
-use crate::steering::play::{Course, DrawSettings, Playback};
+use crate::steering::play::{Course, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
 use crate::steering::report::{Story, table, write};
 use anyhow::{Context, Result, bail, ensure};
@@ -11,7 +11,9 @@ use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::enlarge::enlarge;
 use entire_io::files::{make_folder, make_folder_of, note, open_model, open_volume, write_json};
 use entire_io::machine::Provenance;
-use entire_io::options::{RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size};
+use entire_io::options::{
+    DrawSettings, RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
+};
 use entire_io::path::{FlightPath, Generated, parse_target};
 use entire_io::volume::{Reading, Volume};
 use entire_io::{device, identity, interrupt};

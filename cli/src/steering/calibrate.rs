@@ -1,6 +1,5 @@
 //! Random frames of a volume, each at several ray steps, to measure the time saved by coarser steps.
 
-use super::play::DrawSettings;
 use super::rivals::StepResponse;
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{
@@ -8,6 +7,7 @@ use entire_core::scene::{
 };
 use entire_io::dataset::Timing;
 use entire_io::metrics::median;
+use entire_io::options::DrawSettings;
 use entire_io::scenes::SceneDistribution;
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{InputLayout, Inputs};

@@ -3,9 +3,9 @@
 use super::metrics::{Metrics, Played};
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
-use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
-use entire_io::dataset::{Clock, Timing};
-use entire_io::options::RenderArgs;
+use entire_core::scene::{Frame, VolumeView};
+use entire_io::dataset::Timing;
+use entire_io::options::DrawSettings;
 use entire_io::path::FlightPath;
 use entire_steer::control::{ObserveFlags, Quality, Reason, Session, StepLimits};
 use entire_steer::features::{Changes, VolumeSummary};
@@ -49,61 +49,6 @@ impl ActsOn {
             Self::RayStep => (chosen, 1.0),
             Self::ImageResolution { .. } => (1.0, chosen.sqrt()),
         }
-    }
-}
-
-/// Settings with which frames are drawn.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DrawSettings {
-    /// Image width, pixels.
-    pub width: u32,
-    /// Image height, pixels.
-    pub height: u32,
-    /// Shading of each sample.
-    pub shading: Shading,
-    /// Skipping of empty space.
-    pub skipping: Skipping,
-    /// Accumulated opacity at which rays stop.
-    pub termination: f32,
-    /// The clock of frame times.
-    pub clock: Clock,
-}
-
-impl DrawSettings {
-    /// Settings from the options.
-    pub fn new((width, height): (u32, u32), render: &RenderArgs, clock: Clock) -> Self {
-        Self {
-            width,
-            height,
-            shading: render.shade,
-            skipping: render.skip,
-            termination: render.termination,
-            clock,
-        }
-    }
-
-    /// A frame with these settings at the reference step.
-    ///
-    /// # Errors
-    /// When the core refuses a value.
-    pub fn frame(&self, camera: Camera) -> Result<Frame> {
-        Ok(Frame {
-            termination: self.termination,
-            shading: self.shading,
-            skipping: self.skipping,
-            ..Frame::new(camera, self.width, self.height)?
-        }
-        .checked()?)
-    }
-
-    /// Seconds of a measurement by the chosen clock.
-    ///
-    /// # Errors
-    /// When the renderer has no such clock.
-    pub fn seconds(&self, measurement: &Timing) -> Result<f64> {
-        measurement.seconds(self.clock).with_context(|| {
-            format!("the renderer has no {} clock; choose another with --clock", self.clock.name())
-        })
     }
 }
 
@@ -416,7 +361,8 @@ mod tests {
     use crate::scripted::ScriptedRenderer;
     use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
-    use entire_core::scene::{GaussianLobe, Scalars, TransferFunction};
+    use entire_core::scene::{GaussianLobe, Scalars, Shading, Skipping, TransferFunction};
+    use entire_io::dataset::Clock;
     use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
     use entire_steer::control::Prior;
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};

@@ -3,7 +3,7 @@
 use super::calibrate::{Sample, measure, response};
 use super::contenders::{ControllerKind, contender};
 use super::model::{SteeringModel, Steers};
-use super::play::{Contender, Course, DrawSettings, Playback, Shown, Task, play};
+use super::play::{Contender, Course, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
 use crate::calibrate::place::machine_model;
@@ -14,6 +14,7 @@ use entire_core::scene::{Shading, VolumeView};
 use entire_io::dataset::Clock;
 use entire_io::device::{is_software, names_software};
 use entire_io::metrics::median;
+use entire_io::options::DrawSettings;
 use entire_io::path::FlightPath;
 use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;

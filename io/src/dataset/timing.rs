@@ -2,11 +2,12 @@
 
 use super::{Scene, Table, parse_lobes};
 use crate::metrics::{median, percentile};
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Arcball, Shading, Skipping};
 use entire_steer::predict::LONGEST_FRAME;
 use entire_vk_raycaster::{FrameTime, WorkCounts};
 use serde::{Deserialize, Serialize};
+use std::str::FromStr;
 
 /// One repeat of a frame: seconds by each available clock, and work counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -76,6 +77,15 @@ entire_core::names! { Clock:
     Device "device",
     Wall "wall",
     Cpu "cpu",
+}
+
+impl FromStr for Clock {
+    type Err = anyhow::Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|c| c.name().eq_ignore_ascii_case(name));
+        found.with_context(|| format!("clock {name:?}; auto, device, wall or cpu is expected"))
+    }
 }
 
 /// A frame with all its repeats.

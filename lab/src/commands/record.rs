@@ -4,14 +4,13 @@
 use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::steering::calibrate::measure;
-use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::race::calibration_scenes;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_io::dataset::{Clock, Scene, Timing, Writer};
 use entire_io::device;
 use entire_io::files::make_folder_of;
 use entire_io::interrupt;
-use entire_io::options::{RenderArgs, parse_hold, parse_scale, parse_size};
+use entire_io::options::{DrawSettings, RenderArgs, parse_hold, parse_scale, parse_size};
 use entire_io::path::{Generated, PathFile};
 use entire_io::progress::progress_bar;
 use entire_steer::features::VolumeSummary;

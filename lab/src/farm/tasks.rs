@@ -21,14 +21,14 @@ struct Recorded {
 impl Recorded {
     /// Adds a sample for every frame of a trace and every recorded ray step at full image size.
     fn add(&mut self, trace: &Trace, probe_side: usize) -> Result<()> {
-        let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
+        let (path, summaries) = (trace.path.resolve()?, trace.summaries()?);
         let mut features = FrameFeatures::with_probe_side(probe_side);
         let before = self.volumes.iter().max().map_or(0, |v| v + 1);
         for (index, at) in path.frames.iter().enumerate() {
             let volume = trace.volume_at(index);
             let table = at.transfer.function().to_table()?;
             let mut transfer = TransferSummary::new(&summaries[volume], &table)?;
-            let frame = trace.frame(&path, &draw, index)?;
+            let frame = trace.frame(&path, index)?;
             features.measure(&summaries[volume], &mut transfer, &frame)?;
             for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
                 self.samples.push(Sample {
@@ -125,7 +125,7 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<(AnalyticModel, F
 /// When there are no frames to fit to, a file cannot be read, or a prediction fails.
 pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: usize) -> Result<Vec<Task>> {
     let (mut predictor, factor) = task_predictor(training, probe_side)?;
-    let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
+    let (path, summaries) = (trace.path.resolve()?, trace.summaries()?);
     let mut features = FrameFeatures::with_probe_side(probe_side);
     let mut tasks = Vec::with_capacity(trace.frames.len());
     let mut took = std::time::Duration::ZERO;
@@ -133,7 +133,7 @@ pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: us
         let volume = trace.volume_at(index);
         let table = at.transfer.function().to_table()?;
         let mut transfer = TransferSummary::new(&summaries[volume], &table)?;
-        let frame = trace.frame(&path, &draw, index)?;
+        let frame = trace.frame(&path, index)?;
         let begin = std::time::Instant::now();
         features.measure(&summaries[volume], &mut transfer, &frame)?;
         let lobes = at.transfer.lobes();

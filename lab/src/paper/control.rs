@@ -208,7 +208,6 @@ fn pictures(
 ) -> Result<Vec<(String, String)>> {
     let folder = work.out.join("pictures");
     make_folder(&folder)?;
-    let draw = trace.draw_settings()?;
     let recorded = Replayable::new(trace)?;
     let n = recorded.path.frames.len();
     let mut out = Vec::new();
@@ -219,7 +218,7 @@ fn pictures(
         renderer.set_volume(&volume.view()).with_context(fail)?;
         let table = recorded.path.frames[index].transfer.function().to_table().with_context(fail)?;
         renderer.set_transfer(&table).with_context(fail)?;
-        let frame = recorded.trace.frame(&recorded.path, &draw, index).with_context(fail)?;
+        let frame = recorded.trace.frame(&recorded.path, index).with_context(fail)?;
         let mut steps = vec![("reference step", 1.0)];
         for (controller, title) in DRAWN {
             let row = drawn.iter().find(|r| r.controller == controller && r.frame == index);

@@ -7,7 +7,7 @@ use super::judge::{At, Judge, NETWORK, OURS};
 use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, percentiles, write};
 use super::volumes::{Parts, Place, in_words};
 use super::{Work, tuning};
-use crate::study::{Runner, by_proxy, clock, line_of};
+use crate::study::{Runner, by_proxy, line_of};
 use anyhow::{Context, Result, bail};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
@@ -39,7 +39,7 @@ const BY_SET: [Panel; 7] = [
 
 /// Computes the missing results of the selected parts (default: all).
 pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
-    let clock = clock(&work.paper.clock)?;
+    let clock = work.paper.clock.parse()?;
     let wanted = |p: Panel| panels.is_empty() || panels.contains(&p);
     let bar = templated_bar("train [{bar:30}] {pos}/{len} parts  {wide_msg}");
     let stop = || work.stop();

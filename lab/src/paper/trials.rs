@@ -7,7 +7,7 @@ use super::description::{Change, Panel, TrialTables, Validation};
 use super::frames::{low_as_text, main_encoder};
 use super::judge::Judge;
 use super::results::{Results, kept, write};
-use crate::study::{Bounds, Low, Runner, clock, line_of, twins};
+use crate::study::{Bounds, Low, Runner, line_of, twins};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::GroupKind;
 use entire_core::nn::Target;
@@ -112,7 +112,7 @@ impl Measured {
 
 /// Runs those of the requested trials whose results are missing.
 pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
-    let clock = clock(&work.paper.clock)?;
+    let clock = work.paper.clock.parse()?;
     for panel in [Panel::Procedure, Panel::Frames].into_iter().filter(|p| panels.contains(p)) {
         for (i, tables) in work.paper.trials.tables.iter().enumerate() {
             if !work.selection.has_mode(&tables.mode) || (panel == Panel::Frames && i > 0) {
@@ -136,7 +136,7 @@ pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
 /// description names no tables of this mode, or if they are missing.
 pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<PathBuf>> {
     let Some(tables) = work.paper.trials.tables.iter().find(|t| t.mode == mode) else { return Ok(None) };
-    let Some(measured) = Measured::read(tables, clock(&work.paper.clock)?)? else { return Ok(None) };
+    let Some(measured) = Measured::read(tables, work.paper.clock.parse()?)? else { return Ok(None) };
     let (validation, training) = measured.held_out();
     let (shipped, _) = main_encoder(work, None)?;
     let recipe = Recipe { volumenet: Some(shipped), ..work.paper.network.clone() };

@@ -195,7 +195,6 @@ pub fn replay(
     let n = recorded.path.frames.len();
     ensure!(targets.len() == n, "{} targets for {n} frames", targets.len());
     let start = frames.start;
-    let draw = recorded.trace.draw_settings()?;
     let (answers, own) = recorded.answers(contender.acts_on, limits)?;
     let session = &mut contender.session;
     session.set_limits(own)?;
@@ -221,7 +220,7 @@ pub fn replay(
         if at.camera_switched && index > start {
             session.mark(Changes { camera: true, ..Changes::default() });
         }
-        let frame = recorded.trace.frame(&recorded.path, &draw, index).with_context(place)?;
+        let frame = recorded.trace.frame(&recorded.path, index).with_context(place)?;
         let target = targets[index];
         let plan = session.plan(&frame, target as f32).with_context(place)?;
         let (curve, answer) = (&recorded.curves[index], &answers[index]);

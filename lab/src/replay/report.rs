@@ -258,8 +258,8 @@ impl Results<'_> {
                     "{}: {}; {} x {} pixels, clock {}; {}",
                     t.trace.name,
                     volumes.join(", "),
-                    t.trace.draw.width_px,
-                    t.trace.draw.height_px,
+                    t.trace.draw.width,
+                    t.trace.draw.height,
                     t.trace.draw.clock,
                     t.trace.provenance["device"].as_str().unwrap_or("unknown device")
                 ),

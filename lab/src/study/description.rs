@@ -202,11 +202,3 @@ pub(crate) fn read(path: &Path) -> Result<Study> {
     }
     Ok(study)
 }
-
-/// The clock by its name.
-pub(crate) fn clock(name: &str) -> Result<Clock> {
-    [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu]
-        .into_iter()
-        .find(|c| c.name() == name)
-        .with_context(|| format!("clock {name:?}; auto, device, wall or cpu is expected"))
-}

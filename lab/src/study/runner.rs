@@ -8,13 +8,13 @@ use super::data::{MEMBERS, OnSet, SetData, SetTables};
 use super::description::main_panel;
 use super::findings::judge;
 use super::rule::{by_rule, numbers};
-use super::{Findings, Fit, Intervals, Named, Study, clock};
+use super::{Findings, Fit, Intervals, Named, Study};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Result, ensure};
 use entire_core::kernels::Storage;
 use entire_core::model::{Key, Model, ModelFile};
-use entire_io::dataset::{TimedFrame, noise_floor};
+use entire_io::dataset::{Clock, TimedFrame, noise_floor};
 use entire_io::enlarge::enlarge;
 use entire_io::files::{make_folder, write_whole};
 use entire_io::metrics::Metrics;
@@ -215,7 +215,7 @@ impl Runner<'_> {
     /// When tables cannot be read, tables of the low-resolution proxy have other scenes, a predictor cannot
     /// be tested, or the study was stopped.
     pub(crate) fn run(&self, study: &Study) -> Result<Findings> {
-        let clock = clock(&study.clock)?;
+        let clock: Clock = study.clock.parse()?;
         let mut out = Findings::default();
         let (path, factor) = &study.latency_volume;
         let volume = enlarge(&Volume::open(path)?, *factor)?;

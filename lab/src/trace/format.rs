@@ -1,11 +1,9 @@
 //! The file format of a trace, and its checked reader.
 
 use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
-use entire_core::scene::{Shading, Skipping};
-use entire_io::dataset::Clock;
 use entire_io::files::{gzip, read_decompressed, write_whole};
 use entire_io::identity::Identity;
+use entire_io::options::DrawSettings;
 use entire_io::path::PathFile;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -24,24 +22,6 @@ pub struct TraceVolume {
     /// Identities of the volume's files; empty if they were not stored.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub files: Vec<Identity>,
-}
-
-/// Settings of drawing.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TraceDraw {
-    /// Image width at scale 1, pixels.
-    pub width_px: u32,
-    /// Image height at scale 1, pixels.
-    pub height_px: u32,
-    /// Shading mode.
-    pub shading: String,
-    /// Skipping mode.
-    pub skipping: String,
-    /// Opacity at which rays stop.
-    pub termination: f32,
-    /// The clock of frame times.
-    pub clock: String,
 }
 
 /// One point of a frame's grid.
@@ -77,23 +57,12 @@ pub struct Trace {
     /// Image scales relative to the full size, each with the frame from which on it holds.
     pub scales: Vec<(u32, f32)>,
     /// Settings of drawing.
-    pub draw: TraceDraw,
+    pub draw: DrawSettings,
     /// Points of every frame's grid: first those at scale 1, steps ascending, then smaller images if they were
     /// recorded.
     pub frames: Vec<Vec<TracePoint>>,
     /// Machine, device, commit and date.
     pub provenance: serde_json::Value,
-}
-
-impl TraceDraw {
-    /// Clock, shading and skipping.
-    ///
-    /// # Errors
-    /// When the name of the clock or of a mode is unknown.
-    pub fn modes(&self) -> Result<(Clock, Shading, Skipping)> {
-        let clock = Clock::from_str(&self.clock, true).map_err(anyhow::Error::msg).context("clock")?;
-        Ok((clock, self.shading.parse()?, self.skipping.parse()?))
-    }
 }
 
 impl Trace {
@@ -185,7 +154,6 @@ impl Trace {
                 );
             }
         }
-        self.draw.modes()?;
         Ok(())
     }
 

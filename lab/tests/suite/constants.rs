@@ -37,10 +37,10 @@ fn frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_grant
     for name in ["orbit", "drag", "fly-in"] {
         let file = format!("../data/steer/training/train-{name}.json.gz");
         let trace = Trace::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
-        let (path, draw) = (trace.path.resolve().unwrap(), trace.draw_settings().unwrap());
+        let path = trace.path.resolve().unwrap();
         let frames: Vec<_> = (0..path.frames.len())
             .map(|i| {
-                let eye = trace.frame(&path, &draw, i).unwrap().camera.view().inverse().w_axis.truncate();
+                let eye = trace.frame(&path, i).unwrap().camera.view().inverse().w_axis.truncate();
                 (eye, Curve::of(&trace.frames[i]).seconds(1.0).ln())
             })
             .collect();

@@ -64,7 +64,7 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
 /// of the imitated machine.
 fn row(recorded: &Replayable, index: usize, point: usize, law: impl Fn(f64) -> f64) -> (Scene, Timing) {
     let (trace, at) = (&recorded.trace, &recorded.path.frames[index]);
-    let draw = trace.draw_settings().unwrap();
+    let draw = &trace.draw;
     let p = &trace.frames[index][point];
     let volume = &trace.volumes[trace.volume_at(index)];
     let small = Volume::open(&volume.file).unwrap().dims();

@@ -213,8 +213,8 @@ const IO: &Rooms = &[
     ("metrics", &[]),
     ("path", &["files"]),
     ("enlarge", &["volume"]),
-    ("options", &["device", "machine", "volume"]),
     ("dataset", &["files", "identity", "metrics", "volume"]),
+    ("options", &["dataset", "device", "machine", "volume"]),
     ("clock", &["dataset", "device", "files"]),
     ("scenes", &["dataset", "files"]),
 ];
