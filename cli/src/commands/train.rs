@@ -74,16 +74,10 @@ pub struct Options {
     pub split: GroupBy,
     /// Members or volumes (as --split says) for validation. If neither these nor --test-groups are named, a random tenth
     /// is taken for validation, and another one for testing.
-    #[arg(
-        long,
-        alias = "validation-members",
-        alias = "validation-volumes",
-        value_delimiter = ',',
-        value_name = "NAMES"
-    )]
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub validation_groups: Vec<String>,
     /// Members or volumes for testing; see --validation-groups.
-    #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub test_groups: Vec<String>,
     /// Clock of the learned seconds. Default: the clock of the model that training starts from, else auto for
     /// frames of a GPU and cpu (processor time) for others; if some frame has no time by that clock, auto.

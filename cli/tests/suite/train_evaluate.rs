@@ -110,7 +110,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     let text = works(
         &data,
         "train --quiet --data t.csv --out m.safetensors --batch 32 --layers 32,32 --inputs camera,resolution \
-         --learning-rate 1e-2 --test-members blobs/m04 --validation-members blobs/m03 --epochs 150",
+         --learning-rate 1e-2 --test-groups blobs/m04 --validation-groups blobs/m03 --epochs 150",
     );
     assert!(number_after(&text, "test", "median error") < 3.0, "{text}");
     let m = model(&data, "m.safetensors");
@@ -355,7 +355,7 @@ fn what_cannot_be_done_is_said() {
         ("--scene-features warp_speed", 1, "warp_speed"),
         ("--inputs weather", 1, "weather"),
         ("--inputs camera,camera", 1, "named twice"),
-        ("--test-members m09", 1, "there are blobs/m01"),
+        ("--test-groups m09", 1, "there are blobs/m01"),
         ("--clock device", 1, "choose another --clock"),
         ("--shade local", 1, "--shade"),
         ("--preset 12C99", 1, "12C256"),

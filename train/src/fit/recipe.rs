@@ -28,8 +28,6 @@ const MAX_ENSEMBLE: usize = 16;
 pub enum Kind {
     /// A network, by gradient descent.
     #[default]
-    #[value(alias = "network")]
-    #[serde(alias = "network")]
     Prednet,
     /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
     Analytic,
