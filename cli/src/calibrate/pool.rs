@@ -4,7 +4,6 @@ use super::Settings;
 use crate::collection::Job;
 use anyhow::{Result, ensure};
 use entire_core::model::ModelFile;
-use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_io::dataset::{Scene, Table, TimedFrame};
 use entire_io::files::open_volume;
 use entire_io::identity::{self, Identity};
@@ -129,21 +128,9 @@ impl Pool {
                 for index in 0..PER_VOLUME {
                     let drawn =
                         scenes.draw(settings.seed.wrapping_add(factor as u64), &job.seed_name(), index);
-                    let scene = Scene {
-                        volume: path.to_string_lossy().into_owned(),
-                        member: job.member.clone(),
-                        time_step: job.time_step,
-                        dims: volume.dims().map(|n| (n * factor) as u32),
-                        camera: drawn.camera,
-                        fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
-                        width: drawn.width,
-                        height: drawn.height,
-                        step: drawn.step,
-                        shading: settings.shading,
-                        skipping: settings.skipping,
-                        termination: settings.termination,
-                        lobes: drawn.lobes,
-                    };
+                    let dims = volume.dims().map(|n| n * factor);
+                    let modes = (settings.shading, settings.skipping, settings.termination);
+                    let scene = job.scene(drawn, dims, modes);
                     places.push((v, factor, index % RANDOM_EVERY == 0));
                     frames.push(TimedFrame {
                         table: 0,

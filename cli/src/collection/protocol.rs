@@ -6,7 +6,7 @@ use entire_io::dataset::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE, Scene};
 use entire_io::enlarge::{enlarge, resample};
 use entire_io::identity::{self, Identity};
 use entire_io::machine;
-use entire_io::scenes::SceneDistribution;
+use entire_io::scenes::{RandomScene, SceneDistribution};
 use entire_io::volume::{Reading, Volume};
 use entire_vk_raycaster::Renderer;
 use serde::Deserialize;
@@ -57,6 +57,31 @@ impl Job {
             absolute.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
         let keep = if self.time_step.is_some() { 3 } else { 1 };
         parts[parts.len().saturating_sub(keep)..].join("/")
+    }
+
+    /// Returns the scene of a random frame of the volume, which is rendered with `dims` voxels (x, y, z).
+    pub(crate) fn scene(
+        &self,
+        drawn: RandomScene,
+        dims: [usize; 3],
+        (shading, skipping, termination): (Shading, Skipping, f32),
+    ) -> Scene {
+        let RandomScene { camera, width, height, step, lobes } = drawn;
+        Scene {
+            volume: self.name(),
+            member: self.member.clone(),
+            time_step: self.time_step,
+            dims: dims.map(|n| n as u32),
+            camera,
+            fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
+            width,
+            height,
+            step,
+            shading,
+            skipping,
+            termination,
+            lobes,
+        }
     }
 }
 
@@ -179,21 +204,7 @@ impl Protocol {
     /// Returns the scene of frame `index` of a job whose rendered volume has `dims` voxels (x, y, z).
     pub fn scene(&self, job: &Job, dims: [usize; 3], index: u64) -> Scene {
         let drawn = self.scenes.draw(self.seed, &job.seed_name(), index);
-        Scene {
-            volume: job.name(),
-            member: job.member.clone(),
-            time_step: job.time_step,
-            dims: dims.map(|n| n as u32),
-            camera: drawn.camera,
-            fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
-            width: drawn.width,
-            height: drawn.height,
-            step: drawn.step,
-            shading: self.shading,
-            skipping: self.skipping,
-            termination: self.termination,
-            lobes: drawn.lobes,
-        }
+        job.scene(drawn, dims, (self.shading, self.skipping, self.termination))
     }
 
     /// Returns the volume to render: resampled or enlarged if the protocol says so.
