@@ -80,18 +80,9 @@ fn peak_of(target: Target, input: &[u8]) -> usize {
 /// Returns the limit of a reader's additional memory for an input, in bytes: buffers, a few times the input's
 /// length for its text and numbers, and the largest output of a deflate stream of that length.
 fn bound(input: &[u8]) -> usize {
-    let packed = input.windows(2).any(|w| w == [0x1f, 0x8b])
-        || [
-            b"zip".as_slice(),
-            b"ZLib",
-            b"CompressedData",
-            b"\x78\x9c",
-            b"\x78\x5e",
-            b"\x78\x01",
-            b"\x78\xda",
-        ]
-        .iter()
-        .any(|mark| input.windows(mark.len()).any(|w| w == *mark));
+    let words: [&[u8]; 3] = [b"zip", b"ZLib", b"CompressedData"];
+    let starts: [&[u8]; 5] = [b"\x1f\x8b", b"\x78\x9c", b"\x78\x5e", b"\x78\x01", b"\x78\xda"];
+    let packed = words.iter().chain(&starts).any(|mark| input.windows(mark.len()).any(|w| w == *mark));
     // A block of bzip2 holds up to 900,000 bytes of run lengths, of which five can encode 255 equal bytes.
     let blocks = input.windows(6).filter(|w| *w == [0x31, 0x41, 0x59, 0x26, 0x53, 0x59]).count();
     // A bzip2 decoder allocates four bytes for each of these 900,000 bytes as soon as it has read a stream's

@@ -57,8 +57,7 @@ fn tables_with_wrong_cells() {
         ("\n\n", vec!["holds no row"]),
     ] {
         std::fs::write(at.join("t.csv"), table).unwrap();
-        let mut all = vec!["t.csv"];
-        all.extend(parts);
+        let all = [&["t.csv"], &parts[..]].concat();
         refuses(at, &["predict", "--model", "pred.safetensors", "--inputs", "t.csv"], &all);
     }
     std::fs::write(at.join("t.csv"), b"1,2,\xff\xfe,4,5\n").unwrap();
@@ -118,8 +117,7 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
         ),
     ] {
         std::fs::write(at.join("m.safetensors"), safetensors(&metadata, &tensors)).unwrap();
-        let mut all = vec!["m.safetensors"];
-        all.extend(parts);
+        let all = [&["m.safetensors"], &parts[..]].concat();
         refuses(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"], &all);
     }
     // The caller supplies the values of an unknown group: here, columns of the table.
@@ -173,8 +171,7 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
         ),
     ] {
         std::fs::write(at.join("m.safetensors"), safetensors(&metadata, &tensors)).unwrap();
-        let mut all = vec!["m.safetensors"];
-        all.extend(parts);
+        let all = [&["m.safetensors"], &parts[..]].concat();
         refuses(at, &["encode", "--model", "m.safetensors", "ball.nrrd"], &all);
     }
     for (line, parts) in [

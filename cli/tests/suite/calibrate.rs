@@ -2,7 +2,7 @@
 
 use crate::support::*;
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
-use entire_core::model::{Model, ModelFile};
+use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
 use entire_io::dataset::{Clock, read_tables};
 use entire_steer::predict::load;
@@ -47,7 +47,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     // Image sides of at most 64 pixels are too short for comparing pictures.
     assert!(said.contains("too few were compared"), "{said}");
     let path = at.join("home/entire/machine-none.safetensors");
-    let model = Model::from_bytes(&std::fs::read(path).unwrap()).unwrap();
+    let model = model_of(&path);
     assert_eq!(model.metadata["entire.clock"], "cpu");
     assert!(load(&model).is_ok());
     let provenance: serde_json::Value =
@@ -77,7 +77,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     // The same frames as a renderer's log: fitted without rendering.
     let fitted = run(at, "calibrate --data frames.csv --out logged.safetensors --threads 1");
     assert!(fitted.status.success() && stdout(&fitted).contains("to expect"), "{}", stderr(&fitted));
-    let logged = Model::from_bytes(&std::fs::read(at.join("logged.safetensors")).unwrap()).unwrap();
+    let logged = model_of(&at.join("logged.safetensors"));
     // Wall time, since the CPU version has no time stamps.
     assert!(load(&logged).is_ok() && logged.metadata["entire.clock"] == "wall");
 
@@ -123,7 +123,7 @@ fn a_model_states_what_coarser_pictures_cost() {
         );
         let made = run(at, &line);
         assert!(made.status.success(), "{}", stderr(&made));
-        let model = Model::from_bytes(&std::fs::read(at.join(&out)).unwrap()).unwrap();
+        let model = model_of(&at.join(&out));
         let quality = load(&model).unwrap().quality("").unwrap_or_else(|| panic!("{}", stdout(&made)));
         assert_eq!(load(&model).unwrap().quality("cpu"), Some(quality));
         assert_eq!(load(&model).unwrap().quality("vulkan"), None);

@@ -287,16 +287,7 @@ fn a_closed_pipe_is_no_error() {
     let folder = workshop();
     let many: String = std::fs::read_to_string(folder.path().join("rows.csv")).unwrap().repeat(20_000);
     std::fs::write(folder.path().join("many.csv"), many).unwrap();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_entire"))
-        .args(["predict", "--model", "pred.safetensors", "--inputs", "many.csv"])
-        .current_dir(folder.path())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    drop(child.stdout.take());
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(0));
+    let output = unread(folder.path(), "predict --model pred.safetensors --inputs many.csv");
     assert!(output.stderr.is_empty(), "{}", stderr(&output));
 }
 

@@ -1,13 +1,9 @@
 //! Fill values, and bytes that use a small part of their range.
 
-use crate::support::{byte_nrrd, entire, float_nrrd, picture, render, stderr, succeeds, words};
+use crate::support::{byte_nrrd, entire, float_nrrd, picture, render, report, stderr, succeeds, words};
 use entire_io::volume::{Fill, Range, Reading, Volume, VolumeData};
 use std::io::Read;
-use std::path::{Path, PathBuf};
-
-fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/reports").join(name)
-}
+use std::path::Path;
 
 fn open(path: &Path, fill: Fill) -> Volume {
     Volume::open_as(path, &Reading { fill, ..Reading::default() }, None).unwrap()
@@ -24,7 +20,7 @@ fn fill_values_do_not_decide_the_range() {
     let fields = ["minus-9999", "netcdf", "minus-flt-max", "1e20"];
     let values = [-9999.0, 9.969_21e36, f32::MIN, 1e20];
     for (name, fill) in fields.into_iter().zip(values) {
-        let path = fixture(&format!("fill-{name}.nrrd"));
+        let path = report(&format!("fill-{name}.nrrd"));
         let volume = open(&path, Fill::Found);
         assert_eq!(volume.view().range(), (0.000_101_613_06, 1.0), "{name}");
         let note = &volume.notes()[0];
@@ -41,11 +37,11 @@ fn fill_values_do_not_decide_the_range() {
         let named = open(&path, Fill::Values(vec![fill]));
         assert_eq!((named.data(), named.notes().len()), (volume.data(), 0), "{name}");
     }
-    let ct = open(&fixture("fill-ct.nrrd"), Fill::Found);
+    let ct = open(&report("fill-ct.nrrd"), Fill::Found);
     assert_eq!((ct.view().range(), ct.notes().len()), ((-999.0, 4000.0), 1));
-    let none = open(&fixture("fill-none.nrrd"), Fill::Found);
+    let none = open(&report("fill-none.nrrd"), Fill::Found);
     assert_eq!((none.view().range(), none.notes().len()), ((0.000_010_420_832, 1.0), 0));
-    let nan = open(&fixture("fill-nan.nrrd"), Fill::Found);
+    let nan = open(&report("fill-nan.nrrd"), Fill::Found);
     assert_eq!(nan.view().range(), (0.000_101_613_06, 1.0));
     assert!(nan.notes()[0].contains("1920 of 7680 voxels are NaN or infinite"), "{:?}", nan.notes());
 }

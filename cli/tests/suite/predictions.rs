@@ -3,6 +3,7 @@
 //! for every frame of the tables. For random inputs, no more of them than the known number are zero in single
 //! precision; the predictor replaces such outputs.
 
+use crate::support::model_of;
 use entire_core::kernels::Executor;
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Normalization, PredNet};
@@ -32,7 +33,7 @@ fn predicting_models() -> Vec<(String, Model)> {
     let name = |p: &Path| p.file_stem().unwrap().to_string_lossy().into_owned();
     files_in("models", ".safetensors")
         .into_iter()
-        .map(|p| (name(&p), Model::from_bytes(&std::fs::read(&p).unwrap()).unwrap()))
+        .map(|p| (name(&p), model_of(&p)))
         .filter(|(_, m)| m.prednet.is_some())
         .collect()
 }
@@ -120,13 +121,8 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
                 .map(|x| x.max(least))
                 .collect();
             let mut raw = vec![0.0; rows];
-            net.predict_batch(
-                Executor::Serial,
-                &inputs,
-                &mut raw,
-                std::slice::from_mut(&mut net.scratch(192).unwrap()),
-            )
-            .unwrap();
+            let scratch = &mut [net.scratch(192).unwrap()];
+            net.predict_batch(Executor::Serial, &inputs, &mut raw, scratch).unwrap();
             for value in raw {
                 let mut seconds = [value];
                 *count += usize::from(value <= 0.0);

@@ -1,8 +1,9 @@
 //! The encoders in `models/` give the same features as PyTorch, and the predictors have the errors that their
 //! cards state.
 
+use crate::support::model_of;
 use entire_core::kernels::Executor;
-use entire_core::model::{Key, Model};
+use entire_core::model::Key;
 use entire_core::nn::{VOLUMENET_TOLERANCE, VolumeNet};
 use entire_io::dataset::{Clock, Table};
 use entire_io::metrics::Metrics;
@@ -27,8 +28,7 @@ const GOLDEN: [(&str, &str, [f64; 2]); 6] = [
 fn shipped_encoders_agree_with_pytorch_in_double_precision() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     for (model, volume, expected) in GOLDEN {
-        let bytes = std::fs::read(root.join("models").join(format!("{model}.safetensors"))).unwrap();
-        let model_file = Model::from_bytes(&bytes).unwrap();
+        let model_file = model_of(&root.join(format!("models/{model}.safetensors")));
         let net = VolumeNet::new(model_file.volumenet.as_ref().unwrap()).unwrap();
         let volume_file = Volume::open(root.join("data").join(volume)).unwrap();
         let mut features = [0.0f32; 2];
@@ -48,7 +48,7 @@ fn every_shipped_model_has_a_card_and_provenance() {
     for entry in std::fs::read_dir(&folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|e| e == "safetensors") {
-            let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
+            let model = model_of(&path);
             let provenance: serde_json::Value =
                 serde_json::from_str(&model.metadata[Key::Provenance.name()]).unwrap();
             assert!(provenance.is_object(), "{}", path.display());
@@ -91,7 +91,7 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
         ("scatter", "scatter", "distilled", "scatter-members", 0.35),
     ] {
         let path = root.join("models").join(format!("{set}-{kind}.safetensors"));
-        let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
+        let model = model_of(&path);
         let card = std::fs::read_to_string(path.with_extension("md")).unwrap();
         let errors_on = |name: &str| {
             let table = root.join("data/timings").join(format!("{name}.csv.gz"));
@@ -118,8 +118,7 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
 fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let bytes = std::fs::read(root.join("models/local-selected.safetensors")).unwrap();
-    let model = Model::from_bytes(&bytes).unwrap();
+    let model = model_of(&root.join("models/local-selected.safetensors"));
     let (predictor, layout) = (ModelPredictor::new(&model).unwrap(), Layout::of_model(&model).unwrap());
     let share_out = |table: &str, volumes: &str| {
         let table = root.join("data/timings").join(table);

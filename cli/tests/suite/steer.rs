@@ -1,10 +1,9 @@
 //! `entire steer` and `entire demo` as processes: their files, output and refused input.
 
 use crate::ball;
-use crate::support::{entire, entire_in, json, stderr, stdout, succeeds, words};
+use crate::support::{entire, entire_in, json, stderr, stdout, succeeds, unread, words};
 use std::collections::BTreeSet;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 /// Returns a folder with a volume, ball.nrrd.
 fn setting() -> tempfile::TempDir {
@@ -107,15 +106,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
 #[test]
 fn a_demo_that_nobody_reads_writes_its_report() {
     let dir = setting();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_entire"))
-        .args(words("demo ball.nrrd --out out --frames 16 --scenes 4 --size 40x40 --device cpu"))
-        .current_dir(dir.path())
-        .env("XDG_DATA_HOME", dir.path())
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    drop(child.stdout.take());
-    assert!(child.wait().unwrap().success());
+    unread(dir.path(), "demo ball.nrrd --out out --frames 16 --scenes 4 --size 40x40 --device cpu");
     check_report(&dir.path().join("out"), 5, 16);
 }
 

@@ -1,22 +1,19 @@
 //! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known formula.
 
-use crate::support::{byte_nrrd, entire, json, stderr, stdout, succeeds, words};
+use crate::support::{byte_nrrd, entire, json, model_of, stderr, succeeds, unread, words};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
-use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
-use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
+use entire_core::scene::{Arcball, GaussianLobe};
+use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, TimedFrame, Timing, Writer};
 use entire_steer::predict::{Quality, load};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::Path;
-use std::process::{Command, Stdio};
 use tempfile::TempDir;
 
 #[track_caller]
 fn works(data: &TempDir, line: &str) -> String {
-    let output = entire(data.path(), &words(line));
-    assert!(output.status.success(), "{line}\n{}{}", stdout(&output), stderr(&output));
-    stdout(&output)
+    succeeds(data.path(), &words(line))
 }
 
 #[track_caller]
@@ -25,18 +22,6 @@ fn fails(data: &TempDir, line: &str, code: i32, expected: &str) {
     let err = stderr(&output);
     assert_eq!(output.status.code(), Some(code), "{line}\n{err}");
     assert!(err.contains(expected) && !err.contains("panicked"), "{line}\n{err}");
-}
-
-/// Runs a command that must succeed although the reader of its output closes it.
-fn unread(data: &TempDir, line: &str) {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_entire"))
-        .args(words(line))
-        .current_dir(data.path())
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    drop(child.stdout.take());
-    assert!(child.wait().unwrap().success(), "{line}");
 }
 
 fn text_of(data: &TempDir, name: &str) -> String {
@@ -61,19 +46,13 @@ fn data(frames: usize) -> TempDir {
                 let side = 32 + (unit() * 400.0) as u32;
                 let dz = 1.2 + 2.0 * unit();
                 let scene = Scene {
-                    volume: name.clone(),
-                    member: member.into(),
                     time_step: Some(step),
                     dims: [12; 3],
                     camera: Arcball { rx: 180.0 * unit() - 90.0, ry: 360.0 * unit(), dz },
-                    fov_y_degrees: 45.0,
                     width: side,
                     height: side,
-                    step: 1.0,
-                    shading: Shading::None,
-                    skipping: Skipping::Blocks,
-                    termination: 0.99,
                     lobes: vec![GaussianLobe { center: unit(), width: 0.05, height: unit() }],
+                    ..TimedFrame::of_no_volume(&name, member).scene
                 };
                 let seconds = 1e-3 + 2e-8 * f64::from(side * side) * f64::from(3.5 / dz);
                 let repeats = [0.99, 1.01].map(|f| Timing { wall: Some(seconds * f), ..Timing::default() });
@@ -95,7 +74,7 @@ fn write_volume(path: &Path, shift: f32) {
 }
 
 fn model(data: &TempDir, name: &str) -> Model {
-    Model::from_bytes(&std::fs::read(data.path().join(name)).unwrap()).unwrap()
+    model_of(&data.path().join(name))
 }
 
 fn number_after(text: &str, line: &str, label: &str) -> f64 {
@@ -146,7 +125,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         assert!(text_of(&data, &format!("evaluation/{name}")).len() > 500, "{name}");
     }
 
-    unread(&data, "evaluate --quiet --model m.safetensors --data t.csv --out unread");
+    unread(data.path(), "evaluate --quiet --model m.safetensors --data t.csv --out unread");
     assert!(text_of(&data, "unread/report.html").len() > 500);
 
     // Fine-tuning keeps the standardization of the inputs and changes the weights.
@@ -341,7 +320,7 @@ fn kept_features_stand_in_for_volumes_that_are_gone() {
 fn features_of_every_table_are_written_if_nobody_reads_the_output() {
     let data = data(1);
     std::fs::copy(data.path().join("t.csv"), data.path().join("u.csv")).unwrap();
-    unread(&data, "features --data t.csv u.csv");
+    unread(data.path(), "features --data t.csv u.csv");
     assert!(data.path().join("t.features.csv.gz").exists() && data.path().join("u.features.csv.gz").exists());
 }
 

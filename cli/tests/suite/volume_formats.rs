@@ -1,12 +1,8 @@
 //! Every reader on files of other libraries (see fixtures/make_volumes.py).
 
-use crate::support::words;
+use crate::support::{fixture, report, words};
 use entire_io::volume::{Reading, Volume, VolumeData};
-use std::path::{Path, PathBuf};
-
-fn fixtures() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes")
-}
+use std::path::Path;
 
 /// Returns the voxels that a file of volumes/ with this stored type must have in memory, as defined by
 /// `values` in fixtures/make_volumes.py.
@@ -33,7 +29,7 @@ fn expected(kind: &str) -> VolumeData {
 fn files_of_other_writers_come_back_voxel_for_voxel() {
     let mut read = std::collections::BTreeMap::<String, usize>::new();
     let mut kinds = std::collections::BTreeSet::new();
-    for entry in std::fs::read_dir(fixtures()).unwrap() {
+    for entry in std::fs::read_dir(fixture("")).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
         let (stem, ending) = name.split_once('.').unwrap();
@@ -81,7 +77,7 @@ fn files_of_other_writers_come_back_voxel_for_voxel() {
 
 #[test]
 fn slopes_names_and_descriptions_are_used() {
-    let volume = Volume::open(fixtures().join("scaled.nii")).unwrap();
+    let volume = Volume::open(fixture("scaled.nii")).unwrap();
     let VolumeData::I16(stored) = expected("int16") else { unreachable!() };
     let scaled = stored.iter().map(|&v| f32::from(v) * 0.5 - 3.0).collect();
     assert_eq!(volume.data(), &VolumeData::F32(scaled));
@@ -96,10 +92,10 @@ fn slopes_names_and_descriptions_are_used() {
     assert_eq!((unknown.spacing(), unknown.notes().len()), ([1.0, 1.5, 1.0], 1), "{:?}", unknown.notes());
     assert!(unknown.notes()[0].contains("pixdim[3] is NaN"), "{:?}", unknown.notes());
 
-    let described = Volume::open(fixtures().join("raw_5x7x11_int16_big.raw")).unwrap();
+    let described = Volume::open(fixture("raw_5x7x11_int16_big.raw")).unwrap();
     assert_eq!(described.name(), "Made up");
     for name in ["scivis.json", "scivis_5x7x11_uint8.raw"] {
-        let volume = Volume::open(fixtures().join(name)).unwrap();
+        let volume = Volume::open(fixture(name)).unwrap();
         assert_eq!((volume.name(), volume.spacing()), ("Made up", [0.5, 1.25, 3.0]));
         assert_eq!(volume.data(), &expected("uint8"));
     }
@@ -109,7 +105,7 @@ fn slopes_names_and_descriptions_are_used() {
 fn raw_voxels_without_a_description_go_by_their_name() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("skull_5x7x11_uint8.raw");
-    std::fs::copy(fixtures().join("scivis_5x7x11_uint8.raw"), &path).unwrap();
+    std::fs::copy(fixture("scivis_5x7x11_uint8.raw"), &path).unwrap();
     let volume = Volume::open(&path).unwrap();
     assert_eq!((volume.name(), volume.spacing(), volume.dims()), ("skull", [1.0; 3], [5, 7, 11]));
     std::fs::rename(&path, folder.path().join("skull.raw")).unwrap();
@@ -124,7 +120,7 @@ fn formats_are_found_by_their_first_bytes_where_the_ending_says_nothing() {
          nibabel_two_int16_big.nii nibabel_gz_int16_little.nii.gz vtk_raw_float64_big.vti",
     ) {
         let path = folder.path().join("noending");
-        std::fs::copy(fixtures().join(name), &path).unwrap();
+        std::fs::copy(fixture(name), &path).unwrap();
         let kind = name.split('_').nth(2).unwrap();
         assert_eq!(Volume::open(&path).unwrap().data(), &expected(kind), "{name}");
     }
@@ -160,10 +156,10 @@ fn check(name: &str, bytes: &[u8], expected: &str) {
 
 #[test]
 fn several_components_and_missing_files_are_refused() {
-    told(Volume::open(fixtures().join("vectors.vti")), &["\"velocity\" has 3 components"]);
+    told(Volume::open(fixture("vectors.vti")), &["\"velocity\" has 3 components"]);
     let message = format!("{:#}", Volume::open("no/such.nrrd").unwrap_err());
     assert_eq!(message, "no/such.nrrd: no such file; check the path");
-    told(Volume::open(fixtures()), &["is a folder"]);
+    told(Volume::open(fixture("")), &["is a folder"]);
 }
 
 /// Opens a file that must be refused and returns the message. The file is opened in a separate thread, so
@@ -228,7 +224,7 @@ fn truncated_files_say_what_is_missing() {
          vtk_raw_float64_big.vti vtk_raw-zlib-wide_int16_little.vti vtk_base64-zlib_int16_little.vti \
          pynrrd_gzip_int16_little.nrrd",
     ) {
-        let whole = std::fs::read(fixtures().join(name)).unwrap();
+        let whole = std::fs::read(fixture(name)).unwrap();
         // The file is cut within the voxels or within the header; reading must fail without a panic.
         for keep in [whole.len() * 3 / 5, whole.len() / 2, 100, 10, 0] {
             let message = refused(name, &whole[..keep]);
@@ -275,7 +271,7 @@ fn lying_headers_do_not_allocate() {
         "gone.raw",
     );
 
-    let mut nii = std::fs::read(fixtures().join("nibabel_one_int16_little.nii")).unwrap();
+    let mut nii = std::fs::read(fixture("nibabel_one_int16_little.nii")).unwrap();
     let mut patched = |at: usize, bytes: &[u8], expected: &str| {
         let before = nii.clone();
         nii[at..at + bytes.len()].copy_from_slice(bytes);
@@ -296,7 +292,7 @@ fn lying_headers_do_not_allocate() {
     patched(344, b"\0\0\0\0", "Analyze");
     patched(0, &[9, 9, 9, 9], "348 or 540");
 
-    let vti = std::fs::read_to_string(fixtures().join("vtk_binary-zlib_int16_little.vti")).unwrap();
+    let vti = std::fs::read_to_string(fixture("vtk_binary-zlib_int16_little.vti")).unwrap();
     for (from, to, expected) in [
         ("2 6 -3 3 0 10", "0 9999 0 9999 0 9999", "need 2000000000000"),
         ("2 6 -3 3 0 10", "0 9223372036854775807 0 9 0 9", "more than can be addressed"),
@@ -329,19 +325,15 @@ fn lying_headers_do_not_allocate() {
     check("a_1x1x2_uint8.raw", b"1234", "need 2 bytes, the data has 4");
 }
 
-fn reports() -> PathBuf {
-    fixtures().with_file_name("reports")
-}
-
 /// Opens a small file that is made after a public bug report of another reader. The expected values in the
 /// tests are those of pynrrd, SimpleITK, nibabel and VTK.
 fn reported(name: &str) -> Volume {
-    Volume::open(reports().join(name)).unwrap_or_else(|error| panic!("{error:#}"))
+    Volume::open(report(name)).unwrap_or_else(|error| panic!("{error:#}"))
 }
 
 /// The voxels of most files in fixtures/reports, 12 x 10 x 8.
 fn right() -> Vec<i16> {
-    let bytes = std::fs::read(reports().join("bom/v.raw")).unwrap();
+    let bytes = std::fs::read(report("bom/v.raw")).unwrap();
     bytes.as_chunks::<2>().0.iter().map(|&b| i16::from_le_bytes(b)).collect()
 }
 
@@ -353,7 +345,7 @@ fn assert_right(name: &str) -> Volume {
 }
 
 fn refused_report(name: &str, expected: &str) {
-    told(Volume::open(reports().join(name)), &[expected]);
+    told(Volume::open(report(name)), &[expected]);
 }
 
 #[test]
@@ -423,7 +415,7 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     write(vti_of(&format!("Scalars=\"vtkGhostType\">{}", points("vtkGhostType")), ">"));
     told(Volume::open(&path), &["VTK's own (\"vtkGhostType\")"]);
 
-    told(open_array(&fixtures().join("scaled.nii"), "a"), &["holds one volume without a name"]);
+    told(open_array(&fixture("scaled.nii"), "a"), &["holds one volume without a name"]);
 }
 
 #[test]
@@ -479,7 +471,7 @@ fn byte_order_marks_are_no_part_of_the_text() {
     for name in ["bom/a.nhdr", "bom/a0.mhd", "bom/a19.mhd", "bom/b.json"] {
         assert_right(name);
     }
-    let folder = reports().join("bom");
+    let folder = report("bom");
     entire_farm::job::Job::open(&folder.join("job.toml")).unwrap();
     entire_io::path::PathFile::open(&folder.join("path.json")).unwrap().resolve().unwrap();
     // The same files, with names whose ending does not determine the format.
@@ -557,7 +549,7 @@ fn every_encoding_of_nrrd_is_read() {
     for (value, right) in values.iter().zip(right()) {
         assert!(value.is_nan() || (value * 7.0 - f32::from(right)).abs() < 1e-3, "{value} {right}");
     }
-    let packed = std::fs::read(reports().join("enc-bz2.nrrd")).unwrap();
+    let packed = std::fs::read(report("enc-bz2.nrrd")).unwrap();
     check("a.nrrd", &packed[..packed.len() / 2], "cut short");
     let mut broken = packed;
     let at = broken.len() - 400;
@@ -567,7 +559,7 @@ fn every_encoding_of_nrrd_is_read() {
 
 #[test]
 fn voxels_in_several_files_are_read_in_their_order() {
-    let folder = reports().join("several");
+    let folder = report("several");
     let right: Vec<u8> =
         (0..8).flat_map(|k| std::fs::read(folder.join(format!("slice{k:02}.raw"))).unwrap()).collect();
     for name in ["list.nhdr", "pattern.nhdr", "slabs.nhdr", "list.mhd", "pattern.mhd"] {
@@ -609,7 +601,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
     let gz = entire_io::files::gzip;
     let raw = b"123456".to_vec();
     let nii = |behind: usize| {
-        let whole = std::fs::read(fixtures().join("nibabel_one_int16_big.nii")).unwrap();
+        let whole = std::fs::read(fixture("nibabel_one_int16_big.nii")).unwrap();
         [whole, vec![7; behind]].concat()
     };
     for (name, right, behind) in [
@@ -634,7 +626,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
 #[test]
 fn bytes_after_the_last_gzip_member_are_ignored() {
     let folder = tempfile::tempdir().unwrap();
-    let whole = std::fs::read(fixtures().join("nibabel_one_int16_big.nii")).unwrap();
+    let whole = std::fs::read(fixture("nibabel_one_int16_big.nii")).unwrap();
     let (head, tail) = whole.split_at(400);
     let gz = |part: &[u8]| entire_io::files::gzip(part).unwrap();
     for (name, bytes) in [
@@ -644,7 +636,7 @@ fn bytes_after_the_last_gzip_member_are_ignored() {
     ] {
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();
-        let (read, right) = (Volume::open(&path), Volume::open(fixtures().join("nibabel_one_int16_big.nii")));
+        let (read, right) = (Volume::open(&path), Volume::open(fixture("nibabel_one_int16_big.nii")));
         let (read, right) = (read.unwrap_or_else(|e| panic!("{name}: {e:#}")), right.unwrap());
         assert_eq!(read.data(), right.data(), "{name}");
     }

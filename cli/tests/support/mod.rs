@@ -1,9 +1,10 @@
 //! Runs the built command and makes its input files.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
+use entire_core::model::Model;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 /// Runs `entire` in a folder.
 pub(crate) fn entire(folder: &Path, arguments: &[&str]) -> Output {
@@ -33,6 +34,17 @@ pub(crate) fn succeeds(folder: &Path, arguments: &[&str]) -> String {
     let output = entire(folder, arguments);
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", stderr(&output));
     stdout(&output)
+}
+
+/// Returns the output of a run that must succeed although the reader of its standard output closes it.
+pub(crate) fn unread(folder: &Path, line: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+    command.args(words(line)).env("XDG_DATA_HOME", folder).current_dir(folder);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{line}: {}", stderr(&output));
+    output
 }
 
 /// Checks that a run ends with status 1, prints nothing on standard output, and prints one line on standard
@@ -162,6 +174,11 @@ pub(crate) fn workshop() -> tempfile::TempDir {
     folder
 }
 
+/// The model in a file.
+pub(crate) fn model_of(path: &Path) -> Model {
+    Model::from_bytes(&std::fs::read(path).unwrap()).unwrap()
+}
+
 /// The parsed JSON of a file.
 pub(crate) fn json(path: &Path) -> serde_json::Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
@@ -169,6 +186,11 @@ pub(crate) fn json(path: &Path) -> serde_json::Value {
 
 pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes").join(name)
+}
+
+/// A file that is made after a public bug report of another reader.
+pub(crate) fn report(name: &str) -> PathBuf {
+    fixture("").with_file_name("reports").join(name)
 }
 
 /// Returns width, height and RGB pixels of a PNG picture.

@@ -1,6 +1,7 @@
 //! `entire-lab` as a process: help, wrong usage, and checks before any work.
 
 use crate::{lab, printed};
+use std::process::Output;
 
 #[test]
 fn help_shows_examples_and_wrong_usage_exits_with_2() {
@@ -42,12 +43,15 @@ fn tune_says_what_recorded_paths_cost() {
     };
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("tune.json");
+    let written = |output: &Output| -> serde_json::Value {
+        assert!(output.status.success(), "{}", printed(&output.stderr));
+        serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap()
+    };
     let both = ["train-orbit", "train-series"];
     let output = tune(&both, "45fps,60fps", &["--rounds", "0", "--out", out.to_str().unwrap()]);
     let said = printed(&output.stdout);
-    assert!(output.status.success(), "{}", printed(&output.stderr));
+    let found = written(&output);
     assert!(said.contains("train-orbit") && said.contains("no other value of any constant"), "{said}");
-    let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(found["paths"], serde_json::json!(["train-orbit", "train-series"]));
     use entire_steer::control::{CorrectionConstants, HybridConstants};
     let mut names = HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES);
@@ -69,9 +73,7 @@ fn tune_says_what_recorded_paths_cost() {
     }
     // A search from another start, for one constant only.
     let more = ["--set", "damping=0.4", "--only", "damping", "--rounds", "1", "--out", out.to_str().unwrap()];
-    let output = tune(&both, "45fps,60fps", &more);
-    assert!(output.status.success(), "{}", printed(&output.stderr));
-    let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    let found = written(&tune(&both, "45fps,60fps", &more));
     assert_eq!(found["constants"]["full"], HybridConstants::default().full);
     assert!(found["constants"]["damping"].as_f64().unwrap() <= 0.4, "{found}");
     assert_eq!(
@@ -80,9 +82,7 @@ fn tune_says_what_recorded_paths_cost() {
     );
     // Beside another program that takes a core all the time, the same path costs more.
     let more = "--rounds 0 --disturbances data/steer/disturbances/steady.csv --out".split(' ');
-    let output = tune(&both, "45fps", &more.chain([out.to_str().unwrap()]).collect::<Vec<_>>());
-    assert!(output.status.success(), "{}", printed(&output.stderr));
-    let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    let found = written(&tune(&both, "45fps", &more.chain([out.to_str().unwrap()]).collect::<Vec<_>>()));
     assert_eq!(found["paths"][2], "train-orbit/steady");
     let missed = |path: usize| found["before"][path]["fitted"]["missed"].as_f64().unwrap();
     assert!(missed(2) > 1.5 * missed(0) && missed(3) > 1.5 * missed(1), "{found}");
