@@ -154,11 +154,8 @@ pub fn warm_latency(
             }
             Ok(start.elapsed().as_secs_f64() / ROUNDS as f64)
         })?;
-        return Ok(WarmLatency {
-            seconds: middle(times) + network_seconds,
-            network_seconds,
-            transfer_seconds: 0.0,
-        });
+        let seconds = middle(times) + network_seconds;
+        return Ok(WarmLatency { seconds, network_seconds, transfer_seconds: 0.0 });
     }
     let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
     let summary = VolumeSummary::new(&volume.view())?;

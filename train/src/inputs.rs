@@ -157,7 +157,10 @@ impl Layout {
                 current = Some((frame.table, self.kept_columns(tables.get(frame.table)?)?));
             }
             let (_, columns) = current.as_ref()?;
-            self.layout.write_from(&mut columns.values(frame)?, row).ok()?;
+            let kept = columns.features.row(frame.number)?;
+            let code = columns.code.iter().map(|&column| kept[column]).collect();
+            let mut values = KeptValues { columns, row: kept, scene: &frame.scene, code };
+            self.layout.write_from(&mut values, row).ok()?;
         }
         Some(out)
     }
@@ -187,14 +190,6 @@ struct KeptColumns<'a> {
     features: &'a FeatureTable,
     quantities: HashMap<SceneQuantity, usize>,
     code: Vec<usize>,
-}
-
-impl KeptColumns<'_> {
-    fn values<'a>(&'a self, frame: &'a TimedFrame) -> Option<KeptValues<'a>> {
-        let row = self.features.row(frame.number)?;
-        let code = self.code.iter().map(|&column| row[column]).collect();
-        Some(KeptValues { columns: self, row, scene: &frame.scene, code })
-    }
 }
 
 /// Values of a frame in a feature table.

@@ -190,12 +190,8 @@ pub(crate) fn calibrate(
                     settings.clock.name()
                 )
             })?;
-            Ok(Observed {
-                row: candidate.row.clone(),
-                work: candidate.work,
-                seconds,
-                group: groups.number(&f.scene.volume),
-            })
+            let (row, group) = (candidate.row.clone(), groups.number(&f.scene.volume));
+            Ok(Observed { row, work: candidate.work, seconds, group })
         })
         .collect::<Result<_>>()?;
     // Frames chosen by design are extreme; random frames represent users' frames. So the error is measured on

@@ -109,13 +109,9 @@ impl Pool {
         threads: &rayon::ThreadPool,
     ) -> Result<Self> {
         ensure!(!settings.volumes.is_empty(), "no volume to calibrate with was given; name volume files");
-        let scenes = SceneDistribution {
-            radii: DEFAULT_RADII.to_vec(),
-            lobes: (1, 4),
-            min_size: settings.sizes.0,
-            max_size: settings.sizes.1,
-            steps: settings.steps.clone(),
-        };
+        let (radii, (min_size, max_size)) = (DEFAULT_RADII.to_vec(), settings.sizes);
+        let scenes =
+            SceneDistribution { radii, lobes: (1, 4), min_size, max_size, steps: settings.steps.clone() };
         scenes.check()?;
         let files = settings.volumes.iter().map(|path| identity::of_volume(path)).collect::<Result<_>>()?;
         let mut frames = Vec::new();
@@ -132,12 +128,8 @@ impl Pool {
                     let modes = (settings.shading, settings.skipping, settings.termination);
                     let scene = job.scene(drawn, dims, modes);
                     places.push((v, factor, index % RANDOM_EVERY == 0));
-                    frames.push(TimedFrame {
-                        table: 0,
-                        number: frames.len() as u64,
-                        scene,
-                        repeats: Vec::new(),
-                    });
+                    let number = frames.len() as u64;
+                    frames.push(TimedFrame { table: 0, number, scene, repeats: Vec::new() });
                 }
             }
         }

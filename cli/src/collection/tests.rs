@@ -233,15 +233,9 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
 fn a_failing_volume_names_itself() {
     let dir = tempfile::tempdir().unwrap();
     let mut table = Writer::create(&dir.path().join("t.csv")).unwrap();
-    let error = collect(
-        &some_jobs(),
-        &protocol(),
-        &mut ScriptedRenderer::default(),
-        &mut |_| bail!("broken header"),
-        &mut table,
-        &|| false,
-        &ProgressBar::hidden(),
-    )
-    .unwrap_err();
-    assert!(format!("{error:#}").contains("t0003.nrrd: broken header"), "{error:#}");
+    let (jobs, mut renderer, bar) = (some_jobs(), ScriptedRenderer::default(), ProgressBar::hidden());
+    let mut broken = |_: &Path| -> Result<Volume> { bail!("broken header") };
+    let told = collect(&jobs, &protocol(), &mut renderer, &mut broken, &mut table, &|| false, &bar);
+    let error = format!("{:#}", told.unwrap_err());
+    assert!(error.contains("t0003.nrrd: broken header"), "{error}");
 }

@@ -4,7 +4,7 @@ use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pas
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
-use entire_io::files::{ensure_distinct, open_volume, read_model_file};
+use entire_io::files::{ensure_distinct, note, open_volume, read_model_file};
 use entire_io::identity::{self, Identity};
 use entire_io::options::{RenderArgs, check_termination};
 use entire_io::progress::progress_bar;
@@ -187,7 +187,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             check(&jobs, "run from the folder to which the manifest's volume names are relative")?;
             for job in &jobs {
                 if let Some(what) = manifest.changed(&job.name(), &job.path)? {
-                    entire_io::files::note(&format!(
+                    note(&format!(
                         "{} is not the file that {shown} was collected from: {what}",
                         job.path.display()
                     ));
@@ -228,14 +228,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 differences.join("; ")
             );
             if old.files.is_empty() {
-                entire_io::files::note(&format!(
+                note(&format!(
                     "{} has no checksums of the volume files; they are taken as unchanged",
                     Manifest::path_for(&options.out).display()
                 ));
             }
             runs = old.other.get("runs").and_then(|r| r.as_array().cloned()).unwrap_or_default();
             if old.commit != manifest.commit {
-                entire_io::files::note(&format!(
+                note(&format!(
                     "the table was begun by version {}; this program is version {}",
                     old.commit, manifest.commit
                 ));
@@ -265,7 +265,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let started = json!({ "started": machine::now(), "load_average_at_start": machine::load_average(),
         "commit": machine::version() });
-    let note = |outcome: Option<Outcome>| {
+    let with_run = |outcome: Option<Outcome>| {
         let mut run = started.clone();
         if let Some(o) = outcome {
             run["ended"] = json!(machine::now());
@@ -277,7 +277,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         all.push(run);
         json!(all)
     };
-    manifest.other.insert("runs".into(), note(None));
+    manifest.other.insert("runs".into(), with_run(None));
     manifest.write(&options.out)?;
     let files: HashMap<PathBuf, Vec<Identity>> =
         jobs.iter().filter_map(|j| Some((j.path.clone(), manifest.files.get(&j.name())?.clone()))).collect();
@@ -292,16 +292,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
 
     let bar = progress_bar("collect");
-    let result = collect_passes(
-        &jobs,
-        &protocol,
-        renderer.as_mut(),
-        &mut open,
-        &mut table,
-        &options.out,
-        &|| interrupt::requested(&stop),
-        &bar,
-    );
+    let (renderer, out) = (renderer.as_mut(), &options.out);
+    let stop = || interrupt::requested(&stop);
+    let result = collect_passes(&jobs, &protocol, renderer, &mut open, &mut table, out, &stop, &bar);
     bar.finish_and_clear();
     let go_on = format!("continue with the same command and --resume ({})", options.out.display());
     let mut tables = pass_files(&options.out, protocol.passes);
@@ -318,7 +311,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
         result => result.with_context(|| format!("finished frames are kept; {go_on}"))?,
     };
-    manifest.other.insert("runs".into(), note(Some(outcome)));
+    manifest.other.insert("runs".into(), with_run(Some(outcome)));
     if outcome.interrupted {
         manifest.write(&options.out)?;
         bail!("interrupted after {} of {} {}; {go_on}", outcome.done, outcome.total, protocol.counted());

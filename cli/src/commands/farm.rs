@@ -144,16 +144,15 @@ pub struct WorkerOptions {
 pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
     let job = Job::open(&options.job)?;
     ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");
-    ensure!(
-        options.price.is_none_or(|p| p.is_finite() && p >= 0.0),
-        "--price is {}; it must be a number that is not negative",
-        options.price.unwrap_or(f64::NAN)
-    );
-    ensure!(
-        options.overhead.is_none_or(|p| p.is_finite() && p >= 0.0),
-        "--overhead is {}; it must be a number of seconds that is not negative",
-        options.overhead.unwrap_or(f64::NAN)
-    );
+    for (option, value, what) in
+        [("--price", options.price, "number"), ("--overhead", options.overhead, "number of seconds")]
+    {
+        let value = value.unwrap_or(0.0);
+        ensure!(
+            value.is_finite() && value >= 0.0,
+            "{option} is {value}; it must be a {what} that is not negative"
+        );
+    }
     check_engine(options)?;
     if options.list {
         print!("{}", job.listing());

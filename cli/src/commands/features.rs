@@ -130,13 +130,9 @@ mod tests {
         for i in 0..12u16 {
             let f = f32::from(i);
             let scene = Scene {
-                volume: "v.nrrd".into(),
-                member: String::new(),
-                time_step: None,
                 // The last four frames are of the same file, enlarged by 2.
                 dims: if i < 8 { [14, 12, 10] } else { [28, 24, 20] },
                 camera: Arcball { rx: 7.0 * f - 40.0, ry: 31.0 * f, dz: 0.8 + 0.2 * f },
-                fov_y_degrees: 45.0,
                 width: 20 + 11 * u32::from(i),
                 height: 30 + 7 * u32::from(i),
                 step: 0.5 + 0.25 * f,
@@ -144,19 +140,14 @@ mod tests {
                 skipping: skipping[usize::from(i / 3 % 3)],
                 termination: 0.95,
                 lobes: parse_lobes("0.8 0.01 0.9;0.3 0.05 0.4").unwrap(),
+                ..TimedFrame::of_no_volume("v.nrrd", "").scene
             };
             let repeat = Timing { wall: Some(0.1), ..Timing::default() };
             writer.append(u64::from(i), &scene, &[repeat]).unwrap();
         }
         drop(writer);
-        run(&Options {
-            data: vec![csv.clone()],
-            volumenet: Vec::new(),
-            probe_sides: vec![5, PROBE_SIDE, 5],
-            root: None,
-            threads: Some(1),
-        })
-        .unwrap();
+        let (data, probe_sides) = (vec![csv.clone()], vec![5, PROBE_SIDE, 5]);
+        run(&Options { data, volumenet: Vec::new(), probe_sides, root: None, threads: Some(1) }).unwrap();
         let tables = read_tables(std::slice::from_ref(&csv)).unwrap();
         let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
         let without = [Table { features: None, ..tables[0].clone() }];

@@ -125,13 +125,8 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(text) = left_out(&tables, clock, options.shade) {
         note(&text);
     }
-    let split = Split::new(
-        frames.iter().map(|f| f.0),
-        options.split,
-        &options.validation_groups,
-        &options.test_groups,
-        options.recipe.seed,
-    )?;
+    let (validation, test, seed) = (&options.validation_groups, &options.test_groups, options.recipe.seed);
+    let split = Split::new(frames.iter().map(|f| f.0), options.split, validation, test, seed)?;
     let seconds: BTreeMap<(usize, u64), f64> =
         frames.iter().map(|(f, t)| ((f.table, f.number), *t)).collect();
     let refs: Vec<&TimedFrame> = frames.iter().map(|f| f.0).collect();

@@ -81,14 +81,8 @@ impl Table {
         })?;
         let frames =
             parse(&bytes, index).with_context(|| format!("{} is no timing table", path.display()))?;
-        Ok(Self {
-            path: path.to_owned(),
-            manifest: Manifest::read(path)?,
-            frames,
-            hash: fnv1a(&bytes),
-            features: None,
-            root: None,
-        })
+        let (path, manifest, hash) = (path.to_owned(), Manifest::read(path)?, fnv1a(&bytes));
+        Ok(Self { path, manifest, frames, hash, features: None, root: None })
     }
 
     /// Returns the number of passes in which the repeats were measured, from the manifest; 1 if the manifest

@@ -273,8 +273,7 @@ fn medians_ignore_zero_times_and_take_the_middle() {
 fn frames_without_the_clock_are_left_out_by_number() {
     let without = Timing { cpu: None, ..measured(0.1) };
     let frame = |number, repeats| TimedFrame { table: 0, number, scene: scene(), repeats };
-    let table =
-        |frames| Table { path: "t.csv".into(), manifest: None, frames, hash: 0, features: None, root: None };
+    let table = |frames| Table { path: "t.csv".into(), frames, ..Table::default() };
     let frames = [measured(0.1), without, without].map(|t| frame(0, vec![t]));
     let tables = [table(frames.to_vec())];
     let text = left_out(&tables, Clock::Cpu, None).unwrap();

@@ -28,29 +28,20 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::budget::{FrameBudget, PassShare};
-    #[pymodule_export]
-    use crate::calibration::Calibration;
-    #[pymodule_export]
-    use crate::camera::Camera;
-    #[pymodule_export]
-    use crate::command::command;
-    #[pymodule_export]
-    use crate::errors::{MissingInputError, ModelError, NotReadyError, RejectedObservationError};
-    #[pymodule_export]
-    use crate::files::{machine_file, write_whole};
-    #[pymodule_export]
-    use crate::held::Held;
-    #[pymodule_export]
-    use crate::model::Model;
-    #[pymodule_export]
-    use crate::plan::{Plan, Prediction};
-    #[pymodule_export]
-    use crate::session::Session;
-    #[pymodule_export]
-    use crate::transfer::TransferFunction;
-    #[pymodule_export]
-    use crate::volume::Volume;
+    use crate::{
+        budget::{FrameBudget, PassShare},
+        calibration::Calibration,
+        camera::Camera,
+        command::command,
+        errors::{MissingInputError, ModelError, NotReadyError, RejectedObservationError},
+        files::{machine_file, write_whole},
+        held::Held,
+        model::Model,
+        plan::{Plan, Prediction},
+        session::Session,
+        transfer::TransferFunction,
+        volume::Volume,
+    };
 
     use super::*;
 

@@ -16,13 +16,8 @@ fn network(widths: &[usize], seed: u64) -> PredNetParts {
         .map(|i| {
             let (weight, bias) = net.layer(i);
             let bias = bias.iter().enumerate().map(|(k, b)| b + 0.1 * (k as f32 + seed as f32)).collect();
-            DenseParts {
-                inputs: widths[i],
-                outputs: widths[i + 1],
-                weight: weight.to_vec(),
-                bias,
-                dtype: Dtype::F32,
-            }
+            let (inputs, outputs, weight) = (widths[i], widths[i + 1], weight.to_vec());
+            DenseParts { inputs, outputs, weight, bias, dtype: Dtype::F32 }
         })
         .collect();
     PredNetParts {

@@ -315,13 +315,8 @@ impl<T: Real> Trained<T> {
                 .map(|i| {
                     let (weight, bias) = self.network.layer(i);
                     let [inputs, outputs] = [self.network.widths()[i], self.network.widths()[i + 1]];
-                    DenseParts {
-                        inputs,
-                        outputs,
-                        weight: single(weight),
-                        bias: single(bias),
-                        dtype: Dtype::F32,
-                    }
+                    let [weight, bias] = [weight, bias].map(single);
+                    DenseParts { inputs, outputs, weight, bias, dtype: Dtype::F32 }
                 })
                 .collect(),
             input: Some(Normalization { mean: s.input_mean.clone(), std: s.input_std.clone() }),
@@ -430,12 +425,8 @@ pub fn train<T: Real>(
                 targets.push(data.targets[i]);
                 weights.push(data.weights[i]);
             }
-            let rate = cosine_learning_rate(
-                settings.learning_rate,
-                settings.final_learning_rate,
-                steps,
-                total_steps,
-            );
+            let (first, last) = (settings.learning_rate, settings.final_learning_rate);
+            let rate = cosine_learning_rate(first, last, steps, total_steps);
             let step = trainer.step(pool, &inputs, &targets, &weights, rate)?;
             steps += 1;
             total += step.loss * chosen.len() as f64;
@@ -484,15 +475,8 @@ pub fn train<T: Real>(
             }
         }
     }
-    Ok(Trained {
-        network: best,
-        standardization,
-        target: settings.target,
-        history,
-        best_epoch,
-        best_loss,
-        stop,
-    })
+    let target = settings.target;
+    Ok(Trained { network: best, standardization, target, history, best_epoch, best_loss, stop })
 }
 
 fn validate<T: Real>(pool: &ThreadPool, trainer: &Trainer<T>, judged: &Prepared<T>) -> Option<f64> {
