@@ -210,7 +210,13 @@ impl App {
         Ok(())
     }
 
-    /// Opens the device and all its objects again after the device was lost. The volume is still in memory.
+    /// True if the device is open and was lost.
+    fn is_lost(&self) -> bool {
+        self.device.as_ref().is_some_and(SharedDevice::is_lost)
+    }
+
+    /// Opens the device and all its objects again after the device was lost. The volume is still in memory;
+    /// without a volume, a running load begins again.
     fn recover(&mut self) -> Result<()> {
         if self.lost.is_some_and(|at| at.elapsed() < LOST_AGAIN) {
             bail!(
@@ -218,10 +224,16 @@ impl App {
             );
         }
         self.lost = Some(Instant::now());
-        if let Some(loading) = self.loading.take() {
-            loading.cancel();
-        }
-        let scene = self.scene.take();
+        let loading = self.loading.take().inspect(Loading::cancel);
+        let again = match self.scene.take() {
+            Some(scene) => Some(Job {
+                source: Some(scene.whole),
+                crop: scene.crop,
+                curve: Some(self.state.edited.curve.clone()),
+                ..self.job(scene.path, scene.index)
+            }),
+            None => loading.map(|loading| loading.job),
+        };
         // A screenshot is in the host's memory and continues once the volume is on the device again.
         (self.refinement, self.pictures) = (None, None);
         (self.presenter, self.device) = (None, None);
@@ -235,15 +247,7 @@ impl App {
         }
         self.open_device()?;
         self.state.say("the device was lost and is open again");
-        if let Some(scene) = scene {
-            self.start(Job {
-                source: Some(scene.whole),
-                crop: scene.crop,
-                curve: Some(self.state.edited.curve.clone()),
-                ..self.job(scene.path, scene.index)
-            })?;
-        }
-        Ok(())
+        again.map_or(Ok(()), |job| self.start(job))
     }
 
     /// Returns the job that loads a whole volume file in the current modes, with a preset as transfer
@@ -280,7 +284,7 @@ impl App {
     /// reopened or a script plays.
     fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
         let Err(error) = result else { return };
-        let is_lost = self.device.as_ref().is_some_and(SharedDevice::is_lost);
+        let is_lost = self.is_lost();
         let error = if is_lost {
             match self.recover() {
                 Ok(()) => return,

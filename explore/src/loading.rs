@@ -54,7 +54,7 @@ const STAGES: [&str; 4] = ["reading", "summarizing", "uploading to the device", 
 
 /// A running load.
 pub(crate) struct Loading {
-    pub(crate) path: PathBuf,
+    pub(crate) job: Job,
     progress: Arc<Progress>,
     stage: Arc<AtomicU32>,
     result: Receiver<Result<Box<Loaded>>>,
@@ -75,7 +75,7 @@ impl Loading {
         let progress = Arc::new(Progress::default());
         let stage = Arc::new(AtomicU32::new(0));
         let (send, result): (Sender<Result<Box<Loaded>>>, _) = channel();
-        let path = job.path.clone();
+        let started = job.clone();
         let begin = Instant::now();
         let worker = Worker {
             host: Arc::clone(host),
@@ -94,7 +94,7 @@ impl Loading {
                 let _ = wake.send_event(Wake::Loaded);
             })
             .context("cannot start a thread")?;
-        Ok(Self { path, progress, stage, result })
+        Ok(Self { job: started, progress, stage, result })
     }
 
     pub(crate) fn cancel(&self) {

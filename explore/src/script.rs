@@ -27,7 +27,7 @@
 //! | `save_transfer`, `load_transfer` | a file |
 //! | `undo` | true: undoes the last edit |
 //! | `record`, `save_recording` | true; a path file |
-//! | `lose_device` | true: simulates the loss of the device |
+//! | `lose_device` | true: simulates the loss of the device; as first action at frame 0: during the load |
 //! | `quit` | true: closes the window |
 
 use anyhow::{Context, Result, ensure};
@@ -127,6 +127,11 @@ impl Script {
         self.events.pop_front_if(|(at, _)| *at <= frame).map(|(_, action)| action)
     }
 
+    /// Takes the first action if it is the loss of the device before frame 0.
+    pub(crate) fn initial_loss(&mut self) -> Option<Action> {
+        self.events.pop_front_if(|event| *event == (0, Action::LoseDevice(true))).map(|(_, action)| action)
+    }
+
     pub(crate) fn is_done(&self) -> bool {
         self.events.is_empty()
     }
@@ -166,6 +171,7 @@ mod tests {
         assert_eq!(script.next(3), Some(Action::Preset("core".into())));
         assert!(matches!(script.next(3), Some(Action::Screenshot(_))));
         assert!(script.next(4).is_none() && !script.is_done());
+        assert_eq!(script.initial_loss(), None);
         assert_eq!(script.next(5), Some(Action::Quit(true)));
         assert!(script.is_done());
     }

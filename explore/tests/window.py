@@ -298,6 +298,13 @@ def a_script_switches_everything(command, display, folder):
     assert (folder / "steer/report.html").is_file()
 
 
+def a_device_lost_in_the_first_load_is_opened_again(command, display, folder):
+    """A loss of the device before the first volume is shown begins the load again."""
+    lines = [at(0, lose_device=True), at(0, spin=[1, 0]), at(4, quit=True)]
+    log = tools.run_script(command, display, lines, folder, [BANANA, "--size", "640x480"], seconds=120)
+    assert len(log["open"]) == 1 and len(log["frame"]) >= 4, {kind: len(rows) for kind, rows in log.items()}
+
+
 def a_series_plays_in_the_background(command, display, folder):
     """The next step of a series is loaded while the previous step is shown."""
     steps = sorted((ROOT / "data/nyx_cosmology/m01").glob("*.nrrd"))[:2]
@@ -380,6 +387,7 @@ TESTS = [
     what_is_wrong_is_said,
     screenshots_are_those_of_render,
     a_script_switches_everything,
+    a_device_lost_in_the_first_load_is_opened_again,
     a_series_plays_in_the_background,
     a_minimized_window_rests,
     a_person_explores,

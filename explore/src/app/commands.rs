@@ -7,7 +7,7 @@ use crate::loading::Job;
 use crate::recording::Recorder;
 use crate::scene::Crop;
 use crate::scene::Spanned;
-use crate::script::Action;
+use crate::script::{Action, Script};
 use crate::state::Command;
 use crate::transfer::{Curve, Opacity};
 use anyhow::{Context, Result, bail};
@@ -29,7 +29,7 @@ impl App {
             Command::Cancel => {
                 if let Some(loading) = self.loading.take() {
                     loading.cancel();
-                    self.state.say(format!("{} was not opened", loading.path.display()));
+                    self.state.say(format!("{} was not opened", loading.job.path.display()));
                 }
             }
             Command::Crop(crop) => self.crop(crop)?,
@@ -120,6 +120,11 @@ impl App {
     /// # Errors
     /// When an event cannot be carried out.
     pub(super) fn play_script(&mut self, event_loop: &ActiveEventLoop) -> Result<bool> {
+        if self.scene.is_none()
+            && let Some(loss) = self.script.as_mut().and_then(Script::initial_loss)
+        {
+            self.act(loss)?;
+        }
         if !self.is_scripted() || self.scene.is_none() {
             return Ok(true);
         }

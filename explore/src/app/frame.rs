@@ -54,7 +54,7 @@ impl App {
         let state = &mut self.state;
         state.loading = self.loading.as_ref().map(|l| {
             let (stage, share) = l.state();
-            let name = l.path.file_name().map(|n| n.to_string_lossy().into_owned());
+            let name = l.job.path.file_name().map(|n| n.to_string_lossy().into_owned());
             (name.unwrap_or_default(), stage, share)
         });
         let mut output = self.egui.clone().run_ui(raw, |ui| ui::show(ui, state));
@@ -99,10 +99,13 @@ impl App {
         let Some(result) = self.loading.as_ref().and_then(crate::loading::Loading::poll) else {
             return Ok(());
         };
-        self.loading = None;
+        let is_lost = result.is_err() && self.is_lost();
+        if !is_lost {
+            self.loading = None;
+        }
         let loaded = match result {
             Ok(loaded) => *loaded,
-            Err(error) if self.script.is_some() => return Err(error),
+            Err(error) if is_lost || self.script.is_some() => return Err(error),
             Err(error) => {
                 // A series does not play on: its next step would be the same file again.
                 self.state.playing = false;
