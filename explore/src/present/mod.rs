@@ -59,7 +59,6 @@ pub(crate) struct Presenter {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
     fence: vk::Fence,
-    acquired: vk::Semaphore,
     sampler: vk::Sampler,
     set_layout: vk::DescriptorSetLayout,
     descriptors: vk::DescriptorPool,
@@ -117,7 +116,6 @@ impl Presenter {
             pool: vk::CommandPool::null(),
             commands: vk::CommandBuffer::null(),
             fence: vk::Fence::null(),
-            acquired: vk::Semaphore::null(),
             sampler: vk::Sampler::null(),
             set_layout: vk::DescriptorSetLayout::null(),
             descriptors: vk::DescriptorPool::null(),
@@ -137,8 +135,6 @@ impl Presenter {
             this.commands = d.allocate_command_buffers(&info).map_err(failed("vkAllocateCommandBuffers"))?[0];
             this.fence =
                 d.create_fence(&vk::FenceCreateInfo::default(), None).map_err(failed("vkCreateFence"))?;
-            let info = vk::SemaphoreCreateInfo::default();
-            this.acquired = d.create_semaphore(&info, None).map_err(failed("vkCreateSemaphore"))?;
             let info = vk::SamplerCreateInfo::default()
                 .mag_filter(vk::Filter::LINEAR)
                 .min_filter(vk::Filter::LINEAR)
@@ -250,7 +246,7 @@ impl Presenter {
             }
         }
         let begin = Instant::now();
-        let acquired = swapchain.acquire(self.acquired, LONGEST_WAIT)?;
+        let acquired = swapchain.acquire(LONGEST_WAIT)?;
         presented.display += begin.elapsed().as_secs_f64();
         if let Some(index) = acquired {
             let begin = Instant::now();
@@ -269,9 +265,38 @@ impl Presenter {
     /// Records and submits the commands, presents the image and waits for the device. Returns
     /// [`Presented::handing`].
     fn draw(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<f64> {
-        let (Some(egui), Some(swapchain)) = (&mut self.egui, &mut self.swapchain) else {
-            return Ok(0.0);
-        };
+        let submitted = self.submit(index, pixels_per_point, primitives);
+        let device = &self.device;
+        let failed = |call: &'static str| move |r| device.error(call, r);
+        let d = device.device();
+        if let Err(error) = submitted {
+            // If the call fails, the next frame fails too, when it begins the command buffer.
+            // SAFETY: the command buffer was not submitted, so the device does not use it.
+            let _ = unsafe { d.reset_command_buffer(self.commands, vk::CommandBufferResetFlags::empty()) };
+            // The image stays acquired and its semaphore signaled. The next frame makes a new swapchain.
+            self.swapchain = None;
+            return Err(error);
+        }
+        let Some(swapchain) = &mut self.swapchain else { return Ok(0.0) };
+        let cpu = thread_seconds();
+        let done = swapchain.present(index);
+        let handing = thread_seconds() - cpu;
+        // SAFETY: the fence was submitted above, and it is reset only after it has signaled.
+        unsafe {
+            d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
+            d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
+        }
+        // An error of the presentation is returned only after the fence is reset, since the next frame needs
+        // an unsignaled fence. The image may stay acquired, so the swapchain ends here too.
+        if done.is_err() {
+            self.swapchain = None;
+        }
+        done.map(|()| handing)
+    }
+
+    /// Records and submits the commands that draw into an acquired image.
+    fn submit(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<()> {
+        let (Some(egui), Some(swapchain)) = (&mut self.egui, &self.swapchain) else { return Ok(()) };
         let device = &self.device;
         let failed = |call: &'static str| move |r| device.error(call, r);
         let d = device.device();
@@ -292,7 +317,7 @@ impl Presenter {
         }
         egui.cmd_draw(self.commands, extent, pixels_per_point, primitives)
             .map_err(|e| drawing(device, &e))?;
-        let (waits, stages) = ([self.acquired], [vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT]);
+        let (waits, stages) = ([swapchain.acquired], [vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT]);
         let (buffers, signals) = ([self.commands], [swapchain.drawn(index)]);
         let submit = [vk::SubmitInfo::default()
             .wait_semaphores(&waits)
@@ -308,18 +333,7 @@ impl Presenter {
                 .with_queue(|queue| d.queue_submit(queue, &submit, self.fence))
                 .map_err(failed("vkQueueSubmit"))?;
         }
-        let cpu = thread_seconds();
-        let done = swapchain.present(index);
-        let handing = thread_seconds() - cpu;
-        // SAFETY: the fence was submitted above, and it is reset only after it has signaled.
-        unsafe {
-            d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
-            d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
-        }
-        // An error of the presentation is returned only after the fence is reset, since the next frame needs
-        // an unsignaled fence.
-        done?;
-        Ok(handing)
+        Ok(())
     }
 }
 
@@ -349,7 +363,6 @@ impl Drop for Presenter {
             d.destroy_descriptor_pool(self.descriptors, None);
             d.destroy_descriptor_set_layout(self.set_layout, None);
             d.destroy_sampler(self.sampler, None);
-            d.destroy_semaphore(self.acquired, None);
             d.destroy_fence(self.fence, None);
             d.destroy_command_pool(self.pool, None);
             self.surface_functions.destroy_surface(self.surface, None);

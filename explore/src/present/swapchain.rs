@@ -18,6 +18,8 @@ pub(super) struct Swapchain {
     handle: vk::SwapchainKHR,
     pub(super) render_pass: vk::RenderPass,
     frames: Vec<Frame>,
+    /// Signaled once the acquired image may be written.
+    pub(super) acquired: vk::Semaphore,
     pub(super) extent: vk::Extent2D,
     /// The requested size, which the surface may have limited.
     pub(super) asked: [u32; 2],
@@ -99,6 +101,7 @@ impl Swapchain {
             handle,
             render_pass: vk::RenderPass::null(),
             frames: Vec::new(),
+            acquired: vk::Semaphore::null(),
             extent,
             asked,
             format,
@@ -140,6 +143,8 @@ impl Swapchain {
         // return, and `this` destroys each handle once.
         unsafe {
             this.render_pass = d.create_render_pass(&info, None).map_err(failed("vkCreateRenderPass"))?;
+            let info = vk::SemaphoreCreateInfo::default();
+            this.acquired = d.create_semaphore(&info, None).map_err(failed("vkCreateSemaphore"))?;
             let images =
                 this.functions.get_swapchain_images(handle).map_err(failed("vkGetSwapchainImagesKHR"))?;
             for image in images {
@@ -173,9 +178,8 @@ impl Swapchain {
                     .layers(1);
                 frame.framebuffer =
                     d.create_framebuffer(&info, None).map_err(failed("vkCreateFramebuffer"))?;
-                frame.drawn = d
-                    .create_semaphore(&vk::SemaphoreCreateInfo::default(), None)
-                    .map_err(failed("vkCreateSemaphore"))?;
+                let info = vk::SemaphoreCreateInfo::default();
+                frame.drawn = d.create_semaphore(&info, None).map_err(failed("vkCreateSemaphore"))?;
             }
         }
         Ok(Some(this))
@@ -194,12 +198,14 @@ impl Swapchain {
         self.frames[index as usize].drawn
     }
 
-    /// Returns the index of the next image to draw into; `None` if the surface has changed. `acquired` is
-    /// signaled once the image may be written; `longest`: time limit, nanoseconds.
-    pub(super) fn acquire(&mut self, acquired: vk::Semaphore, longest: u64) -> Result<Option<u32>> {
-        // SAFETY: the semaphore is unsignaled: the previous frame has waited for it and is done.
-        let found =
-            unsafe { self.functions.acquire_next_image(self.handle, longest, acquired, vk::Fence::null()) };
+    /// Returns the index of the next image to draw into; `None` if the surface has changed. `longest`: time
+    /// limit, nanoseconds.
+    pub(super) fn acquire(&mut self, longest: u64) -> Result<Option<u32>> {
+        // SAFETY: the semaphore is unsignaled: the previous frame has waited for it and is done. A frame that
+        // was not submitted has ended its swapchain.
+        let found = unsafe {
+            self.functions.acquire_next_image(self.handle, longest, self.acquired, vk::Fence::null())
+        };
         match found {
             Ok((index, suboptimal)) => {
                 self.stale |= suboptimal;
@@ -271,6 +277,7 @@ impl Drop for Swapchain {
             }
             d.destroy_render_pass(self.render_pass, None);
             self.functions.destroy_swapchain(self.handle, None);
+            d.destroy_semaphore(self.acquired, None);
         }
     }
 }
