@@ -47,11 +47,11 @@ pub trait Host: Send + Sync {
     /// When the file cannot be read, or reading was canceled.
     fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>>;
 
-    /// Returns the predictor for a volume and shading mode.
+    /// Returns the predictor for a volume, a shading mode and the device that draws.
     ///
     /// # Errors
     /// When a model file is invalid.
-    fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>>;
+    fn steering(&self, volume: &VolumeView<'_>, shading: Shading, device: &str) -> Result<Arc<dyn Steering>>;
 
     /// Name and title of every controller.
     fn controllers(&self) -> Vec<(&'static str, &'static str)>;

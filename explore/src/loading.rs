@@ -143,13 +143,14 @@ impl Worker {
         };
         let view = part.as_ref().map_or_else(|| whole.view(), VolumeSource::view);
         let mut raycaster = VulkanRaycaster::on_device(&self.device, self.options.clone())?;
+        let drawn_by = raycaster.device();
         // The processor summarizes the volume while its voxels are uploaded to the device, in separate
         // threads.
         let (summed, uploaded) = std::thread::scope(|scope| {
             let summed = scope.spawn(|| -> Result<_> {
                 let summary = VolumeSummary::new(&view)?;
                 let histogram = Histogram::of(&view);
-                let of = |shading| self.host.steering(&view, shading);
+                let of = |shading| self.host.steering(&view, shading, &drawn_by);
                 let steering = Shading::ALL.into_iter().map(of).collect::<Result<_>>()?;
                 Ok((summary, histogram, steering))
             });

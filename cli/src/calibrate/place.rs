@@ -2,9 +2,10 @@
 
 use crate::collection::Job;
 use anyhow::{Context, Result};
-use entire_core::model::ModelFile;
+use entire_core::model::{Key, ModelFile};
 use entire_core::scene::Shading;
 use entire_io::dataset::Clock;
+use entire_io::device::names_software;
 use entire_io::files::read_model_file;
 use entire_io::identity::is_volume;
 use std::path::{Path, PathBuf};
@@ -38,6 +39,21 @@ pub(crate) fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFi
     let (file, model) = read_model_file(&path)?;
     let clock = entire_io::clock::of(&model);
     Ok(Some((path, file, clock)))
+}
+
+/// Returns the reason for ignoring the machine's model: it was calibrated on a GPU and a renderer in software
+/// draws, or the reverse. `None` for any other model. `backend` and `device` name the renderer.
+pub(crate) fn of_another_kind(path: &Path, file: &ModelFile, backend: &str, device: &str) -> Option<String> {
+    let of = |key: Key| file.metadata.get(key.name()).map_or("", String::as_str);
+    let (renderer, made_on) = (of(Key::Renderer), of(Key::Device));
+    let differs =
+        !renderer.is_empty() && names_software(renderer, made_on) != names_software(backend, device);
+    differs.then(|| {
+        format!(
+            "{} is ignored: it was calibrated on {made_on}, but frames are drawn by {device}",
+            path.display()
+        )
+    })
 }
 
 /// The machine's model for a shading mode, which must exist.

@@ -6,13 +6,12 @@ use super::model::{SteeringModel, Steers};
 use super::play::{Contender, Course, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
-use crate::calibrate::place::machine_model;
+use crate::calibrate::place::{machine_model, of_another_kind};
 use crate::shipped::shipped_model;
 use anyhow::{Context, Result};
-use entire_core::model::{Key, Model, ModelFile};
+use entire_core::model::{Model, ModelFile};
 use entire_core::scene::{Shading, VolumeView};
 use entire_io::dataset::Clock;
-use entire_io::device::{is_software, names_software};
 use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
 use entire_io::path::FlightPath;
@@ -93,16 +92,10 @@ pub(crate) fn machine_model_for(
     renderer: &dyn Renderer,
 ) -> Result<(Option<(String, ModelFile)>, Clock)> {
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
-    let of = |key: Key| file.metadata.get(key.name()).map_or("", String::as_str);
-    if !of(Key::Renderer).is_empty()
-        && names_software(of(Key::Renderer), of(Key::Device)) != is_software(renderer)
-    {
+    if let Some(why) = of_another_kind(&path, &file, renderer.backend(), &renderer.device()) {
         entire_io::files::note(&format!(
-            "{} is ignored: it was calibrated on {}, but frames are drawn by {}; `entire calibrate --shade {shading}` with \
-             the same --device makes a model of it, and with --out keeps the present one",
-            path.display(),
-            of(Key::Device),
-            renderer.device()
+            "{why}; `entire calibrate --shade {shading}` with the same --device makes a model of it, and with --out \
+             keeps the present one"
         ));
         return Ok((None, asked));
     }

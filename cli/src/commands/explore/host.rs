@@ -1,6 +1,6 @@
 //! Services of this program to the window: readers of volumes, predictors, controllers, path files.
 
-use crate::calibrate::place::machine_model;
+use crate::calibrate::place::{machine_model, of_another_kind};
 use crate::shipped::shipped_model;
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::model::SteeringModel;
@@ -8,7 +8,7 @@ use crate::steering::play::RAYCASTER;
 use crate::steering::rivals::StepResponse;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use entire_core::model::Model;
+use entire_core::model::{Model, ModelFile};
 use entire_core::scene::{Arcball, Shading, VolumeView};
 use entire_explore::{Host, Progress, RecordedTransfer, Recording, Steering, VolumeSource};
 use entire_farm::quoted;
@@ -127,15 +127,21 @@ impl Steering for Predicts {
     }
 }
 
-/// Note on a machine's model that is ignored because it predicts seconds of another clock than the window's.
-fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
-    format!(
-        "{} is ignored, since it predicts {} time: the button \"Calibrate …\" copies the command for a model \
-         of {} seconds",
-        file.display(),
-        clock.map_or("unspecified", Clock::name),
-        WINDOW.name()
-    )
+/// Note on a machine's model that is ignored because it was calibrated on another kind of device than the
+/// window's, or predicts seconds of another clock; `None` for a model that is used.
+fn takes_no_part(path: &Path, file: &ModelFile, clock: Option<Clock>, device: &str) -> Option<String> {
+    let remedy = "the button \"Calibrate …\" copies the command for a model of";
+    if let Some(why) = of_another_kind(path, file, "vulkan", device) {
+        return Some(format!("{why}: {remedy} this device"));
+    }
+    (clock != Some(WINDOW)).then(|| {
+        format!(
+            "{} is ignored, since it predicts {} time: {remedy} {} seconds",
+            path.display(),
+            clock.map_or("unspecified", Clock::name),
+            WINDOW.name()
+        )
+    })
 }
 
 impl Host for ExplorerHost {
@@ -144,18 +150,18 @@ impl Host for ExplorerHost {
         Ok(Arc::new(Opened(volume)))
     }
 
-    fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>> {
+    fn steering(&self, volume: &VolumeView<'_>, shading: Shading, device: &str) -> Result<Arc<dyn Steering>> {
         let here = if self.model.is_none() { machine_model(shading)? } else { None };
-        let (title, model, calibrated, left_out) = match (&self.model, here) {
-            (Some((title, model)), _) => (title.clone(), model.clone(), true, None),
-            (None, Some((path, file, Some(WINDOW)))) => {
-                (path.display().to_string(), file.to_model()?, true, None)
+        let left_out =
+            here.as_ref().and_then(|(path, file, clock)| takes_no_part(path, file, *clock, device));
+        let (title, model, calibrated) = match (&self.model, here) {
+            (Some((title, model)), _) => (title.clone(), model.clone(), true),
+            (None, Some((path, file, _))) if left_out.is_none() => {
+                (path.display().to_string(), file.to_model()?, true)
             }
-            // A machine's model of another clock than the window's is ignored.
-            (None, here) => {
-                let left_out = here.map(|(path, _, clock)| takes_no_part(&path, clock));
+            (None, _) => {
                 let (name, file) = shipped_model(shading)?;
-                (name, file.to_model()?, false, left_out)
+                (name, file.to_model()?, false)
             }
         };
         let clock = entire_io::clock::of(&model);
@@ -252,6 +258,7 @@ fn transfer(recorded: &RecordedTransfer) -> Transfer {
 mod tests {
     use super::*;
     use entire_core::GaussianLobe;
+    use entire_core::model::Key;
     use entire_core::scene::Scalars;
     use entire_explore::RecordedFrame;
     use entire_steer::predict::AnalyticModel;
@@ -302,12 +309,13 @@ mod tests {
         let mut file = AnalyticModel::default().to_model_file().unwrap();
         entire_io::clock::set(&mut file, Clock::Cpu);
         let model = file.to_model().unwrap();
+        let here = Path::new("here.safetensors");
         let mut predicts = Predicts {
             clock: entire_io::clock::of(&model),
             model: SteeringModel::new("m".into(), model, &view).unwrap(),
             identity: 0,
             calibrated: false,
-            left_out: Some(takes_no_part(Path::new("here.safetensors"), Some(Clock::Device))),
+            left_out: takes_no_part(here, &file, Some(Clock::Device), "a GPU"),
         };
         let title = predicts.title();
         for part in [
@@ -320,6 +328,17 @@ mod tests {
         (predicts.clock, predicts.left_out) = (Some(WINDOW), None);
         assert_eq!(predicts.title(), "predicted by m, corrected by the measured time of every frame");
         assert!(predicts.session("hybrid").is_ok());
+    }
+
+    #[test]
+    fn a_model_of_another_kind_of_device_is_told() {
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
+        file.metadata.insert(Key::Renderer.into(), "vulkan".into());
+        file.metadata.insert(Key::Device.into(), "llvmpipe (LLVM 15)".into());
+        let note = |device| takes_no_part(Path::new("here.safetensors"), &file, Some(WINDOW), device);
+        assert_eq!(note("llvmpipe (LLVM 19)"), None);
+        let told = note("NVIDIA H100").unwrap();
+        assert!(told.contains("calibrated on llvmpipe") && told.contains("drawn by NVIDIA H100"), "{told}");
     }
 
     #[test]
