@@ -346,6 +346,15 @@ impl Trial {
     }
 }
 
+/// Calls `worker` on several threads; returns the first error once all have ended.
+fn side_by_side(threads: usize, worker: &(dyn Fn() -> Result<()> + Sync)) -> Result<()> {
+    let ended: Vec<Result<()>> = std::thread::scope(|scope| {
+        let handles: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
+        handles.into_iter().map(|h| h.join().unwrap_or_else(|_| bail!("a training panicked"))).collect()
+    });
+    ended.into_iter().collect()
+}
+
 /// Runs the missing trainings, and writes the results of all trials.
 fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: &[Trial]) -> Result<()> {
     let asked = &work.paper.trials;
@@ -372,13 +381,10 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
         Ok(())
     };
     let threads = work.pool.current_num_threads().min(todo.len());
-    let ended: Vec<Result<()>> = std::thread::scope(|scope| {
-        let handles: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
-        handles.into_iter().map(|h| h.join().unwrap_or_else(|_| bail!("a training panicked"))).collect()
-    });
+    let ended = side_by_side(threads, &worker);
     bar.finish_and_clear();
     work.go_on()?;
-    ended.into_iter().collect::<Result<()>>()?;
+    ended?;
     let mut inputs = identities.concat();
     for table in &measured.tables {
         inputs += &format!(" {:016x}", table.hash);
@@ -437,6 +443,8 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::paper::{Paper, Selection};
+    use std::path::Path;
 
     const GROUPS: [(GroupKind, usize); 3] =
         [(GroupKind::Camera, 1), (GroupKind::Resolution, 2), (GroupKind::TransferFunction, 6)];
@@ -473,5 +481,35 @@ mod tests {
         orders.sort();
         orders.dedup();
         assert_eq!(orders.len(), 6);
+    }
+
+    #[test]
+    fn workers_end_when_asked_and_errors_are_told() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");
+        let mut paper: Paper = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+        (paper.network.preset, paper.network.patience) = (Some("1C32".into()), usize::MAX);
+        let (pool, none) = (thread_pool(Some(1)).unwrap(), Path::new(""));
+        let work = Work {
+            paper: &paper,
+            selection: &Selection::default(),
+            data: none,
+            out: none,
+            python: none,
+            pool: &pool,
+            deadline: None,
+            interrupted: &|| true,
+        };
+        let endless = Trial {
+            change: Change::default(),
+            epochs: usize::MAX,
+            width: ROW.len(),
+            training: Rows { inputs: [ROW, ROW].concat(), seconds: vec![0.5, 1.0] },
+            validation: Rows::default(),
+            test: Vec::new(),
+        };
+        let asked = side_by_side(2, &|| endless.train(&work, 1, &pool).map(drop)).unwrap_err();
+        assert!(asked.to_string().starts_with("interrupted"), "{asked}");
+        let error = side_by_side(2, &|| bail!("diverged")).unwrap_err();
+        assert_eq!(error.to_string(), "diverged");
     }
 }
