@@ -17,7 +17,7 @@ bars-farm: ## Measure the bars of render farms; fails if one is missed
 	bash lab/scripts/farm/traces.sh "$(FARM_OUT)" cpu || status=1; \
 	"$(TARGET_DIR)/release/entire-lab" farm --trace "$(FARM_OUT)/farm.json.gz" --training "$(FARM_OUT)/farm-training.json.gz" --probe-side 24 \
 		--save-tasks "$(FARM_OUT)/farm-tasks.csv" --report "$(FARM_OUT)/static" --bars || status=1; \
-	"$(TARGET_DIR)/release/entire-lab" farm-bars --out "$(FARM_OUT)" --bars || status=1; \
+	"$(TARGET_DIR)/release/entire-lab" farm-bars --out "$(FARM_OUT)" || status=1; \
 	python=$$(scripts/test-farm.sh python) || status=1; \
 	python3 lab/scripts/farm/engines.py --bin "$(TARGET_DIR)/release" --python "$$python" --out "$(FARM_OUT)" $(FARM_PARTS) || status=1; \
 	exit $$status

@@ -11,25 +11,22 @@ use entire_farm::simulate::{World, simulate};
 use entire_farm::{By, read_tasks, times, volume_numbers};
 use std::path::PathBuf;
 
-/// Measure those goals of render farms that can be measured without an engine.
+/// Measure and print those goals (bars) of render farms that can be measured without an engine; fail when one
+/// is missed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   entire-lab farm-bars
-  entire-lab farm-bars --out out/farm --bars")]
+  entire-lab farm-bars --out out/farm")]
 pub(crate) struct BarsOptions {
     /// Folder for the job of a million tasks.
     #[arg(long, default_value = "out/farm-bars", value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Print the goals (bars), and fail when one is missed.
-    #[arg(long)]
-    pub(crate) bars: bool,
 }
 
 /// Runs `entire-lab farm-bars`.
 pub(crate) fn run_bars(options: &BarsOptions) -> Result<()> {
-    let found = studies::all(&options.out)?;
-    if options.bars { bars::print(&found) } else { Ok(()) }
+    bars::print(&studies::all(&options.out)?)
 }
 
 /// Simulate a farm on a task list with predicted and measured times, and print the result as JSON.
