@@ -45,7 +45,8 @@ impl Bundle {
 pub enum Event {
     /// A line that a worker wrote: the number of its bundle, and the line.
     Line(u64, Line),
-    /// A bundle was lost with its worker: the number of the bundle, and the reason.
+    /// A bundle was lost with its worker, or refused: the number of the bundle, and the reason. A loss
+    /// without a reason does not count as a failure.
     Lost(u64, String),
     /// A slot has a new worker, which holds no volume.
     Fresh(usize),
@@ -73,10 +74,10 @@ pub trait Engine {
     fn waiting(&self) -> usize {
         0
     }
-    /// Sends bundles, the most urgent first.
+    /// Sends bundles, the most urgent first. A bundle that the engine refuses is lost.
     ///
     /// # Errors
-    /// When the engine refuses the bundles.
+    /// When a bundle cannot be written.
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()>;
     /// Changes the order of waiting bundles, the most urgent first. By default it does nothing: the queues of
     /// engines that cannot reorder are kept short instead.

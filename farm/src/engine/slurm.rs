@@ -1,6 +1,6 @@
 //! Slurm, through its commands: sbatch, squeue, scontrol, scancel, sinfo.
 
-use super::{Bundle, Engine, Event, Places};
+use super::{Bundle, Engine, Event, Places, utf8};
 use crate::command::quoted;
 use crate::record::Line;
 use crate::spool::{Spool, tail};
@@ -41,6 +41,8 @@ pub struct Slurm {
     spool: Spool,
     /// Job of each bundle that was sent and has not ended.
     open: BTreeMap<u64, Job>,
+    /// Bundles without a job since the last query, each with the reason; empty if sbatch was not asked.
+    refused: Vec<(u64, String)>,
     looked: Option<Instant>,
     /// Time of the first query without an answer since the last answer.
     silent: Option<Instant>,
@@ -165,23 +167,17 @@ impl Slurm {
              give a longer limit with --time-limit",
             limit.unwrap_or(0.0) + GRACE
         );
-        let text = places.state.to_string_lossy().into_owned();
-        let name = format!("entire-{:016x}", entire_io::files::fnv1a(text.as_bytes()));
-        let spool = Spool::new(&places.state);
-        let new = Self {
-            places,
-            run,
-            options,
-            name,
-            slots,
-            limit,
-            spool,
-            open: BTreeMap::new(),
-            looked: None,
-            silent: None,
-        };
+        let new = Self::new(places, run, options, slots, limit)?;
         new.clear_queue()?;
         Ok(new)
+    }
+
+    fn new(places: Places, run: u64, options: Options, slots: usize, limit: Option<f64>) -> Result<Self> {
+        let state = utf8(places.state.as_os_str())?;
+        let name = format!("entire-{:016x}", entire_io::files::fnv1a(state.as_bytes()));
+        let (spool, open, refused) = (Spool::new(&places.state), BTreeMap::new(), Vec::new());
+        let (looked, silent) = (None, None);
+        Ok(Self { places, run, options, name, slots, limit, spool, open, refused, looked, silent })
     }
 
     /// Cancels jobs of this database and waits until they are gone.
@@ -201,6 +197,29 @@ impl Slurm {
         let text = ask("squeue", &["--json".to_owned(), format!("--name={}", self.name)], None)?;
         let queue: Queue = serde_json::from_str(&text).context("squeue --json")?;
         Ok(queue.jobs.into_iter().filter(|j| j.name == self.name).collect())
+    }
+
+    /// Sends a bundle. Returns the number of its job.
+    fn sbatch(&self, bundle: &Bundle) -> Result<u64> {
+        let log = super::log_of(&self.places.state, bundle.number);
+        // Slurm expands % in this name.
+        let log = utf8(log.as_os_str())?.replace('%', "%%");
+        let worker: Vec<String> = self.places.worker(bundle.number)?.iter().map(|w| quoted(w)).collect();
+        let script = format!("#!/bin/sh\nexec {}\n", worker.join(" "));
+        let upper = self.limit.map_or(bundle.upper_s, |l| bundle.upper_s.min(l));
+        let mut arguments = vec![
+            "--parsable".to_owned(),
+            format!("--job-name={}", self.name),
+            format!("--time={}", request(upper)),
+            "--nodes=1".into(),
+            "--ntasks=1".into(),
+            "--no-requeue".into(),
+            format!("--output={log}"),
+        ];
+        arguments.extend(self.options.sbatch.iter().cloned());
+        let said = ask("sbatch", &arguments, Some(&script))?;
+        let id = said.trim().split(';').next().and_then(|t| t.parse().ok());
+        id.with_context(|| format!("sbatch answered {:?}, not with a job's number", said.trim()))
     }
 
     /// Queries the queue. Returns the bundles whose jobs were missing or ended in three queries, with the
@@ -266,31 +285,20 @@ impl Engine for Slurm {
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
         for bundle in bundles {
             let number = bundle.number;
+            // If sbatch has refused a bundle, the others wait for the next query too.
+            if !self.refused.is_empty() {
+                self.refused.push((number, String::new()));
+                continue;
+            }
             self.places.write_order(bundle, self.run)?;
-            let log = super::log_of(&self.places.state, number);
-            let log = log.to_str().context("the database's path is not UTF-8")?;
-            // Slurm expands % in this name.
-            let log = log.replace('%', "%%");
-            let worker: Vec<String> = self.places.worker(number)?.iter().map(|w| quoted(w)).collect();
-            let script = format!("#!/bin/sh\nexec {}\n", worker.join(" "));
-            let upper = self.limit.map_or(bundle.upper_s, |l| bundle.upper_s.min(l));
-            let mut arguments = vec![
-                "--parsable".to_owned(),
-                format!("--job-name={}", self.name),
-                format!("--time={}", request(upper)),
-                "--nodes=1".into(),
-                "--ntasks=1".into(),
-                "--no-requeue".into(),
-                format!("--output={log}"),
-            ];
-            arguments.extend(self.options.sbatch.iter().cloned());
-            let said = ask("sbatch", &arguments, Some(&script))?;
-            let id = said.trim().split(';').next().and_then(|t| t.parse().ok());
-            let id =
-                id.with_context(|| format!("sbatch answered {:?}, not with a job's number", said.trim()))?;
-            self.spool.follow(number);
-            let state = "PENDING".to_owned();
-            self.open.insert(number, Job { id, state, nodes: String::new(), gone: 0 });
+            match self.sbatch(bundle) {
+                Ok(id) => {
+                    self.spool.follow(number);
+                    let state = "PENDING".to_owned();
+                    self.open.insert(number, Job { id, state, nodes: String::new(), gone: 0 });
+                }
+                Err(error) => self.refused.push((number, format!("{error:#}"))),
+            }
         }
         Ok(())
     }
@@ -315,14 +323,20 @@ impl Engine for Slurm {
 
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>> {
         std::thread::sleep(wait.min(Duration::from_millis(50)));
-        let mut lost = Vec::new();
-        if !self.open.is_empty() && self.looked.is_none_or(|t| t.elapsed() >= LOOK) {
+        let (mut lost, mut refused) = (Vec::new(), Vec::new());
+        let waits = !self.open.is_empty() || !self.refused.is_empty();
+        if waits && self.looked.is_none_or(|t| t.elapsed() >= LOOK) {
             match self.look() {
                 Ok(found) => (lost, self.silent) = (found, None),
                 Err(e) if self.silent.get_or_insert_with(Instant::now).elapsed() > SILENCE => return Err(e),
                 Err(_) => {}
             }
             self.looked = Some(Instant::now());
+            refused = std::mem::take(&mut self.refused);
+            if self.silent.is_some() {
+                // The controller does not answer, so these bundles do not count as failed.
+                refused.iter_mut().for_each(|(_, why)| why.clear());
+            }
         }
         // The spool is read after the queue, so that it has all answers of the jobs that have ended.
         let mut out = self.spool.poll()?;
@@ -338,6 +352,7 @@ impl Engine for Slurm {
                 out.push(Event::Lost(bundle, why));
             }
         }
+        out.extend(refused.into_iter().map(|(bundle, why)| Event::Lost(bundle, why)));
         Ok(out)
     }
 
@@ -381,5 +396,21 @@ mod tests {
         assert_eq!(limit(&[], Some("short")), Some(600.0));
         assert_eq!(longest_request("a 10:00\nb 20:00\n", None), Some(1200.0));
         assert_eq!(longest_request("", None), None);
+    }
+
+    #[test]
+    fn a_bundle_that_sbatch_refuses_is_lost_and_the_run_goes_on() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("orders")).unwrap();
+        let places = Places { state: dir.path().to_owned(), program: vec!["entire".into()] };
+        let options = Options { sbatch: vec!["--no-such-option".into()], ..Options::default() };
+        let mut engine = Slurm::new(places, 1, options, 2, None).unwrap();
+        let bundle = |number| Bundle { number, slot: None, orders: Vec::new(), upper_s: 1.0 };
+        engine.submit(&[bundle(1), bundle(2)]).unwrap();
+        let lost = engine.poll(Duration::ZERO).unwrap();
+        assert!(matches!(lost[..], [Event::Lost(1, _), Event::Lost(2, _)]), "{lost:?}");
+        // The next loss comes after the next query, so that a short failure does not end the run.
+        engine.submit(&[bundle(3)]).unwrap();
+        assert!(engine.poll(Duration::ZERO).unwrap().is_empty());
     }
 }
