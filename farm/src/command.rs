@@ -1,7 +1,9 @@
-//! Command lines with placeholders. Arguments are passed to the program directly, without a shell, so names
-//! and paths need no quoting.
+//! Command lines with placeholders, and their process groups. Arguments are passed to the program directly,
+//! without a shell, so names and paths need no quoting.
 
 use anyhow::{Result, bail};
+use std::ffi::OsStr;
+use std::process::{Child, Command};
 
 /// Names of all placeholders.
 pub(crate) const PLACEHOLDERS: [&str; 14] = [
@@ -89,6 +91,37 @@ pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
+/// A command whose process leads a process group, which [`kill`] ends and which Ctrl-C does not reach.
+pub(crate) fn leader(program: impl AsRef<OsStr>) -> Command {
+    let mut command = Command::new(program);
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    command
+}
+
+/// Kills the process of a [`leader`]; on Unix, also the processes that it has started.
+pub(crate) fn kill(child: &mut Child) {
+    #[cfg(unix)]
+    let _ = rustix::process::kill_process_group(
+        rustix::process::Pid::from_child(child),
+        rustix::process::Signal::KILL,
+    );
+    let _ = child.kill();
+    let _ = child.wait();
+}
+
+/// Waits until a process has ended; needs Linux's folder `/proc`.
+#[cfg(test)]
+#[cfg(unix)]
+pub(crate) fn wait_for_end(pid: &str) {
+    let ended = (0..1000).any(|_| {
+        std::thread::sleep(std::time::Duration::from_millis(10));
+        // The state of a process that has ended and whose parent has not asked for its status is Z.
+        !std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).is_ok_and(|text| !text.contains(") Z"))
+    });
+    assert!(ended, "process {pid} still runs");
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,7 +143,7 @@ mod tests {
     fn a_shell_reads_quoted_words_back() {
         for word in ["plain", "a b", "it's", "$(rm -rf x)", "`x`", "a\nb", "\\", "'", "", "*", "!x; y & z"] {
             let script = format!("printf %s {}", quoted(word));
-            let out = std::process::Command::new("sh").args(["-c", &script]).output().unwrap();
+            let out = Command::new("sh").args(["-c", &script]).output().unwrap();
             assert_eq!(String::from_utf8(out.stdout).unwrap(), word);
         }
     }

@@ -48,6 +48,17 @@ pub struct Order {
     pub files: Vec<Identity>,
 }
 
+/// An order of a picture of one pixel.
+#[cfg(test)]
+pub(crate) fn an_order(volume_name: &str) -> Order {
+    serde_json::from_value(serde_json::json!({
+        "task": "7", "volume": "v.raw", "volume_name": volume_name, "time": 0, "camera": [0, 0, 2],
+        "fov_y_deg": 30, "transfer_name": "t", "transfer": { "lobes": [] }, "size": [1, 1], "step": 1,
+        "image": "i.png", "predicted_s": 1,
+    }))
+    .unwrap()
+}
+
 /// Tasks for one worker, one after another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct BundleOrder {

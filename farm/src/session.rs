@@ -1,6 +1,7 @@
 //! A persistent renderer: it reads a task per line of its standard input and answers each with a line of its
 //! standard output. Other output goes to the task's log.
 
+use super::command::{kill, leader};
 use super::record::Order;
 use super::spool::tail;
 use anyhow::{Context, Result, bail};
@@ -8,7 +9,7 @@ use serde::Deserialize;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
@@ -47,8 +48,7 @@ struct Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        kill(&mut self.child);
     }
 }
 
@@ -61,7 +61,7 @@ impl Session {
 
     fn start(&self) -> Result<Running> {
         let (program, arguments) = self.command.split_first().context("the command is empty")?;
-        let mut child = Command::new(program)
+        let mut child = leader(program)
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -169,36 +169,32 @@ pub(super) fn forward(reader: impl BufRead, to: &mpsc::Sender<String>) {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
-    use entire_io::path::Transfer;
-    use entire_io::volume::Reading;
+    use crate::{command::wait_for_end, record::an_order};
+
+    /// A session of a shell script.
+    fn shell(script: &str) -> Session {
+        Session::new(["sh", "-c", script].map(str::to_owned).to_vec(), None)
+    }
 
     #[test]
     fn a_program_that_reads_no_more_is_heard_to_its_last_line() {
         let dir = tempfile::tempdir().unwrap();
         // The script closes its input before the task is written completely, since the task is longer than a
         // pipe's buffer.
-        let script = "printf 'one\ntwo\n{\"task\": \"7\"}\n'; exec 0<&-";
-        let command = ["sh", "-c", script].map(str::to_owned).to_vec();
-        let order = Order {
-            task: "7".into(),
-            volume: "v.raw".into(),
-            volume_name: "v".repeat(1 << 20),
-            time: 0,
-            reading: Reading::default(),
-            camera: [0.0, 0.0, 2.0],
-            fov_y_deg: 30.0,
-            transfer_name: "t".into(),
-            transfer: Transfer::Lobes(Vec::new()),
-            size: [1, 1],
-            step: 1.0,
-            image: "i.png".into(),
-            predicted_s: 1.0,
-            files: Vec::new(),
-        };
+        let mut session = shell("printf 'one\ntwo\n{\"task\": \"7\"}\n'; exec 0<&-");
         let log = dir.path().join("log");
-        let mut session = Session::new(command, None);
-        let reply = session.ask(&order, &dir.path().join("i.png"), &log).unwrap();
+        let reply = session.ask(&an_order(&"v".repeat(1 << 20)), &dir.path().join("i.png"), &log).unwrap();
         assert_eq!(reply.task, "7");
         assert_eq!(std::fs::read_to_string(&log).unwrap(), "one\ntwo\n");
+    }
+
+    #[test]
+    fn the_children_of_a_program_end_with_its_session() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut session = shell(r#"sleep 1000 & echo "{\"task\": \"7\", \"error\": \"$!\"}"; wait"#);
+        let said = session.ask(&an_order("v"), &dir.path().join("i.png"), &dir.path().join("log"));
+        let said = said.unwrap_err().to_string();
+        drop(session);
+        wait_for_end(said.rsplit(' ').next().unwrap());
     }
 }

@@ -1,7 +1,7 @@
 //! A worker: renders the tasks of bundles, one after another. It first writes each complete image, then the
 //! answer to the spool. Both remain if the worker is killed.
 
-use super::command::fill;
+use super::command::{fill, kill, leader};
 use super::engine::utf8;
 use super::job::{Renderer, draw_settings};
 use super::record::{Answer, BundleOrder, Line, Order, run_number, unix_now};
@@ -19,7 +19,7 @@ use serde::de::DeserializeOwned;
 use std::fs::{File, OpenOptions};
 use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
@@ -296,7 +296,7 @@ fn run(
     let words = command.iter().map(|a| fill(a, &values)).collect::<Result<Vec<_>>>()?;
     let (program, arguments) = words.split_first().context("the command is empty")?;
     let file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;
-    let mut child = Command::new(program)
+    let mut child = leader(program)
         .args(arguments)
         .stdin(Stdio::null())
         .stdout(file.try_clone()?)
@@ -305,8 +305,13 @@ fn run(
         .with_context(|| format!("cannot start {program:?}; check the renderer's command"))?;
     let status = match limit {
         None => child.wait()?,
-        Some(limit) => wait_at_most(&mut child, limit)?
-            .with_context(|| format!("{program:?} was ended after {} s (timeout_s)", limit.as_secs_f64()))?,
+        Some(limit) => match wait_at_most(&mut child, limit)? {
+            Some(status) => status,
+            None => {
+                kill(&mut child);
+                bail!("{program:?} was ended after {} s (timeout_s)", limit.as_secs_f64())
+            }
+        },
     };
     ensure!(status.success(), "{program:?} ended with {status}: {}", tail(log));
     Ok(Painted { load_s: 0.0, render_s: None })
@@ -358,6 +363,8 @@ fn say(line: &Line) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    #[cfg(unix)]
+    use crate::{command::wait_for_end, record::an_order};
     use entire_vk_raycaster::Image;
 
     #[test]
@@ -373,5 +380,20 @@ mod tests {
             let said = check_png(bytes, size).unwrap_err().to_string();
             assert!(said.contains(word), "{said}");
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn at_the_time_limit_the_children_of_a_program_end_too() {
+        let dir = tempfile::tempdir().unwrap();
+        let (out, log) = (dir.path().join("pid"), dir.path().join("log"));
+        let command = ["sh", "-c", "sleep 1000 & echo $! > \"$0\"; wait", "{out}"].map(str::to_owned);
+        // A busy machine may need more time to start the program, so the limit grows.
+        let pid = (4..).find_map(|k| {
+            let limit = Duration::from_millis(1u64 << k);
+            assert!(run(&command, Some(limit), &an_order("v"), &out, &log).is_err());
+            std::fs::read_to_string(&out).ok().filter(|pid| pid.ends_with('\n'))
+        });
+        wait_for_end(&pid.unwrap());
     }
 }
