@@ -1,4 +1,5 @@
 use super::*;
+use crate::engine::Places;
 use crate::predict;
 use std::path::PathBuf;
 
@@ -85,6 +86,19 @@ fn an_engine_that_ends_again_and_again_ends_the_run_with_its_first_reason() {
     let (_dir, job) = setting(9);
     let said = run_on(&mut Database::open(&job, &Options::default()).unwrap(), usize::MAX).unwrap_err();
     assert!(said.to_string().contains("the queue is gone; 3 restarts failed"), "{said}");
+}
+
+#[test]
+fn a_template_has_the_characters_of_a_long_name_that_openjd_accepts() {
+    let (dir, mut job) = setting(1);
+    job.name = "n".repeat(200);
+    Database::open(&job, &Options::default()).unwrap();
+    let places = Places { state: job.state(), program: vec!["entire".into()] };
+    let file = dir.path().join("t.json");
+    let bundle = Bundle { number: 1, slot: None, orders: Vec::new(), upper_s: 1.0 };
+    crate::openjd::export(&job, &places, &[bundle], 1, &file).unwrap();
+    let template: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    assert_eq!(template["name"], "n".repeat(128));
 }
 
 #[test]

@@ -10,6 +10,9 @@ use entire_io::files::write_json;
 use serde_json::json;
 use std::path::Path;
 
+/// Maximum number of characters of a job's name in OpenJD. Longer names are cut.
+const NAME: usize = 128;
+
 /// Cuts tasks into bundles of about equal expected seconds, each of one volume, the longest tasks first. A bundle of
 /// several tasks is expected to take at most half of the time limit (seconds).
 pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize, limit: Option<f64>) -> Vec<Vec<u32>> {
@@ -71,7 +74,7 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
         .extend(["farm-worker", "{{Param.State}}", "--bundle", "{{Task.Param.Bundle}}"].map(String::from));
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
-        "name": job.name,
+        "name": job.name.chars().take(NAME).collect::<String>(),
         "parameterDefinitions": [
             state,
             {
