@@ -89,12 +89,11 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
     // Expected seconds: the prediction of each task, or its measured time if it has no prediction.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, farm)?;
-    let [low, middle, high] = eta(&plan, &expected, tasks, farm)?;
+    let ([low, middle, high], bound) = eta(&plan, &expected, tasks, farm)?;
     ensure!(
         line.makespan.is_finite() && high.is_finite(),
         "the schedule takes more seconds than a number can hold; check --dispatch and the unit of load_s"
     );
-    let bound = lower_bound(&expected, speeds)?;
     if out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         let spans: Vec<serde_json::Value> = line
             .spans
@@ -107,7 +106,8 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
             .collect();
         let all = json!({
             "method": options.method.name(), "nodes": speeds, "makespan_s": line.makespan,
-            "lower_bound_s": bound, "eta_s": { "p5": low, "p50": middle, "p95": high }, "tasks": spans,
+            "lower_bound_s": lower_bound(&expected, speeds)?,
+            "eta_s": { "p5": low, "p50": middle, "p95": high }, "tasks": spans,
         });
         write_json(out, &all)?;
     } else {

@@ -220,3 +220,20 @@ fn every_plan_counts_the_loading_times() {
         assert_eq!(play(&plan, &seconds, &tasks, &farm).unwrap().makespan, 23.0, "{method:?}");
     }
 }
+
+#[test]
+fn the_expected_end_is_not_below_the_bound() {
+    // Without measured times errors are random; with them, every task takes half of its predicted time.
+    let farm = Farm { speeds: ones(2), dispatch: 0.0, window: 16 };
+    let half = "task,predicted_s,measured_s\na,2,1\nb,4,2\nc,4,2\n";
+    for (text, expected) in [("task,predicted_s\na,2\n", None), (half, Some(2.5))] {
+        let tasks = list(text, "t.csv").unwrap();
+        let seconds = times(&tasks, By::Predicted).unwrap();
+        for method in Method::ALL {
+            let plan = plan(method, &seconds, &farm.speeds).unwrap();
+            let ([low, middle, high], bound) = eta(&plan, &seconds, &tasks, &farm).unwrap();
+            assert!(bound <= middle && low <= middle && middle <= high, "{method}: {bound} {low} {middle}");
+            assert!(expected.is_none_or(|b: f64| (bound - b).abs() < 1e-9), "{method}: {bound}");
+        }
+    }
+}
