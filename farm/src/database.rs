@@ -233,18 +233,11 @@ impl<'a> Database<'a> {
         Ok(())
     }
 
-    /// Returns a plan of the job in which no task is queued yet. Expected times are corrected by the times of
-    /// finished tasks. `base`: ln of the base seconds of every task.
+    /// As [`plan_after`], with the tasks that have ended so far.
     pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
-        let mut planner = planner(self.job, base, setting);
-        for (task, answer) in &self.done {
-            planner.done_before(*task, 0, answer.seconds);
-        }
-        for task in self.quarantined.keys() {
-            planner.quarantine(None, *task);
-        }
-        planner.refresh();
-        planner
+        let done = self.done.iter().map(|(task, answer)| (*task, Some(answer.seconds)));
+        let given_up = self.quarantined.keys().map(|task| (*task, None));
+        plan_after(self.job, base, setting, done.chain(given_up))
     }
 
     /// Returns the work order of a task: all data that a worker needs to render it.
@@ -280,25 +273,50 @@ impl<'a> Database<'a> {
     }
 }
 
-/// The tasks that a job's journal lists as finished and whose pictures exist, with their seconds.
+/// The tasks that a job's journal lists as finished and whose pictures exist, with their seconds; and, with
+/// `None`, the tasks that were given up.
 ///
 /// # Errors
 /// When the journal cannot be read.
-pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
+pub fn ended(job: &Job) -> Result<BTreeMap<u32, Option<f64>>> {
+    let mut out = BTreeMap::new();
     if !job.state().join("journal.jsonl").exists() {
-        return Ok(Vec::new());
+        return Ok(out);
     }
     let numbers = job.numbers();
-    let mut out = BTreeMap::new();
     for entry in super::journal::entries(&job.state())? {
-        if let Entry::Done { answer, .. } = entry
-            && let Some((&id, &task)) = parse_id(&answer.task).and_then(|id| numbers.get_key_value(&id))
-            && job.output.join(job.image(id)).exists()
-        {
-            out.insert(task, answer.seconds);
+        let (task, seconds) = match entry {
+            Entry::Done { answer, .. } => (answer.task, Some(answer.seconds)),
+            Entry::Quarantined { task, .. } => (task, None),
+            _ => continue,
+        };
+        let Some((&id, &task)) = parse_id(&task).and_then(|id| numbers.get_key_value(&id)) else { continue };
+        if seconds.is_none() || job.output.join(job.image(id)).exists() {
+            out.insert(task, seconds);
+        } else {
+            out.remove(&task);
         }
     }
-    Ok(out.into_iter().collect())
+    Ok(out)
+}
+
+/// Returns a plan of a job in which no task is queued yet. Expected times are corrected by the times of
+/// finished tasks. `base`: ln of the base seconds of every task; `ended`: as [`ended`] returns it.
+pub fn plan_after(
+    job: &Job,
+    base: Vec<f32>,
+    setting: Setting,
+    ended: impl IntoIterator<Item = (u32, Option<f64>)>,
+) -> Planner {
+    let mut planner = planner(job, base, setting);
+    for (task, seconds) in ended {
+        match seconds {
+            Some(seconds) => planner.done_before(task, 0, seconds),
+            None => planner.quarantine(None, task),
+        }
+    }
+    planner.refresh();
+    planner
 }
 
 /// True if the renderer can report the loading times of volumes separately from its rendering times.

@@ -45,21 +45,23 @@ pub struct Summary {
     pub said: Vec<(f64, f64, [f64; 3])>,
 }
 
-/// Returns the wanted tasks in stages, which run one after another. With `preview`, the first stage has every
-/// eighth view at the smallest size and the coarsest step. Otherwise all tasks are one stage.
-pub fn stages(job: &Job, preview: bool, wanted: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
-    let all = (0..job.len() as u32).filter(|t| wanted(*t));
+/// Queues all tasks that have not ended. With `preview`, every eighth view at the smallest size and the
+/// coarsest step comes first.
+pub fn queue(planner: &mut Planner, job: &Job, preview: bool) {
+    let all = (0..job.len() as u32).filter(|t| planner.state(*t) == State::Idle);
     if !preview {
-        return vec![all.collect()];
+        let all = all.collect();
+        return planner.add_stage(all);
     }
     let pixels = |i: usize| u64::from(job.sizes[i][0]) * u64::from(job.sizes[i][1]);
     let small = (0..job.sizes.len()).min_by_key(|i| pixels(*i)).unwrap_or(0);
     let coarse = (0..job.steps.len()).max_by(|a, b| job.steps[*a].total_cmp(&job.steps[*b])).unwrap_or(0);
-    let (first, rest) = all.partition(|t| {
+    let (first, rest): (Vec<u32>, _) = all.partition(|t| {
         let at = job.place(*t as usize);
         at.camera.is_multiple_of(PREVIEW) && at.size == small && at.step == coarse
     });
-    vec![first, rest]
+    planner.add_stage(first);
+    planner.add_stage(rest);
 }
 
 struct Drive<'a, 'b> {
@@ -125,9 +127,7 @@ pub fn run(
     if setting.bound {
         nodes.clear();
     }
-    for stage in stages(job, options.preview, |t| planner.state(t) == State::Idle) {
-        planner.add_stage(stage);
-    }
+    queue(&mut planner, job, options.preview);
     database.journal.add(&Entry::Run {
         format: JOURNAL_FORMAT.into(),
         job: job.name.clone(),

@@ -2,7 +2,7 @@
 //! number of nodes that meets a deadline.
 
 use super::job::Job;
-use super::planner::{Planner, Setting};
+use super::planner::{Planner, Setting, State};
 use super::show::duration;
 use entire_report::{Column, Table};
 
@@ -55,15 +55,17 @@ pub fn text(
     deadline: Option<f64>,
     price: Option<f64>,
 ) -> String {
-    let planner = plan(setting.slots);
+    let planner = &plan(setting.slots);
     let (done, all) = planner.progress();
-    let work: f64 = (0..job.len() as u32)
-        .filter(|t| planner.state(*t) == super::planner::State::Waits)
-        .map(|t| planner.expected(t))
-        .sum();
+    let tasks = |state: State| (0..job.len() as u32).filter(move |t| planner.state(*t) == state);
+    let work: f64 = tasks(State::Waits).map(|t| planner.expected(t)).sum();
+    let given_up = match tasks(State::Quarantined).count() {
+        0 => String::new(),
+        n => format!(", {n} given up"),
+    };
     let mut out = format!(
         "{} tasks: {} volumes x {} views x {} transfer functions x {} sizes x {} steps; {done} of {all} \
-         done\n",
+         done{given_up}\n",
         job.len(),
         job.volumes.len(),
         job.cameras.len(),

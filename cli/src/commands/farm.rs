@@ -303,16 +303,13 @@ fn setting(options: &Options, slots: usize) -> Setting {
 }
 
 fn dry_run(job: &Job, base: Vec<f32>, options: &Options) -> Result<()> {
-    let done = database::done(job)?;
+    let mut ended = database::ended(job)?;
+    if options.retry_quarantined {
+        ended.retain(|_, seconds| seconds.is_some());
+    }
     let plan = |slots: usize| {
-        let mut planner = database::planner(job, base.clone(), setting(options, slots));
-        for (task, seconds) in &done {
-            planner.done_before(*task, 0, *seconds);
-        }
-        for stage in drive::stages(job, options.preview, |t| planner.state(t) == State::Idle) {
-            planner.add_stage(stage);
-        }
-        planner.refresh();
+        let mut planner = database::plan_after(job, base.clone(), setting(options, slots), ended.clone());
+        drive::queue(&mut planner, job, options.preview);
         planner
     };
     let setting = setting(options, slots(options));

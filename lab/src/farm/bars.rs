@@ -150,9 +150,7 @@ pub(crate) fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let base = predict::base(&job)?;
     let how = Setting { overhead: 0.05, ..setting(1000) };
     let mut planner = database::planner(&job, base, how);
-    for stage in drive::stages(&job, false, |_| true) {
-        planner.add_stage(stage);
-    }
+    drive::queue(&mut planner, &job, false);
     let eta = planner.eta(0.0);
     let first = clock.elapsed().as_secs_f64();
     let (mut tasks, mut bundles, mut slot) = (0, 0, 0);
