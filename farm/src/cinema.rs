@@ -8,23 +8,8 @@ use entire_io::files::write_whole_with;
 use std::collections::HashMap;
 
 /// The columns of the table.
-const COLUMNS: [&str; 15] = [
-    "volume",
-    "time",
-    "rx_deg",
-    "ry_deg",
-    "dz_radii",
-    "transfer",
-    "width",
-    "height",
-    "step",
-    "predicted_s",
-    "measured_s",
-    "load_s",
-    "node",
-    "task",
-    "FILE",
-];
+const COLUMNS: &str = "volume time rx_deg ry_deg dz_radii transfer width height step predicted_s measured_s \
+                       load_s node task FILE";
 
 /// Writes the table of a job's images, in the order of the job's tasks.
 ///
@@ -35,7 +20,7 @@ pub(crate) fn write(job: &Job, done: &HashMap<u32, Answer>) -> Result<()> {
     tasks.sort_unstable();
     write_whole_with(&job.output.join("data.csv"), |file| {
         let mut table = csv::Writer::from_writer(file);
-        table.write_record(COLUMNS)?;
+        table.write_record(COLUMNS.split(' '))?;
         for task in tasks {
             let (at, answer) = (job.place(task as usize), &done[&task]);
             let (volume, camera, size) =

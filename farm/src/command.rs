@@ -6,27 +6,12 @@ use std::ffi::OsStr;
 use std::process::{Child, Command};
 
 /// Names of all placeholders.
-pub(crate) const PLACEHOLDERS: [&str; 14] = [
-    "volume",
-    "volume_name",
-    "time",
-    "rx_deg",
-    "ry_deg",
-    "dz_radii",
-    "fov_y_deg",
-    "transfer",
-    "transfer_name",
-    "width",
-    "height",
-    "step",
-    "out",
-    "task",
-];
+const NAMES: &str = "volume volume_name time rx_deg ry_deg dz_radii fov_y_deg transfer transfer_name width \
+                     height step out task";
 
-/// Part of an argument: text, a brace that was written twice, or the name of a placeholder.
+/// Part of an argument: text, or the name of a placeholder.
 enum Part<'a> {
     Text(&'a str),
-    Brace(char),
     Name(&'a str),
 }
 
@@ -37,7 +22,7 @@ fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
         out.push(Part::Text(&rest[..at]));
         let (brace, after) = (rest.as_bytes()[at] as char, &rest[at + 1..]);
         if after.starts_with(brace) {
-            out.push(Part::Brace(brace));
+            out.push(Part::Text(&after[..1]));
             rest = &after[1..];
             continue;
         }
@@ -52,16 +37,17 @@ fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
     Ok(out)
 }
 
-/// Checks that every placeholder of an argument is one of `names`.
+/// Checks the placeholders of an argument.
 ///
 /// # Errors
-/// When a placeholder is not one of `names`, or a brace is neither doubled nor part of a placeholder.
-pub(crate) fn check(argument: &str, names: &[&str]) -> Result<()> {
+/// When a placeholder is unknown, or a brace is neither doubled nor part of a placeholder.
+pub(crate) fn check(argument: &str) -> Result<()> {
     for part in parts(argument)? {
         if let Part::Name(name) = part
-            && !names.contains(&name)
+            && !NAMES.split(' ').any(|known| known == name)
         {
-            bail!("the argument {argument:?} holds {{{name}}}; accepted are {{{}}}", names.join("}, {"));
+            let known = NAMES.replace(' ', "}, {");
+            bail!("the argument {argument:?} holds {{{name}}}; accepted are {{{known}}}");
         }
     }
     Ok(())
@@ -76,7 +62,6 @@ pub(crate) fn fill(argument: &str, values: &[(&str, String)]) -> Result<String> 
     for part in parts(argument)? {
         match part {
             Part::Text(text) => out.push_str(text),
-            Part::Brace(brace) => out.push(brace),
             Part::Name(name) => match values.iter().find(|(n, _)| *n == name) {
                 Some((_, value)) => out.push_str(value),
                 None => bail!("the argument {argument:?} holds {{{name}}}, which has no value here"),
@@ -133,7 +118,7 @@ mod tests {
         assert_eq!(fill("{{{task}}}", &values).unwrap(), "{7}");
         assert_eq!(fill("plain", &values).unwrap(), "plain");
         for (text, word) in [("{oot}", "{oot}"), ("{out", "single"), ("a}b", "single"), ("{a{b}", "single")] {
-            let said = format!("{:#}", check(text, &["out", "task"]).unwrap_err());
+            let said = format!("{:#}", check(text).unwrap_err());
             assert!(said.contains(word), "{text}: {said}");
         }
     }

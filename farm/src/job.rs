@@ -1,9 +1,8 @@
 //! The job file: contents of an image database, and its renderer.
 
 use super::command;
-pub use super::job_file::{
-    CamerasEntry, JobFile, Predict, Renderer, Retry, TransferEntry, VolumesEntry, draw_settings,
-};
+pub use super::job_file::{CamerasEntry, JobFile, Predict, Renderer, Retry, TransferEntry, VolumesEntry};
+pub(crate) use super::job_file::{Draw, draw_settings, frame};
 use super::natural;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Arcball, Camera, Frame};
@@ -210,7 +209,8 @@ impl Job {
             hashes,
             salt,
         };
-        for (what, count) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(job.dims()) {
+        let dimensions = ["volumes", "cameras", "transfer", "sizes", "steps"];
+        for (what, count) in dimensions.iter().zip(job.dims()) {
             ensure!(count > 0, "{what} is empty; a job needs at least one entry");
         }
         let count = job.dims().iter().try_fold(1usize, |a, b| a.checked_mul(*b));
@@ -218,7 +218,7 @@ impl Job {
             count.is_some_and(|n| n <= MAX_TASKS),
             "the job has more than {MAX_TASKS} tasks; split it into several"
         );
-        for (what, hashes) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(&job.hashes) {
+        for (what, hashes) in dimensions.iter().zip(&job.hashes) {
             let mut seen = HashSet::new();
             if let Some(i) = hashes.iter().position(|h| !seen.insert(h)) {
                 bail!("{what}: entry {i} is there twice; give each entry once");
@@ -274,7 +274,7 @@ impl Job {
     }
 
     /// The task numbers of a volume.
-    fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
+    pub(crate) fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
         let each = self.len() / self.volumes.len();
         volume * each..(volume + 1) * each
     }
@@ -301,20 +301,11 @@ impl Job {
 
     /// Returns the list of volumes in their order, one line each: number, time step, name and file.
     pub fn listing(&self) -> String {
-        let mut table = Table::new(vec![
-            Column::number("index"),
-            Column::number("time"),
-            Column::text("volume"),
-            Column::text("file"),
-        ]);
+        let [index, time] = ["index", "time"].map(Column::number);
+        let mut table = Table::new(vec![index, time, Column::text("volume"), Column::text("file")]);
         for (i, volume) in self.volumes.iter().enumerate() {
-            let time = volume.time.to_string();
-            table.row(vec![
-                i.to_string().into(),
-                time.into(),
-                volume.name.as_str().into(),
-                self.shown(i).into(),
-            ]);
+            let (index, time) = (i.to_string(), volume.time.to_string());
+            table.row(vec![index.into(), time.into(), volume.name.as_str().into(), self.shown(i).into()]);
         }
         table.to_text()
     }
@@ -507,39 +498,27 @@ fn transfers(entries: &[TransferEntry]) -> Result<Vec<NamedTransfer>> {
     Ok(out)
 }
 
-fn renderer(renderer: Renderer, folder: &Path) -> Result<Renderer> {
-    match &renderer {
-        Renderer::Entire { .. } => {
-            draw_settings(&renderer)?;
-            Ok(renderer)
+fn renderer(mut renderer: Renderer, folder: &Path) -> Result<Renderer> {
+    match &mut renderer {
+        own @ Renderer::Entire { .. } => {
+            draw_settings(own)?;
         }
         Renderer::Command { command, timeout_s } => {
             check_program(command, *timeout_s)?;
-            for argument in command {
-                command::check(argument, &command::PLACEHOLDERS)?;
-            }
+            command.iter().try_for_each(|argument| command::check(argument))?;
             ensure!(
                 command.iter().any(|a| a.contains("{out}")),
                 "renderer: no argument of the command holds {{out}}, where the image goes; add it"
             );
-            Ok(renderer)
         }
-        Renderer::Session { command, timeout_s } => {
-            check_program(command, *timeout_s)?;
-            Ok(renderer)
-        }
-        Renderer::Pvbatch { script, args, program, timeout_s } => {
+        Renderer::Session { command, timeout_s } => check_program(command, *timeout_s)?,
+        Renderer::Pvbatch { script, program, timeout_s, .. } => {
             check_program(std::slice::from_ref(program), *timeout_s)?;
-            let script = folder.join(script);
+            *script = folder.join(&*script);
             ensure!(script.is_file(), "renderer: there is no script {}; check the path", script.display());
-            Ok(Renderer::Pvbatch {
-                script,
-                args: args.clone(),
-                program: program.clone(),
-                timeout_s: *timeout_s,
-            })
         }
     }
+    Ok(renderer)
 }
 
 fn check_program(command: &[String], timeout: Option<f64>) -> Result<()> {

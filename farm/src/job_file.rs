@@ -2,11 +2,27 @@
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
-use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
+use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping};
 use entire_io::device::Device;
 use entire_io::volume::{Fill, Range, Reading};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+
+/// Functions that return the default values.
+macro_rules! defaults {
+    ($($name:ident: $kind:ty = $value:expr;)*) => { $(fn $name() -> $kind { $value })* };
+}
+
+defaults! {
+    default_fov: f32 = DEFAULT_FOV_Y_DEGREES;
+    default_steps: Vec<f32> = vec![1.0];
+    full_turn: f32 = 360.0;
+    default_shade: String = "none".into();
+    default_skip: String = "blocks".into();
+    default_termination: f32 = 0.99;
+    default_device: String = "auto".into();
+    default_pvbatch: String = "pvbatch".into();
+}
 
 /// Contents of a job file. Relative paths start at the job file's folder.
 #[derive(Clone, Debug, Deserialize)]
@@ -38,14 +54,6 @@ pub struct JobFile {
     /// Retries of failed tasks.
     #[serde(default)]
     pub retry: Retry,
-}
-
-fn default_fov() -> f32 {
-    DEFAULT_FOV_Y_DEGREES
-}
-
-fn default_steps() -> Vec<f32> {
-    vec![1.0]
 }
 
 /// One or several volume files: separate volumes, or the time steps of one volume.
@@ -124,10 +132,6 @@ pub enum CamerasEntry {
     },
 }
 
-fn full_turn() -> f32 {
-    360.0
-}
-
 /// A named transfer function: lobes (center, width, height) or points.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -190,26 +194,6 @@ pub enum Renderer {
     },
 }
 
-fn default_shade() -> String {
-    "none".into()
-}
-
-fn default_skip() -> String {
-    "blocks".into()
-}
-
-fn default_termination() -> f32 {
-    0.99
-}
-
-fn default_device() -> String {
-    "auto".into()
-}
-
-fn default_pvbatch() -> String {
-    "pvbatch".into()
-}
-
 /// Source of expected times.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -242,12 +226,31 @@ impl Default for Retry {
     }
 }
 
-/// Returns the draw settings of the raycaster: shading, skipping, termination, device.
+/// How the raycaster draws: shading, skipping, termination.
+pub(crate) type Draw = (Shading, Skipping, f32);
+
+/// Returns a frame of the raycaster.
+///
+/// # Errors
+/// When no camera or frame has these values.
+pub(crate) fn frame(
+    pose: Arcball,
+    fov_y_deg: f32,
+    [width, height]: [u32; 2],
+    step: f32,
+    (shading, skipping, termination): Draw,
+) -> Result<Frame> {
+    let camera = Camera::from_arcball(pose)?.with_fov_y_degrees(fov_y_deg)?;
+    let frame = Frame { step, termination, shading, skipping, ..Frame::new(camera, width, height)? };
+    Ok(frame.checked()?)
+}
+
+/// Returns the settings of the raycaster, and its device.
 ///
 /// # Errors
 /// When the renderer is not the project's raycaster, a word is unknown (the message names the accepted
 /// words), or `termination` is outside 0 to 1.
-pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Device)> {
+pub(crate) fn draw_settings(renderer: &Renderer) -> Result<(Draw, Device)> {
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
         bail!("the renderer is not the project's raycaster, so it has no such settings")
     };
@@ -263,5 +266,5 @@ pub fn draw_settings(renderer: &Renderer) -> Result<(Shading, Skipping, f32, Dev
     );
     let shade = shade.parse().context("renderer: shade")?;
     let skip = skip.parse().context("renderer: skip")?;
-    Ok((shade, skip, *termination, known(device)?))
+    Ok(((shade, skip, *termination), known(device)?))
 }

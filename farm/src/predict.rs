@@ -1,13 +1,13 @@
 //! Base seconds of tasks before any measurement: from a model file, a list, the analytic model, or the
 //! quotient pixels / step.
 
-use super::job::{Job, Renderer, draw_settings};
+use super::job::{Job, Renderer, draw_settings, frame};
 use super::record::parse_id;
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::VolumeNet;
-use entire_core::scene::{Camera, Frame, Shading, Skipping};
+use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::Clock;
 use entire_io::files::{note, open_model, open_volume};
 use entire_io::progress::progress_bar;
@@ -97,11 +97,8 @@ fn note_clock(path: &Path, model: &Model) {
 
 /// Returns ln of the base seconds of every task, predicted from volumes, transfer functions and views.
 fn of_views(job: &Job) -> Result<Vec<f32>> {
-    let (shade, skip, termination) = match &job.renderer {
-        own @ Renderer::Entire { .. } => {
-            let (shade, skip, termination, _) = draw_settings(own)?;
-            (shade, skip, termination)
-        }
+    let draw = match &job.renderer {
+        own @ Renderer::Entire { .. } => draw_settings(own)?.0,
         _ => (Shading::None, Skipping::None, 0.99),
     };
     let model = job.predict.model.as_ref().map(|p| open_model(p)).transpose()?;
@@ -120,7 +117,6 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         (Some(_), _) => make()?.probe_side(),
     };
     let encoder = model.as_ref().and_then(|m| m.volumenet.as_ref()).map(VolumeNet::new).transpose()?;
-    let per_volume = job.len() / job.volumes.len();
     let bar = progress_bar("predicting tasks");
     bar.set_length(job.volumes.len() as u64);
     let mut out = Vec::with_capacity(job.len());
@@ -141,7 +137,8 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
             let transfer = TransferSummary::new(&summary, &named.transfer.function().to_table()?)?;
             transfers.push((transfer, named.transfer.lobes()));
         }
-        let seconds: Vec<f32> = (index * per_volume..(index + 1) * per_volume)
+        let seconds: Vec<f32> = job
+            .tasks_of(index)
             .into_par_iter()
             .map_init(
                 || (make(), FrameFeatures::with_probe_side(side), transfers.clone()),
@@ -149,16 +146,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
                     let predictor = predictor.as_mut().map_err(|e| anyhow::anyhow!("{e:#}"))?;
                     let at = job.place(task);
                     let pose = job.cameras[at.camera];
-                    let [width, height] = job.sizes[at.size];
-                    let camera = Camera::from_arcball(pose)?.with_fov_y_degrees(job.fov_y_deg)?;
-                    let frame = Frame {
-                        step: job.steps[at.step],
-                        termination,
-                        shading: shade,
-                        skipping: skip,
-                        ..Frame::new(camera, width, height)?
-                    }
-                    .checked()?;
+                    let frame = frame(pose, job.fov_y_deg, job.sizes[at.size], job.steps[at.step], draw)?;
                     let (transfer, lobes) = &mut transfers[at.transfer];
                     features.measure(&summary, transfer, &frame)?;
                     let predicted = predictor.predict(&Inputs {

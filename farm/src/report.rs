@@ -209,18 +209,20 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let speeds = vec![1.0; slots];
     let busy = vec![0.0; slots];
     let seconds: Vec<f64> = tasks.iter().map(|a| a.seconds).collect();
+    let replay =
+        |order: &[usize]| queue_end(&order.iter().map(|i| seconds[*i]).collect::<Vec<_>>(), &busy, &speeds);
     let mut order: Vec<usize> = (0..tasks.len()).collect();
     // Without predictions no order is better than another, so this is the mean of 32 random orders.
     let any: f64 = (0..32u64)
         .map(|seed| {
             let mut order = order.clone();
             order.sort_by_key(|i| entire_io::files::fnv1a(&[seed.to_le_bytes(), i.to_le_bytes()].concat()));
-            queue_end(&order.iter().map(|i| seconds[*i]).collect::<Vec<_>>(), &busy, &speeds)
+            replay(&order)
         })
         .sum::<f64>()
         / 32.0;
     order.sort_by(|a, b| tasks[*b].predicted_s.total_cmp(&tasks[*a].predicted_s));
-    let longest = queue_end(&order.iter().map(|i| seconds[*i]).collect::<Vec<_>>(), &busy, &speeds);
+    let longest = replay(&order);
     let mut share = vec![0.0; slots];
     for (i, s) in seconds.iter().enumerate() {
         share[i % slots] += s;
@@ -252,13 +254,8 @@ fn slowest(page: &mut Page, job: &Job, all: &[&Answer]) {
     let mut late = all.to_vec();
     late.sort_by(|a, b| (b.seconds / b.predicted_s).total_cmp(&(a.seconds / a.predicted_s)));
     let names: HashMap<u64, u32> = if job.len() <= 1_000_000 { job.numbers() } else { HashMap::new() };
-    let mut table = Table::new(vec![
-        Column::text("task"),
-        Column::text("volume"),
-        Column::text("node"),
-        Column::number("predicted / s"),
-        Column::number("measured / s"),
-    ]);
+    let texts = ["task", "volume", "node"].map(Column::text);
+    let mut table = Table::new([&texts[..], &["predicted / s", "measured / s"].map(Column::number)].concat());
     for a in late.into_iter().take(10) {
         let task = parse_id(&a.task).and_then(|id| names.get(&id));
         let volume = task.map(|t| job.volumes[job.place(*t as usize).volume].name.clone());

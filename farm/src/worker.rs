@@ -3,14 +3,14 @@
 
 use super::command::{fill, kill, leader};
 use super::engine::utf8;
-use super::job::{Renderer, draw_settings};
+use super::job::{Draw, Renderer, draw_settings, frame};
 use super::record::{Answer, BundleOrder, Line, Order, run_number, unix_now};
 use super::session::Session;
 use super::spool::tail;
 use anyhow::{Context, Result, bail, ensure};
-use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
+use entire_core::scene::Arcball;
 use entire_io::child::wait_at_most;
-use entire_io::device::{self, Device};
+use entire_io::device;
 use entire_io::files::{make_folder_of, open_volume, write_whole};
 use entire_io::identity;
 use entire_io::volume::Reading;
@@ -47,7 +47,7 @@ enum Painter {
 
 struct Own {
     renderer: Box<dyn entire_vk_raycaster::Renderer>,
-    settings: (Shading, Skipping, f32, Device),
+    draw: Draw,
     held: Option<(PathBuf, Reading)>,
     transfer: Option<entire_io::path::Transfer>,
 }
@@ -76,9 +76,9 @@ impl Worker {
         let limit = |t: &Option<f64>| t.map(Duration::from_secs_f64);
         let painter = match &renderer {
             Renderer::Entire { .. } => {
-                let settings = draw_settings(&renderer)?;
-                let renderer = device::open(settings.3)?;
-                Painter::Own(Box::new(Own { renderer, settings, held: None, transfer: None }))
+                let (draw, device) = draw_settings(&renderer)?;
+                let renderer = device::open(device)?;
+                Painter::Own(Box::new(Own { renderer, draw, held: None, transfer: None }))
             }
             Renderer::Command { command, timeout_s } => Painter::Program(command.clone(), limit(timeout_s)),
             Renderer::Session { command, timeout_s } => {
@@ -230,17 +230,8 @@ impl Worker {
 
 impl Own {
     fn paint(&mut self, order: &Order) -> Result<(Painted, Vec<u8>)> {
-        let (shade, skip, termination, _) = self.settings;
         let [rx, ry, dz] = order.camera;
-        let camera = Camera::from_arcball(Arcball { rx, ry, dz })?.with_fov_y_degrees(order.fov_y_deg)?;
-        let frame = Frame {
-            step: order.step,
-            termination,
-            shading: shade,
-            skipping: skip,
-            ..Frame::new(camera, order.size[0], order.size[1])?
-        }
-        .checked()?;
+        let frame = frame(Arcball { rx, ry, dz }, order.fov_y_deg, order.size, order.step, self.draw)?;
         let clock = Instant::now();
         let mut load_s = 0.0;
         if self.held.as_ref().is_none_or(|(path, how)| *path != order.volume || *how != order.reading) {
