@@ -4,7 +4,7 @@
 use super::cinema;
 use super::job::Job;
 use super::journal::Journal;
-use super::learn::{CONSTANT_SD_WITH_MODEL, CONSTANT_SD_WITHOUT_MODEL, Shape};
+use super::learn::{CONSTANT_SD_WITH_MODEL, Shape};
 use super::load::Loads;
 use super::options::Options;
 use super::planner::{Planner, Setting};
@@ -172,12 +172,9 @@ impl<'a> Database<'a> {
     pub(crate) fn take_over(&mut self) -> Result<()> {
         let state = self.job.state();
         let folder = state.join("spool");
-        let mut files = Vec::new();
-        for found in
-            std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?
-        {
-            files.push(found?.path());
-        }
+        let files = std::fs::read_dir(&folder)
+            .and_then(|files| files.map(|file| Ok(file?.path())).collect::<std::io::Result<Vec<_>>>())
+            .with_context(|| format!("cannot read {}", folder.display()))?;
         for file in &files {
             for line in spool::lines(file)? {
                 let Line::Answer(answer) = line else { continue };
@@ -219,11 +216,9 @@ impl<'a> Database<'a> {
     /// Removes tasks with missing or damaged images from the finished tasks, so that they are rendered again.
     /// Compares the sizes of the image files with the journal; if `whole` is true, also their checksums.
     fn check_images(&mut self, whole: bool) -> Result<()> {
-        let missing: Vec<u32> =
-            self.done.iter().filter(|(_, a)| !self.is_there(a, whole)).map(|(t, _)| *t).collect();
-        for task in &missing {
-            self.done.remove(task);
-        }
+        let done = std::mem::take(&mut self.done).into_iter();
+        let (there, missing): (_, HashMap<_, _>) = done.partition(|(_, a)| self.is_there(a, whole));
+        self.done = there;
         if !missing.is_empty() {
             note(&format!(
                 "{} images in the journal are missing or damaged; they are rendered again",
@@ -319,19 +314,13 @@ pub fn plan_after(
     planner
 }
 
-/// True if the renderer can report the loading times of volumes separately from its rendering times.
-fn tells_loads(job: &Job) -> bool {
-    !matches!(job.renderer, super::job::Renderer::Command { .. })
-}
-
 /// Returns a plan of a job in which no task is queued. `base`: ln of the base seconds of every task.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
     let has_model = job.predict.model.is_some() || job.predict.list.is_some();
-    let shape = Shape::of_job(job, base).with_constant(if has_model {
-        CONSTANT_SD_WITH_MODEL
-    } else {
-        CONSTANT_SD_WITHOUT_MODEL
-    });
-    Planner::new(shape, Loads::new(bytes, tells_loads(job)), setting)
+    let shape = Shape::of_job(job, base);
+    let shape = if has_model { shape.with_constant(CONSTANT_SD_WITH_MODEL) } else { shape };
+    // A program that is started for each image cannot report loading times separately.
+    let tells_loads = !matches!(job.renderer, super::job::Renderer::Command { .. });
+    Planner::new(shape, Loads::new(bytes, tells_loads), setting)
 }

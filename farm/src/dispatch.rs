@@ -32,6 +32,9 @@ pub(crate) struct Ask<'a> {
     /// True if expected times are neither predicted nor measured. A bundle then has at most a quarter of
     /// a slot's share of the waiting tasks, and only `limit` restricts its expected seconds.
     pub(crate) blind: bool,
+    /// Interval, in requests, at which the answer is a random task of the volume with the fewest sent tasks,
+    /// for its information about the model; 0 for never. It has no effect if loading is expensive.
+    pub(crate) explore: u32,
 }
 
 /// A time with a total order.
@@ -70,13 +73,10 @@ pub(crate) struct Dispatcher {
     pending: usize,
     asked: u32,
     sent: Vec<u32>,
-    /// Interval, in requests, at which a task is chosen for its information about the model; 0 for never.
-    explore: u32,
     /// True if loading is expensive enough to affect the choice of a volume.
     loading: bool,
     /// Number of the request at which `loading` was updated last.
     looked: u32,
-    uniform: bool,
     arrival: bool,
     rng: ChaCha8Rng,
 }
@@ -108,10 +108,8 @@ impl Dispatcher {
             pending: 0,
             asked: 0,
             sent: vec![0; volumes],
-            explore: 0,
             loading: false,
             looked: 0,
-            uniform: false,
             arrival: order == Order::Arrival,
             rng: ChaCha8Rng::seed_from_u64(11),
         }
@@ -135,17 +133,6 @@ impl Dispatcher {
     /// Numbers of the waiting tasks, ascending.
     pub(crate) fn waiting(&self) -> impl Iterator<Item = u32> + '_ {
         self.waits.iter().enumerate().filter(|(_, w)| **w).map(|(i, _)| i as u32)
-    }
-
-    /// While loading is cheap, [`Self::next`] answers every `every`-th request with a random task of the
-    /// volume with the fewest sent tasks; 0 for never.
-    pub(crate) fn set_explore(&mut self, every: u32) {
-        self.explore = every;
-    }
-
-    /// Treats all tasks as equally long, like a scheduler without predictions.
-    pub(crate) fn set_uniform(&mut self) {
-        self.uniform = true;
     }
 
     /// Queues tasks.
@@ -196,7 +183,7 @@ impl Dispatcher {
 
     fn sort(&mut self) {
         let (seconds, waits) = (&self.seconds, &self.waits);
-        let by_number = self.arrival || self.uniform;
+        let by_number = self.arrival;
         self.lanes.par_iter_mut().zip(&mut self.work).for_each(|(lane, work)| {
             let waiting = lane.iter().filter(|t| waits[**t as usize]);
             // Sort key of a task, which puts the longest task last. The bits of positive floats are ordered
@@ -220,7 +207,7 @@ impl Dispatcher {
     }
 
     fn key(&self, task: u32) -> Time {
-        let key = if self.arrival || self.uniform { -(task as f32) } else { self.seconds[task as usize] };
+        let key = if self.arrival { -(task as f32) } else { self.seconds[task as usize] };
         Time(f64::from(key))
     }
 
@@ -288,7 +275,7 @@ impl Dispatcher {
         let volume = if self.loading {
             self.choose(ask, total / slots)?
         } else {
-            if self.explore > 0 && self.asked.is_multiple_of(self.explore) {
+            if ask.explore > 0 && self.asked.is_multiple_of(ask.explore) {
                 return self.probe().map(|t| vec![t]);
             }
             self.longest()?

@@ -1,7 +1,7 @@
 use super::*;
 
 fn ask<'a>(held: Option<usize>, load: &'a dyn Fn(usize) -> f64, slots: usize) -> Ask<'a> {
-    Ask { held, keeps: true, load, overhead: 0.0, slots, limit: f64::INFINITY, blind: false }
+    Ask { held, keeps: true, load, overhead: 0.0, slots, limit: f64::INFINITY, blind: false, explore: 0 }
 }
 
 #[test]

@@ -32,17 +32,12 @@ const PREVIEW: usize = 8;
 pub struct Summary {
     /// Number of images in the database.
     pub done: usize,
-    /// Number of tasks of the job.
-    pub tasks: usize,
     /// Ids of the tasks that were given up.
     pub quarantined: Vec<String>,
     /// Number of tasks that were finished in this run.
     pub now: usize,
     /// Seconds of this run.
     pub seconds: f64,
-    /// Estimates of the end: seconds since the run's start, share of finished tasks, quantiles 0.05, 0.5 and
-    /// 0.95 of the end.
-    pub said: Vec<(f64, f64, [f64; 3])>,
 }
 
 /// Queues all tasks that have not ended. With `preview`, every eighth view at the smallest size and the
@@ -111,9 +106,6 @@ pub fn run(
     };
     let base = if options.uniform { vec![0.0; base.len()] } else { base };
     let mut planner = planner(job, base, setting);
-    if options.uniform {
-        planner.set_uniform();
-    }
     planner.number_from(database.run << 32);
     let mut nodes = HashMap::new();
     for (&task, answer) in &database.done {
@@ -170,14 +162,10 @@ impl Drive<'_, '_> {
         let stop = interrupt::flag()?;
         let mut show = Show::begin();
         let (clock, begin) = (Instant::now(), unix_now());
-        let mut said = Vec::new();
         let (mut eta_at, mut table_at) = (None::<Instant>, Instant::now());
         let (mut eta, mut printed) = ([f64::NAN; 3], -1.0);
         let (mut restarts, mut done_then) = (0, 0);
-        while !self.planner.is_over() {
-            if interrupt::requested(&stop) || self.full.is_some() {
-                break;
-            }
+        while !(self.planner.is_over() || self.full.is_some() || interrupt::requested(&stop)) {
             while self.send()? {}
             ensure!(
                 self.planner.running() > 0 || self.planner.is_over(),
@@ -215,7 +203,6 @@ impl Drive<'_, '_> {
                 let share = done as f64 / all.max(1) as f64;
                 if share >= printed + 0.01 {
                     printed = share;
-                    said.push((now - begin, share, eta));
                     let ends = eta.map(|e| begin + e);
                     self.database.journal.add(&Entry::Eta { at: now, share, ends });
                 }
@@ -254,11 +241,9 @@ impl Drive<'_, '_> {
         let quarantined = self.database.quarantined.keys();
         Ok(Summary {
             done,
-            tasks,
             quarantined: quarantined.map(|t| self.id(*t)).collect(),
             now: self.now,
             seconds: clock.elapsed().as_secs_f64(),
-            said,
         })
     }
 
@@ -495,8 +480,11 @@ impl Drive<'_, '_> {
 
     fn view(&self, eta: [f64; 3], elapsed: f64) -> View {
         let (done, all) = self.planner.progress();
-        let stragglers: Vec<String> =
-            self.planner.stragglers(unix_now()).iter().take(3).map(|s| self.name_straggler(s)).collect();
+        let shown = |s: Straggler| {
+            let slot = s.slot.map_or(String::new(), |s| format!(" on slot {s}"));
+            format!("{}{slot}: {:.1} s so far, {:.1} s expected", self.id(s.task), s.elapsed_s, s.expected_s)
+        };
+        let stragglers = self.planner.stragglers(unix_now()).into_iter().take(3).map(shown).collect();
         View {
             done,
             all,
@@ -507,16 +495,6 @@ impl Drive<'_, '_> {
             nodes: self.engine.nodes(),
             stragglers,
         }
-    }
-
-    fn name_straggler(&self, s: &Straggler) -> String {
-        format!(
-            "{}{}: {:.1} s so far, {:.1} s expected",
-            self.id(s.task),
-            s.slot.map_or(String::new(), |s| format!(" on slot {s}")),
-            s.elapsed_s,
-            s.expected_s
-        )
     }
 }
 

@@ -24,7 +24,7 @@ const FIXED: usize = 9;
 const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
 /// Prior standard deviation of the constant if neither a model nor a list gives base times. The constant is
 /// ln of a common factor of all base times.
-pub(crate) const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
+const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
 /// Prior standard deviation of the constant if a model or list, perhaps of another machine, gives base times.
 pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
 /// Prior standard deviation of the coefficient of each transfer function.

@@ -16,13 +16,18 @@ fn world(noise: f64) -> (Learner, Vec<f64>) {
     (Learner::new(Shape::of_volumes(&base, &volume)), truth)
 }
 
-#[test]
-fn scale_volumes_and_scatter_are_found() {
-    let (mut learner, truth) = world(0.1);
-    for t in (0..1200).step_by(7) {
+/// Fits the model to the true times of tasks.
+fn observe(learner: &mut Learner, truth: &[f64], tasks: impl IntoIterator<Item = usize>) {
+    for t in tasks {
         learner.observe(t, 0, truth[t]);
     }
     learner.refit();
+}
+
+#[test]
+fn scale_volumes_and_scatter_are_found() {
+    let (mut learner, truth) = world(0.1);
+    observe(&mut learner, &truth, (0..1200).step_by(7));
     let errors: Vec<f64> =
         (0..1200).filter(|t| t % 7 != 0).map(|t| (truth[t] / learner.seconds(t)).ln()).collect();
     let sd = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
@@ -36,10 +41,7 @@ fn scale_volumes_and_scatter_are_found() {
 #[test]
 fn a_volume_that_was_never_seen_is_uncertain_and_bounds_hold() {
     let (mut learner, truth) = world(0.1);
-    for t in (0..1200).filter(|t| t % 3 == 0 && *t / 100 != 5) {
-        learner.observe(t, 0, truth[t]);
-    }
-    learner.refit();
+    observe(&mut learner, &truth, (0..1200).filter(|t| t % 3 == 0 && *t / 100 != 5));
     let spread = |tasks: &[u32]| learner.upper(tasks, 0.95) / learner.upper(tasks, 0.5);
     let (seen, unseen): (Vec<u32>, Vec<u32>) = ((400..500).collect(), (500..600).collect());
     assert!(spread(&unseen) > 1.15 && spread(&seen) < 1.06, "{} {}", spread(&unseen), spread(&seen));
@@ -76,10 +78,7 @@ fn the_posterior_is_that_of_the_whole_system() {
     // Compares with the solution of the dense system of all unknowns: elimination of volumes by a Schur
     // complement must give the same values.
     let (mut learner, truth) = world(0.1);
-    for t in (0..1200).step_by(11).take(60) {
-        learner.observe(t, 0, truth[t]);
-    }
-    learner.refit();
+    observe(&mut learner, &truth, (0..1200).step_by(11).take(60));
     let d = learner.beta.len();
     let n = d + learner.shape.volumes;
     let (mut a, mut b) = (vec![0.0; n * n], vec![0.0; n]);
@@ -121,10 +120,7 @@ fn the_normal_distribution_is_that_of_tables() {
 #[test]
 fn a_task_that_still_runs_is_drawn_longer_and_says_how_probable_that_is() {
     let (mut learner, truth) = world(0.1);
-    for t in (0..1200).step_by(40) {
-        learner.observe(t, 0, truth[t]);
-    }
-    learner.refit();
+    observe(&mut learner, &truth, (0..1200).step_by(40));
     let mut rng = rng();
     let draw = learner.draw(&mut rng);
     let middle = learner.seconds(7);

@@ -144,11 +144,6 @@ impl Planner {
         }
     }
 
-    /// Treats all tasks as equally long: they are sent in the order of the job.
-    pub fn set_uniform(&mut self) {
-        self.dispatcher.set_uniform();
-    }
-
     /// Adds a stage of tasks, which are sent after the tasks of earlier stages.
     pub fn add_stage(&mut self, tasks: Vec<u32>) {
         for &t in &tasks {
@@ -271,7 +266,6 @@ impl Planner {
         self.next_stage();
         let early = (self.done as f64) < EXPLORED.0 * self.wanted as f64;
         let explores = early && self.setting.learn && self.setting.order == Order::LongestFirst;
-        self.dispatcher.set_explore(if explores { EXPLORED.1 } else { 0 });
         let (learner, loads, slots) = (&self.learner, &self.loads, &self.slots);
         let of_slot = slot.map(|s| &slots[s]);
         let load = |v: usize| loads.seconds(v, of_slot.is_some_and(|s| s.loaded.contains(&(v as u32))));
@@ -284,6 +278,7 @@ impl Planner {
             slots: slots.len(),
             limit: self.setting.limit.unwrap_or(f64::INFINITY),
             blind: self.is_blind(),
+            explore: if explores { EXPLORED.1 } else { 0 },
         };
         let tasks = self.dispatcher.next(&ask)?;
         let volume = learner.shape().volume(tasks[0] as usize);

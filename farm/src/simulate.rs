@@ -2,6 +2,7 @@
 //! Bundles have latency, volumes are loaded, nodes differ in speed and fail.
 
 use super::dispatch::Time;
+use super::list::Span;
 use super::planner::Planner;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -32,26 +33,13 @@ pub struct World {
     pub seed: u64,
 }
 
-/// Time span of a task.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ran {
-    /// The task.
-    pub task: u32,
-    /// The slot.
-    pub slot: usize,
-    /// Start, seconds from the beginning.
-    pub start: f64,
-    /// End, seconds from the beginning.
-    pub end: f64,
-}
-
 /// Result of a simulated run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// End of the last task, seconds from the beginning.
     pub makespan: f64,
-    /// Tasks in the order in which they ended.
-    pub ran: Vec<Ran>,
+    /// Tasks in the order in which they ended; the nodes are the slots.
+    pub ran: Vec<Span>,
     /// Number of bundles that were sent.
     pub bundles: usize,
     /// Number of times that a volume was loaded.
@@ -105,7 +93,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                     planner.loads.observe(volume, warm, load);
                 }
                 worked += world.seconds[task as usize];
-                out.ran.push(Ran { task, slot, start, end: now });
+                out.ran.push(Span { task: task as usize, node: slot, start, end: now });
                 out.makespan = now;
                 while ask_at.last().is_some_and(|share| worked >= share * total) {
                     ask_at.pop();
@@ -149,20 +137,18 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                 out.loads += 1;
                 held[slot] = Some(sent.volume);
             }
-            let mut lost = false;
             for &task in &sent.tasks {
                 let seconds = world.seconds[task as usize] / world.speeds[slot];
                 let start = at;
                 at += load + seconds;
                 if at > lost_at {
-                    lost = true;
                     break;
                 }
                 let done = Event::Done { bundle: sent.bundle, task, slot, start, seconds, load };
                 push(&mut events, at, done);
                 load = 0.0;
             }
-            let over = if lost {
+            let over = if at > lost_at {
                 Event::Lost { bundle: sent.bundle, slot }
             } else {
                 Event::Over { bundle: sent.bundle, slot }

@@ -11,10 +11,15 @@ fn times(n: usize) -> Vec<f64> {
 }
 
 fn planner(base: &[f64], volume: &[usize], loads: Vec<f64>, slots: usize, learn: bool) -> Planner {
+    planner_of(Shape::of_volumes(base, volume), loads, slots, learn)
+}
+
+fn planner_of(shape: Shape, loads: Vec<f64>, slots: usize, learn: bool) -> Planner {
+    let tasks = (0..shape.len() as u32).collect();
     let setting =
         Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn };
-    let mut p = Planner::new(Shape::of_volumes(base, volume), Loads::known(loads), setting);
-    p.add_stage((0..base.len() as u32).collect());
+    let mut p = Planner::new(shape, Loads::known(loads), setting);
+    p.add_stage(tasks);
     p
 }
 
@@ -78,13 +83,13 @@ fn losses_are_made_good() {
     (w.failures_per_hour, w.repair) = (60.0, 5.0);
     let out = simulate(&mut p, &w, &[]);
     assert!(out.lost > 5, "{}", out.lost);
-    let mut tasks: Vec<u32> = out.ran.iter().map(|r| r.task).collect();
+    let mut tasks: Vec<usize> = out.ran.iter().map(|r| r.task).collect();
     tasks.sort_unstable();
     assert_eq!(tasks, (0..400).collect::<Vec<_>>());
     // No slot runs two tasks at once.
     let mut by_slot = out.ran.clone();
-    by_slot.sort_by(|a, b| a.slot.cmp(&b.slot).then(a.start.total_cmp(&b.start)));
-    assert!(by_slot.windows(2).all(|w| w[0].slot != w[1].slot || w[0].end <= w[1].start + 1e-9));
+    by_slot.sort_by(|a, b| a.node.cmp(&b.node).then(a.start.total_cmp(&b.start)));
+    assert!(by_slot.windows(2).all(|w| w[0].node != w[1].node || w[0].end <= w[1].start + 1e-9));
 }
 
 #[test]
@@ -153,11 +158,8 @@ fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
     let constant = 0.1 * normal(&mut rng);
     let truth = (0..384).map(|i| base[i] * (constant + off[volume[i]] + 0.15 * normal(&mut rng)).exp());
     let mut w = world(truth.collect(), slots);
-    let setting =
-        Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true };
     let shape = Shape::of_volumes(&base, &volume).with_constant(CONSTANT_SD_WITH_MODEL);
-    let mut p = Planner::new(shape, Loads::known(vec![0.0; 13]), setting);
-    p.add_stage((0..384).collect());
+    let mut p = planner_of(shape, vec![0.0; 13], slots, true);
     (w.volume, w.load) = (volume, vec![0.0; 13]);
     let out = simulate(&mut p, &w, &[0.1]);
     (out.said[0], out.makespan)

@@ -19,8 +19,7 @@ pub(crate) fn path(state: &Path, bundle: u64) -> PathBuf {
 /// # Errors
 /// When the file cannot be read.
 pub(crate) fn lines(path: &Path) -> Result<Vec<Line>> {
-    let mut follow = Follow::default();
-    follow.read(path)
+    Follow::default().read(path)
 }
 
 #[derive(Debug, Default)]

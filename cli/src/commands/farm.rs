@@ -192,7 +192,7 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
     print_line(format!(
         "{} of {} images, {} of them rendered in this run, which took {}",
         summary.done,
-        summary.tasks,
+        job.len(),
         summary.now,
         duration(summary.seconds)
     ))?;

@@ -90,9 +90,6 @@ pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
         learn: !options.uniform,
     };
     let mut planner = studies::plan(&base, &volume, Loads::known(load.clone()), setting);
-    if options.uniform {
-        planner.set_uniform();
-    }
     let world = World {
         latency: options.latency,
         dispatch: options.dispatch,
