@@ -68,10 +68,8 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
     if let Ok(below) = std::fs::canonicalize(&places.state)?.strip_prefix(&folder) {
         state["default"] = utf8(below.as_os_str())?.into();
     }
-    let (program, arguments) = places.program.split_first().context("no program")?;
-    let mut arguments = arguments.iter().map(|word| utf8(word)).collect::<Result<Vec<_>>>()?;
-    arguments
-        .extend(["farm-worker", "{{Param.State}}", "--bundle", "{{Task.Param.Bundle}}"].map(String::from));
+    let command = places.command("{{Param.State}}", "{{Task.Param.Bundle}}")?;
+    let (program, arguments) = command.split_first().context("no program")?;
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name.chars().take(NAME).collect::<String>(),
@@ -79,7 +77,7 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
             state,
             {
                 "name": "Entire", "type": "STRING", "description": "The program `entire`.",
-                "default": utf8(program)?,
+                "default": program,
             },
         ],
         "steps": [{

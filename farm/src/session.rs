@@ -7,7 +7,7 @@ use super::spool::tail;
 use anyhow::{Context, Result, bail};
 use serde::Deserialize;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -69,11 +69,8 @@ impl Session {
             .spawn()
             .with_context(|| format!("cannot start {program:?}; check the renderer's command"))?;
         let (send, lines) = mpsc::channel();
-        let out = child.stdout.take().context("no standard output")?;
-        let error = child.stderr.take().context("no standard error")?;
-        let other = send.clone();
-        std::thread::spawn(move || forward(BufReader::new(error), &other));
-        std::thread::spawn(move || forward(BufReader::new(out), &send));
+        forward(child.stderr.take().context("no standard error")?, send.clone());
+        forward(child.stdout.take().context("no standard output")?, send);
         let input = child.stdin.take().context("no standard input")?;
         Ok(Running { child, input, lines })
     }
@@ -127,26 +124,20 @@ impl Session {
         value["out"] = out.to_str().context("the image's path is not UTF-8")?.into();
         let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
         let clock = Instant::now();
-        let program = self.command[0].clone();
-        let text = || format!("the renderer {program:?} ended: {}", tail(log));
         loop {
             let left = self.limit.map_or(Duration::from_secs(3600), |l| l.saturating_sub(clock.elapsed()));
             let left = if sent.is_ok() { left } else { left.min(LAST_LINES) };
             let line = match running.lines.recv_timeout(left) {
                 Ok(line) => line,
-                Err(RecvTimeoutError::Disconnected) => {
-                    self.ended = true;
-                    bail!(text())
-                }
                 Err(RecvTimeoutError::Timeout) if self.limit.is_some_and(|l| clock.elapsed() >= l) => bail!(
                     "the renderer gave no answer within {} s (timeout_s)",
                     self.limit.unwrap_or_default().as_secs_f64()
                 ),
-                Err(RecvTimeoutError::Timeout) if sent.is_err() => {
+                Err(RecvTimeoutError::Timeout) if sent.is_ok() => continue,
+                Err(_) => {
                     self.ended = true;
-                    bail!(text())
+                    bail!("the renderer {:?} ended: {}", self.command[0], tail(log))
                 }
-                Err(RecvTimeoutError::Timeout) => continue,
             };
             match serde_json::from_str::<Reply>(&line) {
                 Ok(reply) if reply.task == order.task => return Ok(reply),
@@ -156,14 +147,16 @@ impl Session {
     }
 }
 
-/// Sends the lines of `reader` until it ends.
-pub(super) fn forward(reader: impl BufRead, to: &mpsc::Sender<String>) {
-    for line in reader.split(b'\n') {
-        let Ok(line) = line else { return };
-        if to.send(String::from_utf8_lossy(&line).into_owned()).is_err() {
-            return;
+/// Starts a thread that sends the lines of `reader` until it ends.
+pub(super) fn forward(reader: impl Read + Send + 'static, to: mpsc::Sender<String>) {
+    std::thread::spawn(move || {
+        for line in BufReader::new(reader).split(b'\n') {
+            let Ok(line) = line else { return };
+            if to.send(String::from_utf8_lossy(&line).into_owned()).is_err() {
+                return;
+            }
         }
-    }
+    });
 }
 
 #[cfg(all(test, unix))]

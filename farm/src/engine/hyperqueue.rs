@@ -1,15 +1,16 @@
 //! HyperQueue, through its Python package: a small driver script, run with the user's Python.
 
 use super::{Bundle, Engine, Event, Places};
+use crate::command::leader;
 use crate::session::forward;
 use crate::spool::{Spool, tail};
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::child::wait_at_most;
 use serde::Deserialize;
 use serde_json::json;
-use std::io::{BufReader, Write};
-use std::process::{Child, ChildStdin, Command, Stdio};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::io::Write;
+use std::process::{Child, ChildStdin, Stdio};
+use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 /// The script that talks to HyperQueue.
@@ -87,21 +88,19 @@ impl HyperQueue {
         });
         let log = places.state.join("logs").join("hyperqueue.log");
         let file = std::fs::File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
-        let mut command = Command::new(&options.python);
-        command
+        let mut child = leader(&options.python)
             .args(["-u", "-c", SCRIPT, &config.to_string()])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            .stderr(file);
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        let mut child = command.spawn().with_context(|| {
-            format!("cannot start {:?}; use --python to name a Python that has HyperQueue", options.python)
-        })?;
-        let out = child.stdout.take().context("the script has no standard output")?;
+            .stderr(file)
+            .spawn()
+            .with_context(|| {
+                let python = &options.python;
+                format!("cannot start {python:?}; use --python to name a Python that has HyperQueue")
+            })?;
         let input = child.stdin.take();
         let (send, lines) = mpsc::channel();
-        std::thread::spawn(move || forward(BufReader::new(out), &send));
+        forward(child.stdout.take().context("the script has no standard output")?, send);
         let spool = Spool::new(&places.state);
         let mut new = Self { places, run, options, child, input, lines, spool, priority: 0 };
         new.wait_until_ready(&log)?;
@@ -110,19 +109,16 @@ impl HyperQueue {
 
     fn wait_until_ready(&mut self, log: &std::path::Path) -> Result<()> {
         let clock = Instant::now();
-        while clock.elapsed() < START {
-            match self.lines.recv_timeout(START.saturating_sub(clock.elapsed())) {
-                Ok(line) => match serde_json::from_str(&line) {
-                    Ok(Said::Ready(_)) => return Ok(()),
-                    Ok(Said::Missing(error)) => bail!(
-                        "{} has no HyperQueue ({error}); install it (pip install hyperqueue), or use \
-                         --python to name a Python that has it",
-                        self.options.python
-                    ),
-                    Ok(Said::Down(error)) => bail!("HyperQueue did not start: {error}"),
-                    _ => {}
-                },
-                Err(_) => break,
+        while let Ok(line) = self.lines.recv_timeout(START.saturating_sub(clock.elapsed())) {
+            match serde_json::from_str(&line) {
+                Ok(Said::Ready(_)) => return Ok(()),
+                Ok(Said::Missing(error)) => bail!(
+                    "{} has no HyperQueue ({error}); install it (pip install hyperqueue), or use \
+                     --python to name a Python that has it",
+                    self.options.python
+                ),
+                Ok(Said::Down(error)) => bail!("HyperQueue did not start: {error}"),
+                _ => {}
             }
         }
         bail!("HyperQueue did not start: {}; see {}", tail(log), log.display())
@@ -182,18 +178,11 @@ impl Engine for HyperQueue {
         let mut said = Vec::new();
         let clock = Instant::now();
         let wait = wait.min(Duration::from_millis(30));
-        loop {
-            match self.lines.recv_timeout(wait.saturating_sub(clock.elapsed())) {
-                Ok(line) => said.push(line),
-                Err(RecvTimeoutError::Timeout) => break,
-                Err(RecvTimeoutError::Disconnected) => {
-                    if clock.elapsed() < wait {
-                        std::thread::sleep(wait - clock.elapsed());
-                    }
-                    break;
-                }
-            }
+        while let Ok(line) = self.lines.recv_timeout(wait.saturating_sub(clock.elapsed())) {
+            said.push(line);
         }
+        // A script that has ended sends no line to wait for.
+        std::thread::sleep(wait.saturating_sub(clock.elapsed()));
         // The spool is read after the script's events, so that it has all answers of the bundles that have
         // ended.
         let mut out = self.spool.poll()?;

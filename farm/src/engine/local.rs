@@ -2,14 +2,15 @@
 //! pipe.
 
 use super::{Bundle, Engine, Event, Places, STILLBORN};
+use crate::command::leader;
 use crate::record::Line;
 use anyhow::{Context, Result, ensure};
 use entire_io::child::wait_at_most;
 use entire_io::machine;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
-use std::process::{Child, ChildStdin, Command, Stdio};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::process::{Child, ChildStdin, Stdio};
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::time::{Duration, Instant};
 
 /// The engine.
@@ -61,7 +62,7 @@ impl Local {
             .with_context(|| format!("cannot write {}", self.log(slot).display()))?;
         let threads = (machine::cores() / slots).max(1).to_string();
         let (program, arguments) = self.places.program.split_first().context("no program")?;
-        let mut command = Command::new(program);
+        let mut command = leader(program);
         command
             .args(arguments)
             .arg("farm-worker")
@@ -76,9 +77,6 @@ impl Local {
                 command.env(name, &threads);
             }
         }
-        // A separate process group: Ctrl-C goes to the driver only, which lets workers finish their tasks.
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
         let mut child =
             command.spawn().with_context(|| format!("cannot start the worker {}", program.display()))?;
         let out = child.stdout.take().context("the worker has no standard output")?;
@@ -190,12 +188,10 @@ impl Engine for Local {
 
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>> {
         let mut out = Vec::new();
-        match self.lines.recv_timeout(wait) {
-            Ok((slot, generation, line)) => self.handle(slot, generation, line, &mut out)?,
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {}
-        }
-        while let Ok((slot, generation, line)) = self.lines.try_recv() {
+        let mut next = self.lines.recv_timeout(wait).ok();
+        while let Some((slot, generation, line)) = next {
             self.handle(slot, generation, line, &mut out)?;
+            next = self.lines.try_recv().ok();
         }
         Ok(out)
     }

@@ -84,8 +84,7 @@ pub trait Engine {
     ///
     /// # Errors
     /// When the engine refuses to change the order.
-    fn reprioritize(&mut self, bundles: &[u64]) -> Result<()> {
-        let _ = bundles;
+    fn reprioritize(&mut self, _bundles: &[u64]) -> Result<()> {
         Ok(())
     }
     /// Cancels waiting bundles; running ones end after their current task.
@@ -133,13 +132,13 @@ impl Places {
     /// # Errors
     /// When a path is not UTF-8.
     pub(crate) fn worker(&self, bundle: u64) -> Result<Vec<String>> {
+        self.command(&utf8(self.state.as_os_str())?, &bundle.to_string())
+    }
+
+    /// As [`Places::worker`], with the words that stand for the state folder and the bundle's number.
+    pub(crate) fn command(&self, state: &str, bundle: &str) -> Result<Vec<String>> {
         let mut line = self.program.iter().map(|word| utf8(word)).collect::<Result<Vec<_>>>()?;
-        line.extend([
-            "farm-worker".into(),
-            utf8(self.state.as_os_str())?,
-            "--bundle".into(),
-            bundle.to_string(),
-        ]);
+        line.extend(["farm-worker", state, "--bundle", bundle].map(String::from));
         Ok(line)
     }
 
