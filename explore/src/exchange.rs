@@ -39,9 +39,6 @@ enum FileOpacity {
 }
 
 /// Reads a file of either format. `range`: the scalars that map to 0 and 1.
-///
-/// # Errors
-/// When the file cannot be read or is no transfer function. The message names the file.
 pub(crate) fn load(path: &Path, range: (f32, f32)) -> Result<Curve> {
     let shown = path.display();
     let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();

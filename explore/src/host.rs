@@ -108,9 +108,6 @@ impl Progress {
     }
 
     /// Fails if the reader was asked to stop.
-    ///
-    /// # Errors
-    /// When reading was canceled.
     pub(crate) fn check(&self) -> Result<()> {
         if self.is_cancelled() {
             bail!("cancelled");

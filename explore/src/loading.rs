@@ -62,9 +62,6 @@ pub(crate) struct Loading {
 
 impl Loading {
     /// Starts a thread that loads the volume. It wakes the event loop when it ends.
-    ///
-    /// # Errors
-    /// When the thread cannot be started.
     pub(crate) fn start(
         job: Job,
         host: &Arc<dyn Host>,
@@ -184,9 +181,6 @@ impl Worker {
 }
 
 /// Draws a few pixels, so that the shader of these modes is compiled.
-///
-/// # Errors
-/// When the raycaster fails.
 pub(crate) fn warm(raycaster: &mut VulkanRaycaster, shading: Shading, skipping: Skipping) -> Result<()> {
     let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.6 })?;
     let frame = Frame { step: 8.0, shading, skipping, ..Frame::new(camera, 16, 16)? }.checked()?;

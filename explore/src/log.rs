@@ -31,9 +31,6 @@ pub(crate) struct Log {
 
 impl Log {
     /// Creates a log file with its header row.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub(crate) fn create(path: &Path) -> Result<Self> {
         let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
         let mut out = LineWriter::new(file);
@@ -47,9 +44,6 @@ impl Log {
     }
 
     /// Writes the row of a frame.
-    ///
-    /// # Errors
-    /// When the row cannot be written.
     pub(crate) fn frame(&mut self, r: &FrameRecord, b: &Beside<'_>) -> Result<()> {
         writeln!(
             self.out,
@@ -80,9 +74,6 @@ impl Log {
 
     /// Writes the row of another timed activity: its kind, total seconds, seconds of ray casting, and seconds
     /// of the longest slice.
-    ///
-    /// # Errors
-    /// When the row cannot be written.
     pub(crate) fn event(
         &mut self,
         frame: u64,

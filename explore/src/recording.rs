@@ -52,9 +52,6 @@ impl Recorder {
     }
 
     /// Records a frame.
-    ///
-    /// # Errors
-    /// When the transfer function is invalid.
     pub(crate) fn note(&mut self, view: &Viewpoint, curve: &Curve, replaced: bool) -> Result<()> {
         if self.recording.frames.len() >= MOST_FRAMES {
             return Ok(());

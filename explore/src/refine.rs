@@ -66,9 +66,6 @@ impl Cursor {
 
     /// Calls `work` for about `budget` seconds, and for at least one piece. `work` draws a region and returns
     /// its seconds.
-    ///
-    /// # Errors
-    /// When `work` fails.
     pub(crate) fn slice(&mut self, budget: f64, mut work: impl FnMut(Region) -> Result<f64>) -> Result<()> {
         let begin = Instant::now();
         let mut spent = 0.0;
@@ -115,9 +112,6 @@ impl Refinement {
     }
 
     /// Continues to draw for about `budget` seconds.
-    ///
-    /// # Errors
-    /// When the raycaster fails.
     pub(crate) fn slice(
         &mut self,
         raycaster: &mut VulkanRaycaster,

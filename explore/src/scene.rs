@@ -112,9 +112,6 @@ enum Voxels {
 
 impl Part {
     /// Copies the voxels of a part; the value range stays that of the whole volume.
-    ///
-    /// # Errors
-    /// When the part is empty or reaches beyond the volume.
     pub(crate) fn new(view: &VolumeView<'_>, crop: Crop) -> Result<(Self, Placement)> {
         for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(view.shape().dims)) {
             ensure!(

@@ -35,9 +35,6 @@ impl Screenshot {
     }
 
     /// Continues to draw for about `budget` seconds. Returns true once the file is written.
-    ///
-    /// # Errors
-    /// When the raycaster fails or the file cannot be written.
     pub(crate) fn slice(
         &mut self,
         raycaster: &mut VulkanRaycaster,

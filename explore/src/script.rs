@@ -94,10 +94,6 @@ pub(crate) struct Script {
 
 impl Script {
     /// Reads a script.
-    ///
-    /// # Errors
-    /// When the script cannot be read or a line is invalid. The message names the file, the line and its
-    /// error.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let shown = path.display();
         let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();

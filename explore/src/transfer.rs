@@ -131,9 +131,6 @@ impl Curve {
     }
 
     /// Returns the transfer table for renderer and session.
-    ///
-    /// # Errors
-    /// When the core refuses a lobe or point.
     pub(crate) fn table(&self) -> Result<TransferTable> {
         let opacity = match &self.opacity {
             Opacity::Lobes(lobes) => TransferFunction::Gaussian(lobes.clone()),
@@ -162,9 +159,6 @@ impl Curve {
 
     /// Returns the transfer function for recordings: lobes if the curve consists of lobes in the core's color
     /// ramp, else a point for each entry of the table.
-    ///
-    /// # Errors
-    /// When the core refuses a lobe or point.
     pub(crate) fn recorded(&self) -> Result<RecordedTransfer> {
         if let (Some(lobes), true) = (self.lobes(), self.has_ramp()) {
             return Ok(RecordedTransfer::Lobes(lobes.to_vec()));

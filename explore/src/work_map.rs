@@ -21,9 +21,6 @@ pub(crate) struct WorkMap {
 
 impl WorkMap {
     /// Returns an empty map for the camera, aspect ratio and modes of a frame, at the reference step.
-    ///
-    /// # Errors
-    /// When the frame is invalid.
     pub(crate) fn new(frame: &Frame) -> Result<Self> {
         let sides = [frame.width, frame.height].map(f64::from);
         let pixels = f64::from(CELLS[0] * CELLS[1] * CELL_PIXELS * CELL_PIXELS);
@@ -50,9 +47,6 @@ impl WorkMap {
     }
 
     /// Counts the samples of at least one cell, and of further cells for about `budget` seconds.
-    ///
-    /// # Errors
-    /// When the raycaster fails.
     pub(crate) fn slice(&mut self, raycaster: &mut VulkanRaycaster, budget: f64) -> Result<()> {
         let begin = std::time::Instant::now();
         raycaster.count_work(true);

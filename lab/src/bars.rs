@@ -63,10 +63,7 @@ pub(crate) fn table(bars: &[Bar]) -> Table {
     table
 }
 
-/// Prints bars, one line each.
-///
-/// # Errors
-/// When a bar is short (its limit is missed); the error names every such bar.
+/// Prints bars, one line each. The error names every bar that is short (its limit is missed).
 pub(crate) fn print(bars: &[Bar]) -> Result<()> {
     bars.iter().for_each(|b| println!("{b}"));
     let short: Vec<&str> = bars.iter().filter(|b| !b.ok).map(|b| b.name.as_str()).collect();

@@ -34,9 +34,6 @@ fn held_out(sample: &Sample) -> bool {
 }
 
 /// The analytic cost model fitted to the samples that are not held out.
-///
-/// # Errors
-/// When no sample that is not held out is usable.
 fn fit_analytic(samples: &[Sample]) -> Result<AnalyticModel> {
     let measurements: Vec<Measurement> = samples
         .iter()
@@ -106,9 +103,6 @@ impl Candidate {
     }
 
     /// As [`Candidate::of`], for a model that may use features of the volume; each sample has the path of its volume.
-    ///
-    /// # Errors
-    /// As [`Candidate::of`], and when a volume cannot be read.
     pub(crate) fn of_volumes(fitted: SteeringModel, samples: &[(String, Sample)]) -> Result<Self> {
         let mut codes: BTreeMap<&str, Option<Vec<f32>>> = BTreeMap::new();
         for (volume, _) in samples.iter().filter(|_| fitted.volume_features().is_some()) {
@@ -146,9 +140,6 @@ pub(crate) struct Calibrated {
 impl Calibrated {
     /// Fits the analytic model and the small network and chooses the one with the smaller scatter of
     /// ln(seconds) on the held-out frames.
-    ///
-    /// # Errors
-    /// When there are too few usable samples.
     pub(crate) fn fit(samples: &[Sample]) -> Result<Self> {
         let volume = no_volume()?;
         let analytic = fit_analytic(samples)?.to_model_file()?;

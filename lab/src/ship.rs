@@ -22,10 +22,6 @@ fn file_name(path: &Path) -> String {
 }
 
 /// Writes every predictor that the study ships into a folder, each with its card; returns the files.
-///
-/// # Errors
-/// When the selected predictor of a set was not made, another predictor was made for no set, a table cannot be read, or
-/// a file cannot be written.
 pub(crate) fn ship(
     folder: &Path,
     study: &Study,

@@ -176,11 +176,8 @@ const KEEP_EVERY: Duration = Duration::from_secs(5);
 
 /// Draws every frame of a path at every point of the grid, except frames that `begun` holds.
 ///
-/// `keep` saves the trace; it is called every few seconds and at the end. The trace is incomplete if `stop` returned
-/// true.
-///
-/// # Errors
-/// When the renderer fails: the error names the frame. Earlier frames are saved.
+/// `keep` saves the trace; it is called every few seconds and at the end, also if the renderer fails. The trace is
+/// incomplete if `stop` returned true.
 pub(crate) fn record(
     recording: &Recording<'_>,
     renderer: &mut dyn Renderer,

@@ -137,9 +137,6 @@ impl FrameSetup {
 }
 
 /// Refuses a frame that cannot be drawn.
-///
-/// # Errors
-/// As [`Frame::checked`].
 pub(crate) fn check(frame: &Frame, volume: &Geometry) -> Result<()> {
     frame.checked().map_err(|e| Error::new(e.to_string()))?;
     // No ray is longer than the bounding sphere's diameter, which is 2. Single precision counts to 2²⁴.

@@ -116,9 +116,6 @@ impl App {
 
     /// Plays the script's events that are due before the next frame. Returns false once the window must
     /// close.
-    ///
-    /// # Errors
-    /// When an event cannot be carried out.
     pub(super) fn play_script(&mut self, event_loop: &ActiveEventLoop) -> Result<bool> {
         if self.scene.is_none()
             && let Some(loss) = self.script.as_mut().and_then(Script::initial_loss)

@@ -26,9 +26,6 @@ const MOST_PICTURES: u32 = 16;
 const LONGEST_WAIT: u64 = 60_000_000_000;
 
 /// Returns the Vulkan instance extensions that windows of a display need.
-///
-/// # Errors
-/// When Vulkan has no surface for this kind of display.
 pub(crate) fn surface_extensions(display: &impl HasDisplayHandle) -> Result<Vec<CString>> {
     let handle = display.display_handle().context("the display has no handle")?;
     let names = ash_window::enumerate_required_extensions(handle.as_raw())
@@ -149,9 +146,6 @@ impl Presenter {
     }
 
     /// Registers a picture with the interface.
-    ///
-    /// # Errors
-    /// When there are too many pictures.
     pub(crate) fn add_picture(&mut self, picture: &Picture) -> Result<TextureId> {
         let set = vulkan::create_vulkan_descriptor_set(
             self.device.device(),
@@ -181,9 +175,6 @@ impl Presenter {
     }
 
     /// Makes a swapchain of a size, unless there is one. Returns false if the window has no area.
-    ///
-    /// # Errors
-    /// When the device fails.
     pub(crate) fn prepare(&mut self, size: [u32; 2]) -> Result<bool> {
         if size.contains(&0) {
             return Ok(false);

@@ -63,9 +63,6 @@ pub(crate) struct SimulateOptions {
 }
 
 /// Runs `entire-lab farm-simulate`.
-///
-/// # Errors
-/// When the list cannot be read, or a task lacks its predicted or measured time.
 pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     ensure!(options.slots > 0, "--slots is 0; at least one is needed");
     let tasks = read_tasks(&options.tasks)?;
@@ -119,9 +116,6 @@ pub(crate) struct StandInOptions {
 }
 
 /// Runs `entire-lab farm-stand-in`.
-///
-/// # Errors
-/// When a task is not in the list.
 pub(crate) fn run_stand_in(options: &StandInOptions) -> Result<()> {
     ensure!(options.scale.is_finite() && options.scale >= 0.0, "--scale is {}", options.scale);
     stand_in::serve(&options.tasks, options.scale)

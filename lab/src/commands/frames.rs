@@ -134,10 +134,6 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
 }
 
 /// Runs the command.
-///
-/// # Errors
-/// When tables or models cannot be read, --data, --judged and --priors do not name equally many files, or the
-/// run is interrupted.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let (tables, judged, models) = (options.data.len(), options.judged.len(), options.priors.len());
     ensure!(

@@ -43,9 +43,6 @@ pub(crate) struct Paths {
 
 impl Paths {
     /// Opens the recorded paths.
-    ///
-    /// # Errors
-    /// For files that cannot be read or are no recordings; names the file.
     pub(crate) fn open(&self) -> Result<Vec<Replayable>> {
         let open = |file: &PathBuf| {
             Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display()))
@@ -54,9 +51,6 @@ impl Paths {
     }
 
     /// Every target in seconds with its name, the longest first.
-    ///
-    /// # Errors
-    /// For a target that is no time.
     pub(crate) fn targets(&self) -> Result<Vec<(f64, &str)>> {
         let mut out =
             self.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;

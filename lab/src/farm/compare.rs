@@ -22,9 +22,6 @@ use std::path::Path;
 /// this repeat. Both makespans are computed with the times of this repeat, and the first is divided by the
 /// second. The largest of these ratios at 2 to 64 nodes is the result of the repeat. Returns the least and
 /// the largest result over the repeats; `None` with fewer than two repeats.
-///
-/// # Errors
-/// When a time is not finite and positive.
 pub(crate) fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
     let repeats: Vec<&[f64]> =
         trace.frames.iter().filter_map(|f| f.first()).map(|p| &p.seconds[..]).collect();
@@ -73,9 +70,6 @@ fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
 
 /// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars. `source` is the origin
 /// of the tasks, and `noise` the result of [`second_measurement`]; both are for the report.
-///
-/// # Errors
-/// When tasks lack a time, or the report cannot be written.
 pub(crate) fn compare(
     tasks: &[Task],
     source: String,

@@ -22,9 +22,6 @@ struct Asked {
 /// Serves tasks from standard input. A task takes `scale` times the `measured_s` of its entry in the list
 /// (`predicted_s` if that is missing), plus `scale` times `load_s` if its volume differs from that of the task
 /// before.
-///
-/// # Errors
-/// When the list cannot be read or a task is not in it.
 pub(crate) fn serve(list: &Path, scale: f64) -> Result<()> {
     let tasks = read_tasks(list)?;
     let times: HashMap<&str, (f64, f64)> = tasks

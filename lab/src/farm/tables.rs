@@ -23,9 +23,6 @@ pub(super) const HELD_OUT: [(&str, &str); 9] = [
 
 /// Returns the frames of a table as tasks. A model predicts their times; the measured time of a frame is the
 /// median processor time of its repeats.
-///
-/// # Errors
-/// When table or model cannot be read, or features are missing beside the table.
 pub(super) fn tasks(table: &str, model: &str) -> Result<Vec<Task>> {
     let tables = read_tables(&[format!("data/timings/{table}.csv.gz").into()])?;
     let model = open_model(Path::new(&format!("models/{model}.safetensors")))?;

@@ -120,9 +120,6 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<(AnalyticModel, F
 /// Returns the frames of a recorded path at the reference step as tasks. Their predictor is fitted to
 /// `training`, recordings of other volumes with the same transfer function, and uses a probe of `probe_side`
 /// rays along each side.
-///
-/// # Errors
-/// When there are no frames to fit to, a file cannot be read, or a prediction fails.
 pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: usize) -> Result<Vec<Task>> {
     let (mut predictor, factor) = task_predictor(training, probe_side)?;
     let (path, summaries) = (trace.path.resolve()?, trace.summaries()?);

@@ -66,9 +66,6 @@ impl Outcomes {
     const FILE: &str = "steps.json";
 
     /// Reads the outcomes of an earlier run in this folder; none if there was no run.
-    ///
-    /// # Errors
-    /// When the file exists but holds no outcomes.
     pub(crate) fn of(folder: &Path) -> Result<Self> {
         let path = folder.join(Self::FILE);
         if !path.exists() {

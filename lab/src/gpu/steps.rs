@@ -103,10 +103,7 @@ fn words(parts: &[&str]) -> Vec<String> {
     parts.iter().map(|p| (*p).to_owned()).collect()
 }
 
-/// Volumes of held-out members, in the order of their names.
-///
-/// # Errors
-/// When the folder cannot be read or holds no such volume.
+/// Volumes of held-out members, at least one, in the order of their names.
 pub(crate) fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
     let help = "name a folder like the project's data/ with --data";
     let found =

@@ -225,10 +225,6 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
 
 /// Collects missing frames: first as many of every volume as a held-out volume needs, then the remaining frames of
 /// training volumes. So a collection that is stopped early holds frames for every split.
-///
-/// # Errors
-/// A volume that cannot be read, a renderer that fails, a table that was begun with other settings, an
-/// interruption.
 pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     make_folder(&work.out.join("tables"))?;
     let template = "collect [{bar:30}] {pos}/{len}, {eta} left  {wide_msg}";

@@ -463,9 +463,6 @@ impl Paper {
     }
 
     /// Recipe of our predictor for a mode.
-    ///
-    /// # Errors
-    /// If the description has no recipe for the mode.
     pub(crate) fn ours_for(&self, mode: &str) -> Result<&Recipe> {
         self.ours.get(mode).with_context(|| format!("the description has no recipe `ours` for mode {mode:?}"))
     }

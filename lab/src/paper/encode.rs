@@ -124,9 +124,6 @@ pub(crate) fn encoders(work: &Work<'_>, places: &[Place]) -> Vec<Encoder> {
 }
 
 /// Trains missing encoders.
-///
-/// # Errors
-/// When Python or the script fails, and when the study is stopped.
 pub(crate) fn encode(
     work: &Work<'_>,
     places: &[Place],

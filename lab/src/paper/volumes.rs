@@ -66,9 +66,6 @@ pub(crate) struct Place {
 
 impl Place {
     /// Finds a data set; `None` if its folder does not exist.
-    ///
-    /// # Errors
-    /// When the folder cannot be read or holds too few volumes.
     pub(crate) fn find(set: &DataSet, data: &Path) -> Result<Option<Self>> {
         let Some(root) = roots(data).into_iter().find(|r| r.join(&set.name).is_dir()) else {
             return Ok(None);
@@ -176,10 +173,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
     Ok(out)
 }
 
-/// Finds the selected data sets. A note names those that do not exist.
-///
-/// # Errors
-/// When a selected data set cannot be read, or none exists.
+/// Finds the selected data sets, at least one. A note names those that do not exist.
 pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<Place>> {
     for name in &selection.data_sets {
         let known = || paper.data_sets.iter().map(|d| d.name.as_str()).collect::<Vec<_>>().join(", ");

@@ -21,9 +21,6 @@ fn part(work: &Work<'_>, job: &Job, low: bool) -> PathBuf {
 }
 
 /// Collects the missing frames of a data set and merges them. Held-out volumes come first.
-///
-/// # Errors
-/// When Python, yt or the collector fails, and when the study is stopped.
 pub(crate) fn collect(work: &Work<'_>, place: &Place) -> Result<()> {
     if !place.set.modes.iter().any(|m| m == YT) || !work.selection.has_mode(YT) {
         return Ok(());

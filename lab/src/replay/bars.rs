@@ -20,9 +20,6 @@ const REACTIVE: [ControllerKind; 9] = [
 ];
 
 /// The steering bars: scores of the hybrid, against fixed limits and against the other controllers.
-///
-/// # Errors
-/// When a controller that the bars compare did not play.
 pub(crate) fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     let of = |kind: ControllerKind| {
         players.iter().position(|p| p.kind == kind).map(|i| &scores[i]).with_context(|| {

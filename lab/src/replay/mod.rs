@@ -88,9 +88,6 @@ impl Replayable {
 
     /// Returns the curves from which a controller gets its frame times, and the limits of its decisions:
     /// `of_step`, or the controller's own range of image resolution, as far as it was recorded.
-    ///
-    /// # Errors
-    /// When the controller acts on smaller images and the trace holds none.
     fn answers(&self, acts_on: ActsOn, of_step: StepLimits) -> Result<(&[Curve], StepLimits)> {
         let ActsOn::ImageResolution { .. } = acts_on else { return Ok((&self.curves, of_step)) };
         let images = self.images.as_deref().with_context(|| {

@@ -97,9 +97,6 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &Low, out: &mut Findings) -> Result<()>
 
 /// Returns the seconds of the frames of `tables` as rendered on 64³ voxels, by table and frame number; empty
 /// if the set names no tables of such frames.
-///
-/// # Errors
-/// When a table cannot be read, or frames with the same number have different scenes.
 pub(super) fn low_resolution(set: &Set, tables: &[Table], clock: Clock) -> Result<Low> {
     let mut low = Low::new();
     for (index, table) in tables.iter().enumerate() {

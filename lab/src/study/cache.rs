@@ -69,9 +69,6 @@ pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
 
 /// Returns the stored model if it has this identity. If `upper` is given, the model's upper bound is updated
 /// to it.
-///
-/// # Errors
-/// When the file is damaged or cannot be written.
 pub(super) fn kept(path: &Path, identity: &str, upper: Option<UpperBound>) -> Result<Option<ModelFile>> {
     if !path.exists() {
         return Ok(None);

@@ -68,9 +68,6 @@ pub(super) struct SetData<'a> {
 
 impl<'a> SetData<'a> {
     /// The frames of a set's tables that have a time by the clock.
-    ///
-    /// # Errors
-    /// When no training frame has a time by the clock.
     pub(super) fn new(set: &Set, tables: &'a SetTables, clock: Clock) -> Result<Self> {
         let all = tables.frames(&tables.training, clock);
         ensure!(

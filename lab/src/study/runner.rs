@@ -210,10 +210,6 @@ impl Runner<'_> {
     }
 
     /// Runs a whole study.
-    ///
-    /// # Errors
-    /// When tables cannot be read, tables of the low-resolution proxy have other scenes, a predictor cannot
-    /// be tested, or the study was stopped.
     pub(crate) fn run(&self, study: &Study) -> Result<Findings> {
         let clock: Clock = study.clock.parse()?;
         let mut out = Findings::default();
@@ -255,9 +251,6 @@ impl Runner<'_> {
 
     /// Trains a predictor and tests it on every split. A predictor that cannot be trained is left out, with the
     /// reason.
-    ///
-    /// # Errors
-    /// When the study was stopped, or the predictor cannot be tested.
     pub(super) fn made_and_judged(
         &self,
         on: &OnSet<'_>,

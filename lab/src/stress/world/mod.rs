@@ -151,9 +151,6 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
 /// Plays a scene of this file. On a real machine the limits are wider, since the noise is unpredictable: 5 %
 /// more of the frames may take longer than 1.1 times the target, and two more in a row; quality may be lower
 /// by 0.1; 80 % of first frames within their bound suffice.
-///
-/// # Errors
-/// When the scene cannot be set up, or is not in this file.
 pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     if number == 28 {
         return damaged(method, machine);
