@@ -3,34 +3,48 @@
 use entire_steer::control::Plan as CorePlan;
 use entire_steer::predict::{Prediction as CorePrediction, Source};
 use pyo3::prelude::*;
+use std::sync::Arc;
 
 /// Settings of a frame to draw, and its expected time.
-#[pyclass(frozen, get_all, module = "entire")]
+#[pyclass(frozen, module = "entire")]
+#[derive(Clone)]
 pub(crate) struct Plan {
     /// int : Number of this plan in its session; never 0.
+    #[pyo3(get)]
     pub(crate) id: u64,
     /// float : Ray step in reference steps (smallest voxel spacings).
-    step: f32,
+    #[pyo3(get)]
+    pub(crate) step: f32,
     /// float : Pixels between rays along each side of the image, at least 1.
-    image_sample_distance: f32,
+    #[pyo3(get)]
+    pub(crate) image_sample_distance: f32,
     /// tuple of int : Width and height of the image to draw, in pixels.
+    #[pyo3(get)]
     size: (u32, u32),
     /// float : Expected seconds; NaN if unknown.
-    seconds: f32,
+    #[pyo3(get)]
+    pub(crate) seconds: f32,
     /// float : Upper bound of the seconds; NaN if there is none.
-    upper: f32,
+    #[pyo3(get)]
+    pub(crate) upper: f32,
     /// float : 0 inside the predictor's training range, larger with the distance from it; NaN if unknown.
     /// Above the session's `trust_limit`, steps are chosen from recent frames.
+    #[pyo3(get)]
     out_of_range: f32,
     /// str : Reason for the step, in a word or two: "fits", "held", "damped", "finest allowed", ...
-    reason: &'static str,
+    #[pyo3(get)]
+    pub(crate) reason: &'static str,
     /// float : Target time of the frame in seconds.
-    target: f32,
+    #[pyo3(get)]
+    pub(crate) target: f32,
+    /// Identity of the session that made this plan.
+    pub(crate) session: Arc<()>,
 }
 
 impl Plan {
-    /// Makes Python's plan from a plan of the core, the image size in pixels and the target in seconds.
-    pub(crate) fn new(plan: CorePlan, size: (u32, u32), target: f32) -> Self {
+    /// Makes Python's plan from a plan of the core, the image size in pixels, the target in seconds and the
+    /// session's identity.
+    pub(crate) fn new(plan: CorePlan, size: (u32, u32), target: f32, session: &Arc<()>) -> Self {
         Self {
             id: plan.id,
             step: plan.step,
@@ -41,6 +55,7 @@ impl Plan {
             out_of_range: plan.out_of_range,
             reason: plan.reason.into(),
             target,
+            session: session.clone(),
         }
     }
 }

@@ -292,7 +292,7 @@ impl Session {
     ) -> PyResult<Plan> {
         let shape = Shape::new(size, step, shading, skipping, termination);
         let (frame, mut state) = self.begin(py, camera, tf, shape)?;
-        Ok(state.plan(&frame, target)?.0)
+        state.plan(&frame, target)
     }
 
     /// For adapters: observes the last frame and plans the next one of a held volume in one call. Jumps of
@@ -354,15 +354,16 @@ impl Session {
         let mut state = self.state(py)?;
         if let Some(due) = due {
             // Rejected times are documented to have no effect.
-            let _ = state.observe(due.id, seconds as f32, ObserveFlags { unusual: false, cancelled });
+            let _ = state.observe(due, seconds as f32, ObserveFlags { unusual: false, cancelled });
         }
         let frame = held.frame(to_eye, fov, parallel_scale, size, step)?;
         state.follow(frame.camera);
         state.core.set_enabled(enabled);
         let planned = state.plan(&frame, target);
         state.core.set_enabled(true);
-        let (plan, core) = planned?;
-        Ok((plan, core.step, core.image_sample_distance))
+        let plan = planned?;
+        let (step, distance) = (plan.step, plan.image_sample_distance);
+        Ok((plan, step, distance))
     }
 
     /// Chooses a setting from a list that is sorted by picture quality, best first. The choice is the first
@@ -415,7 +416,7 @@ impl Session {
         let (index, mut plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
         let drawn = settings[index];
         plan.image_sample_distance = (frame.width as f32 / drawn.width as f32).max(1.0);
-        Ok((index, state.note(plan, (drawn.width, drawn.height), target)))
+        Ok((index, Plan::new(plan, (drawn.width, drawn.height), target, &state.identity)))
     }
 
     /// Observes the time of a planned frame.
@@ -440,8 +441,8 @@ impl Session {
     /// Raises
     /// ------
     /// RejectedObservationError
-    ///     For a plan that is unknown, forgotten or observed before, and a time that is not finite, not
-    ///     positive or over 10,000 s. Nothing is learned then.
+    ///     For a plan that is of another session, forgotten or observed before, and a time that is not finite,
+    ///     not positive or over 10,000 s. Nothing is learned then.
     #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false))]
     fn observe(
         &self,
@@ -452,7 +453,7 @@ impl Session {
         cancelled: bool,
     ) -> PyResult<&'static str> {
         let flags = ObserveFlags { unusual, cancelled };
-        Ok(self.state(py)?.observe(plan.id, seconds as f32, flags)?.into())
+        Ok(self.state(py)?.observe(plan, seconds as f32, flags)?.into())
     }
 
     /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. Sets the
@@ -644,7 +645,7 @@ impl Session {
         dict.set_item("plan", PyArray1::from_iter(py, frames.iter().map(|f| f.plan.id)))?;
         type Number = (&'static str, fn(&Observed) -> f32);
         let numbers: [Number; 6] = [
-            ("target", |f| f.target),
+            ("target", |f| f.plan.target),
             ("predicted", |f| f.plan.seconds),
             ("upper", |f| f.plan.upper),
             ("measured", |f| f.measured),
@@ -654,7 +655,7 @@ impl Session {
         for (name, number) in numbers {
             dict.set_item(name, PyArray1::from_iter(py, frames.iter().map(number)))?;
         }
-        dict.set_item("reason", PyList::new(py, frames.iter().map(|f| <&str>::from(f.plan.reason)))?)?;
+        dict.set_item("reason", PyList::new(py, frames.iter().map(|f| f.plan.reason))?)?;
         dict.set_item("verdict", PyList::new(py, frames.iter().map(|f| <&str>::from(f.verdict)))?)?;
         Ok(dict)
     }

@@ -5,8 +5,7 @@ use crate::plan::Plan;
 use crate::transfer::{Transfer, TransferFunction};
 use crate::volume::Data;
 use entire_core::scene::{Camera as CoreCamera, Frame};
-use entire_steer::control::{ObserveFlags, Verdict};
-use entire_steer::control::{PENDING_PLANS, Plan as CorePlan, Session as Core};
+use entire_steer::control::{ObserveFlags, Session as Core, Verdict};
 use entire_steer::features::Changes;
 use pyo3::prelude::*;
 use std::collections::VecDeque;
@@ -18,8 +17,7 @@ const KEPT: usize = 4096;
 /// One observed frame.
 #[derive(Clone)]
 pub(crate) struct Observed {
-    pub(crate) plan: CorePlan,
-    pub(crate) target: f32,
+    pub(crate) plan: Plan,
     pub(crate) measured: f32,
     pub(crate) verdict: Verdict,
 }
@@ -31,8 +29,8 @@ pub(crate) struct State {
     transfer: Option<Arc<Transfer>>,
     /// The camera of the last steered frame.
     camera: Option<CoreCamera>,
-    /// The last plans and their targets in seconds.
-    plans: Box<[Option<(CorePlan, f32)>; PENDING_PLANS]>,
+    /// Identity of this session, which its plans contain.
+    pub(crate) identity: Arc<()>,
     /// The last [`KEPT`] observed frames, oldest first.
     pub(crate) history: VecDeque<Observed>,
 }
@@ -44,7 +42,7 @@ impl State {
             volume: None,
             transfer: None,
             camera: None,
-            plans: Box::new([None; PENDING_PLANS]),
+            identity: Arc::default(),
             history: VecDeque::new(),
         }
     }
@@ -92,35 +90,23 @@ impl State {
         self.camera = Some(camera);
     }
 
-    /// Plans a frame and stores the plan for its observation.
-    pub(crate) fn plan(&mut self, frame: &Frame, target: f32) -> PyResult<(Plan, CorePlan)> {
+    /// Plans a frame.
+    pub(crate) fn plan(&mut self, frame: &Frame, target: f32) -> PyResult<Plan> {
         let plan = self.core.plan(frame, target).map_err(raise)?;
         let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
         let size = (shrunk(frame.width), shrunk(frame.height));
-        Ok((self.note(plan, size, target), plan))
-    }
-
-    /// Stores a plan for its observation.
-    pub(crate) fn note(&mut self, plan: CorePlan, size: (u32, u32), target: f32) -> Plan {
-        self.plans[slot(plan.id)] = Some((plan, target));
-        Plan::new(plan, size, target)
+        Ok(Plan::new(plan, size, target, &self.identity))
     }
 
     /// Observes the time of a planned frame, and stores it in the history.
-    pub(crate) fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> PyResult<Verdict> {
+    pub(crate) fn observe(&mut self, plan: &Plan, seconds: f32, flags: ObserveFlags) -> PyResult<Verdict> {
+        // No plan has the number 0. So plans of other sessions are rejected like forgotten ones.
+        let id = if Arc::ptr_eq(&plan.session, &self.identity) { plan.id } else { 0 };
         let verdict = self.core.observe(id, seconds, flags).map_err(raise)?;
-        if let Some((plan, target)) = self.plans[slot(id)]
-            && plan.id == id
-        {
-            if self.history.len() == KEPT {
-                self.history.pop_front();
-            }
-            self.history.push_back(Observed { plan, target, measured: seconds, verdict });
+        if self.history.len() == KEPT {
+            self.history.pop_front();
         }
+        self.history.push_back(Observed { plan: plan.clone(), measured: seconds, verdict });
         Ok(verdict)
     }
-}
-
-fn slot(id: u64) -> usize {
-    (id % PENDING_PLANS as u64) as usize
 }

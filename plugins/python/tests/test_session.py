@@ -122,6 +122,11 @@ def test_observations_that_say_nothing_are_rejected(voxels, tf):
     other = entire.Session(entire.Volume(voxels))
     with pytest.raises(entire.RejectedObservationError, match="no plan has this id"):
         other.observe(plan, 0.01)
+    # A plan belongs to its session, also if another session has a plan with the same number.
+    assert other.plan(CAMERA, tf, (64, 64), target=0.01).id == plan.id
+    with pytest.raises(entire.RejectedObservationError, match="no plan has this id"):
+        other.observe(plan, 0.01)
+    assert len(other.history) == 0
 
 
 def test_order_and_ranges_are_said(voxels, tf):
