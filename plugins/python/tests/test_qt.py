@@ -98,6 +98,26 @@ def test_vispy(canvas):
         entire.vispy.hold(made, scene.visuals.Image(np.zeros((4, 4), np.float32), parent=view.scene))
 
 
+def test_voxels_that_change_in_place_are_read_again(canvas, voxels):
+    import entire.vispy
+
+    made, _view, visual = canvas
+    array = np.zeros(voxels.shape, np.float32)
+    visual.set_data(array)
+    holder = entire.vispy.hold(made, visual, seconds=TOO_LITTLE)
+    show(made)
+    empty = holder._volume
+    assert empty.array is array
+    array[:] = voxels
+    visual.set_data(array)
+    show(made)
+    filled = holder._volume
+    assert filled is not empty
+    show(made)
+    assert holder._volume is filled
+    holder.detach()
+
+
 @pytest.mark.parametrize("fov", [0, 45])
 def test_cameras_from_vispys_matrices(canvas, fov):
     from vispy import app

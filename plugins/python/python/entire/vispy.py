@@ -81,6 +81,7 @@ class Holder:
         self.reason, self.status = "", "no frame was drawn yet"
         self.own: float = visual.relative_step_size
         self._data: Any = None
+        self._shape: Any = None
         self._key: Any = None
         self._tf: TransferFunction | None = None
         self._plan: Plan | None = None
@@ -155,13 +156,15 @@ class Holder:
         if data is None:
             raise CannotSteer("the visual has no data yet; call set_data first")
         method, limits = visual.method, tuple(float(c) for c in visual.clim)
-        if data is not self._data:
+        # Each call of set_data stores a new tuple, also if its argument is the same array with other voxels.
+        shape = getattr(visual, "_vol_shape", None)
+        if data is not self._data or shape is not self._shape:
             values = np.asarray(data)
             self._volume = Volume(
                 values if values.ndim == 3 else values[..., 0], range=(min(limits), max(limits))
             )
             self.session.set_volume(self._volume)
-            self._data, self._key = data, None
+            self._data, self._shape, self._key = data, shape, None
         key = (method, limits)
         if key != self._key:
             # A substitute for the method's own opacities: with early termination, opacity grows with the value;
@@ -210,6 +213,8 @@ def hold(
     moving: Callable[[], bool] = lambda: True,
 ) -> Holder:
     """Holds a vispy volume visual to a frame time.
+
+    After a change of voxels in place, call the visual's ``set_data``: vispy and the holder then read them again.
 
     Parameters
     ----------
