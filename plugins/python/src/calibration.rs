@@ -79,7 +79,7 @@ impl Calibration {
         volume: &Volume,
         camera: &Camera,
         tf: &TransferFunction,
-        size: (i64, i64),
+        size: [i64; 2],
         seconds: f64,
         step: f32,
         shading: &str,

@@ -26,7 +26,7 @@ pub(crate) fn mode<T: FromStr<Err = entire_core::Error>>(name: &str) -> PyResult
 
 impl Shape {
     pub(crate) fn new(
-        size: (i64, i64),
+        size: [i64; 2],
         step: f32,
         shading: &str,
         skipping: &str,
@@ -37,7 +37,7 @@ impl Shape {
     }
 
     /// Returns these parameters with the given size, and with the given step if there is one.
-    pub(crate) fn at(self, size: (i64, i64), step: Option<f32>) -> Self {
+    pub(crate) fn at(self, size: [i64; 2], step: Option<f32>) -> Self {
         Self { size: sides(size), step: step.unwrap_or(self.step), ..self }
     }
 
@@ -62,9 +62,9 @@ pub(crate) fn count(number: i64) -> usize {
 }
 
 /// Returns width and height. A number that is out of range becomes 0, which no frame accepts.
-pub(crate) fn sides(size: (i64, i64)) -> (u32, u32) {
+pub(crate) fn sides(size: [i64; 2]) -> (u32, u32) {
     let side = |v: i64| u32::try_from(v).unwrap_or(0);
-    (side(size.0), side(size.1))
+    size.map(side).into()
 }
 
 /// Many cameras: camera objects, arcball poses (n, 3) or world-to-eye matrices (n, 4, 4).

@@ -48,7 +48,7 @@ impl Held {
     ) -> PyResult<Self> {
         Ok(Self {
             placement: Placement::new(volume, &to_world, &direction, center),
-            shape: Shape::new((1, 1), step, shading, skipping, termination)?,
+            shape: Shape::new([1, 1], step, shading, skipping, termination)?,
         })
     }
 }
@@ -60,7 +60,7 @@ impl Held {
         to_eye: &Bound<'_, PyTuple>,
         fov: f64,
         parallel_scale: Option<f64>,
-        size: (i64, i64),
+        size: [i64; 2],
         step: Option<f32>,
     ) -> PyResult<Frame> {
         let mut rows = [0.0; 16];

@@ -283,7 +283,7 @@ impl Session {
         py: Python<'_>,
         camera: &Camera,
         tf: Option<&TransferFunction>,
-        size: (i64, i64),
+        size: [i64; 2],
         target: f32,
         step: f32,
         shading: &str,
@@ -356,7 +356,7 @@ impl Session {
             // Rejected times are documented to have no effect.
             let _ = state.observe(due, seconds as f32, ObserveFlags { unusual: false, cancelled });
         }
-        let frame = held.frame(to_eye, fov, parallel_scale, size, step)?;
+        let frame = held.frame(to_eye, fov, parallel_scale, size.into(), step)?;
         state.follow(frame.camera);
         state.core.set_enabled(enabled);
         let planned = state.plan(&frame, target);
@@ -397,21 +397,23 @@ impl Session {
         py: Python<'_>,
         camera: &Camera,
         tf: Option<&TransferFunction>,
-        size: (i64, i64),
+        size: [i64; 2],
         target: f32,
-        settings: Vec<(f32, (i64, i64))>,
+        settings: Vec<[Bound<'_, PyAny>; 2]>,
         shading: &str,
         skipping: &str,
         termination: f32,
     ) -> PyResult<(usize, Plan)> {
         let shape = Shape::new(size, 1.0, shading, skipping, termination);
+        // Read while the session is not locked, since reading a sequence may run Python code.
+        let read = |[step, size]: &[Bound<'_, PyAny>; 2]| -> PyResult<(f32, (u32, u32))> {
+            Ok((step.extract()?, sides(size.extract()?)))
+        };
+        let settings = settings.iter().map(read).collect::<PyResult<Vec<_>>>()?;
         let (frame, mut state) = self.begin(py, camera, tf, shape)?;
         let settings: Vec<Setting> = settings
             .into_iter()
-            .map(|(step, size)| {
-                let (width, height) = sides(size);
-                Setting { step, width, height, ..Setting::from(&frame) }
-            })
+            .map(|(step, (width, height))| Setting { step, width, height, ..Setting::from(&frame) })
             .collect();
         let (index, mut plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
         let drawn = settings[index];
@@ -475,7 +477,7 @@ impl Session {
         py: Python<'_>,
         camera: &Camera,
         tf: Option<&TransferFunction>,
-        size: (i64, i64),
+        size: [i64; 2],
         step: f32,
         shading: &str,
         skipping: &str,
@@ -510,7 +512,7 @@ impl Session {
         py: Python<'py>,
         cameras: &Bound<'py, PyAny>,
         tf: Option<&TransferFunction>,
-        size: (i64, i64),
+        size: [i64; 2],
         step: f32,
         shading: &str,
         skipping: &str,

@@ -164,7 +164,7 @@ impl TransferFunction {
     fn nodes(
         opacity: Vec<Vec<f64>>,
         color: Vec<Vec<f64>>,
-        range: (f64, f64),
+        range: [f64; 2],
         clamp: bool,
         unit_distance: Option<f32>,
         unit_length: Option<f32>,
@@ -183,7 +183,7 @@ impl TransferFunction {
             }
             _ => None,
         })?;
-        let nodes = Nodes { opacity, color, range, clamp };
+        let nodes = Nodes { opacity, color, range: range.into(), clamp };
         made(Description::Nodes(nodes), unit_distance, unit_length)
     }
 

@@ -431,7 +431,7 @@ impl Volume {
         spacing: [f32; 3],
         origin: [f64; 3],
         axes: &str,
-        range: Option<(f32, f32)>,
+        range: Option<[f32; 2]>,
         fill: Fill,
     ) -> PyResult<Self> {
         let order = match axes {
@@ -446,6 +446,7 @@ impl Volume {
         if origin.iter().any(|v| !v.is_finite()) {
             return Err(PyValueError::new_err(format!("origin is {origin:?}; all three must be finite")));
         }
+        let range = range.map(Into::into);
         Self::look_at(py, array, spacing, origin, order, range, &fill).map(|data| Self(Arc::new(data)))
     }
 
@@ -482,8 +483,9 @@ impl Volume {
         &self,
         py: Python<'_>,
         array: &Bound<'_, PyAny>,
-        changed: Option<[(i64, i64); 3]>,
+        changed: Option<[[i64; 2]; 3]>,
     ) -> PyResult<Self> {
+        let changed = changed.map(|axes| axes.map(<(i64, i64)>::from));
         if let Some(axes) = changed
             && axes.iter().any(|&(first, end)| first.min(end) < 0)
         {

@@ -129,6 +129,27 @@ def test_observations_that_say_nothing_are_rejected(voxels, tf):
     assert len(other.history) == 0
 
 
+def test_sizes_and_ranges_are_sequences(voxels, tf):
+    volume = entire.Volume(voxels, [1, 1, 1], range=[0, 255])
+    assert volume.range == (0, 255)
+    box = [[0, n] for n in voxels.shape]
+    assert volume.next(voxels, box).range == volume.range
+    nodes = [entire.TransferFunction.nodes([(0, 0), (255, 1)], range=r) for r in ([0, 255], (0, 255))]
+    assert np.array_equal(*(each.rgba for each in nodes))
+    session = entire.Session(volume)
+    sizes = ((64, 48), [64, 48], np.array([64, 48]))
+    assert {session.plan(CAMERA, tf, size, 0.01).size for size in sizes[1:]} == {sizes[0]}
+    assert len({session.predict(CAMERA, tf, size).seconds for size in sizes}) == 1
+    assert session.choose(CAMERA, tf, [64, 48], 1e3, [[1, [64, 48]]])[1].size == sizes[0]
+    for size in ([64], [64, 48, 1]):
+        with pytest.raises(ValueError, match="length 2"):
+            session.plan(CAMERA, tf, size, 0.01)
+        with pytest.raises(ValueError, match="length 2"):
+            session.choose(CAMERA, tf, (64, 48), 0.01, [(1, size)])
+    with pytest.raises(ValueError, match="length 2"):
+        entire.Volume(voxels, range=[0, 1, 2])
+
+
 def test_order_and_ranges_are_said(voxels, tf):
     session = entire.Session()
     with pytest.raises(entire.NotReadyError, match="set_volume"):

@@ -391,7 +391,7 @@ def predict(
     volume: _native.Volume | npt.ArrayLike,
     cameras: Sequence[_native.Camera] | npt.ArrayLike,
     tf: _native.TransferFunction,
-    size: tuple[int, int],
+    size: Sequence[int],
     *,
     model: ModelLike | None = None,
     step: float = 1.0,

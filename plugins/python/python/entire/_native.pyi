@@ -10,6 +10,8 @@ from typing_extensions import Self
 
 _Shading = Literal["none", "local", "scatter", "local-scatter"]
 _Skipping = Literal["blocks", "none", "distance"]
+_Size = Sequence[int]
+_Range = Sequence[float]
 _Triple = tuple[float, float, float] | Sequence[float]
 _Rows = Sequence[Sequence[float]] | npt.NDArray[Any]
 
@@ -34,13 +36,13 @@ class Volume:
         *,
         origin: _Triple = ...,
         axes: Literal["zyx", "xyz"] = "zyx",
-        range: tuple[float, float] | None = None,
+        range: _Range | None = None,
         fill: Literal["auto"] | float | Sequence[float] | None = ...,
     ) -> Self: ...
     def next(
         self,
         array: npt.ArrayLike,
-        changed: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None,
+        changed: Sequence[_Size] | None = None,
     ) -> Volume: ...
     @property
     def shape(self) -> tuple[int, int, int]: ...
@@ -126,7 +128,7 @@ class TransferFunction:
         opacity: _Rows,
         color: _Rows = ...,
         *,
-        range: tuple[float, float],
+        range: _Range,
         clamp: bool = True,
         unit_distance: float | None = None,
         unit_length: float | None = None,
@@ -243,7 +245,7 @@ class Session:
         self,
         camera: Camera,
         tf: TransferFunction | None,
-        size: tuple[int, int],
+        size: _Size,
         target: float,
         *,
         step: float = 1.0,
@@ -269,9 +271,9 @@ class Session:
         self,
         camera: Camera,
         tf: TransferFunction | None,
-        size: tuple[int, int],
+        size: _Size,
         target: float,
-        settings: Sequence[tuple[float, tuple[int, int]]],
+        settings: Sequence[tuple[float, _Size]],
         *,
         shading: _Shading = "none",
         skipping: _Skipping = "blocks",
@@ -284,7 +286,7 @@ class Session:
         self,
         camera: Camera,
         tf: TransferFunction | None,
-        size: tuple[int, int],
+        size: _Size,
         *,
         step: float = 1.0,
         shading: _Shading = "none",
@@ -295,7 +297,7 @@ class Session:
         self,
         cameras: Sequence[Camera] | npt.ArrayLike,
         tf: TransferFunction | None,
-        size: tuple[int, int],
+        size: _Size,
         *,
         step: float = 1.0,
         shading: _Shading = "none",
@@ -325,7 +327,7 @@ class Calibration:
         volume: Volume,
         camera: Camera,
         tf: TransferFunction,
-        size: tuple[int, int],
+        size: _Size,
         seconds: float,
         *,
         step: float = 1.0,

@@ -182,17 +182,14 @@ class Holder:
         if self._camera is not None and camera.jumps_from(self._camera):
             self.session.mark(camera=True)
         self._camera = camera
-        size = tuple(int(n) for n in self.canvas.physical_size)
+        size = [int(n) for n in self.canvas.physical_size]
         own = min(4096.0, max(1 / 64, float(self.own)))
         steered = self.enabled and self.moving()
         if steered:
             self.session.set_limits(own, max(own, self.coarsest))
         self.session.set_enabled(steered)
-        plan = self.session.plan(
-            camera, tf, (size[0], size[1]), self.seconds, step=own, skipping="none", termination=end
-        )
-        self._plan = plan
-        self.step = plan.step
+        plan = self.session.plan(camera, tf, size, self.seconds, step=own, skipping="none", termination=end)
+        self._plan, self.step = plan, plan.step
         if not steered:
             self.reason = "still" if self.enabled else "off"
             self.status = "a still frame, at the visual's own step" if self.enabled else "steering is off"
