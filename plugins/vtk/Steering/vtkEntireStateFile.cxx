@@ -19,9 +19,11 @@
 
 namespace
 {
-std::string Because(const char* name, const char* what, int code)
+// `code` is a value of errno, or one of another kind.
+std::string Because(const char* name, const char* what, int code,
+  const std::error_category& kind = std::generic_category())
 {
-  return std::string(name) + " cannot be " + what + ": " + std::generic_category().message(code);
+  return std::string(name) + " cannot be " + what + ": " + kind.message(code);
 }
 
 std::string TooLarge(const char* name)
@@ -44,7 +46,20 @@ std::string Beside(const char* name)
   return std::string(name) + text + ".part";
 }
 
-#if !defined(_WIN32)
+#if defined(_WIN32)
+// Path of a file name, which is UTF-8 as everywhere in VTK; empty for other bytes.
+std::filesystem::path Path(const std::string& name)
+{
+  try
+  {
+    return std::filesystem::u8path(name);
+  }
+  catch (const std::system_error&)
+  {
+    return {};
+  }
+}
+#else
 // Closes a file descriptor at the end of a scope.
 struct Descriptor
 {
@@ -91,8 +106,9 @@ namespace vtkEntire
 //------------------------------------------------------------------------------
 std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
 {
+  const std::filesystem::path path = Path(name);
   std::error_code code;
-  const auto status = std::filesystem::status(name, code);
+  const auto status = std::filesystem::status(path, code);
   if (!std::filesystem::exists(status))
   {
     return Because(name, "read", ENOENT);
@@ -101,7 +117,7 @@ std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
   {
     return NotRegular(name);
   }
-  std::ifstream file(name, std::ios::binary);
+  std::ifstream file(path, std::ios::binary);
   std::vector<std::uint8_t> read(MAX_STATE_BYTES + 1);
   file.read(reinterpret_cast<char*>(read.data()), static_cast<std::streamsize>(read.size()));
   if (file.bad() || (file.fail() && !file.eof()))
@@ -120,19 +136,21 @@ std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
 //------------------------------------------------------------------------------
 std::string WriteStateFile(const char* name, const std::vector<std::uint8_t>& bytes)
 {
-  const std::string aside = Beside(name);
+  const std::filesystem::path aside = Path(Beside(name));
   std::ofstream file(aside, std::ios::binary | std::ios::trunc);
   file.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
   file.close();
-  std::error_code code;
-  if (file)
+  std::error_code code(file ? 0 : EIO, std::generic_category());
+  if (!code)
   {
-    std::filesystem::rename(aside, name, code);
+    // Replaces the earlier file in one step. Fails if another process has it open.
+    std::filesystem::rename(aside, Path(name), code);
   }
-  if (!file || code)
+  if (code)
   {
-    std::remove(aside.c_str());
-    return Because(name, "written", code ? code.value() : EIO);
+    std::error_code ignored;
+    std::filesystem::remove(aside, ignored);
+    return Because(name, "written", code.value(), code.category());
   }
   return {};
 }

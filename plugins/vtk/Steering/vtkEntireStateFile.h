@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Files of learned states: read up to a maximum size, written completely or not at all.
+// Files of learned states: read up to a maximum size, written completely or not at all. Names are UTF-8.
 #ifndef vtkEntireStateFile_h
 #define vtkEntireStateFile_h
 
