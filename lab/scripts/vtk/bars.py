@@ -54,14 +54,17 @@ def calibrate(options, mapper):
     draw; returns its file."""
     import vtk_scene
     from timing_table import write_nrrd
+    from vtkmodules.vtkCommonCore import vtkVersion
 
     volumes = []
     for seed in OTHERS:
         volumes.append(os.path.join(options.out, f"noise-{seed}.nrrd"))
         if not os.path.exists(volumes[-1]):
             write_nrrd(volumes[-1], vtk_scene.noise_volume(256, seed))
-    table = os.path.join(options.out, f"others-{mapper}.csv")
-    pictures = os.path.join(options.out, f"pictures-{mapper}.csv")
+    # Times of one version of VTK are not those of another.
+    kept = f"{mapper}-{vtkVersion.GetVTKVersion()}"
+    table = os.path.join(options.out, f"others-{kept}.csv")
+    pictures = os.path.join(options.out, f"pictures-{kept}.csv")
     model = os.path.join(options.out, f"others-{mapper}.safetensors")
     if not (os.path.exists(table) and os.path.exists(pictures)):
         part = os.path.join(options.out, f"part-{mapper}.csv")
