@@ -33,6 +33,22 @@ if have ninja; then export CMAKE_GENERATOR=${CMAKE_GENERATOR:-Ninja}; fi
 # shellcheck disable=SC2034
 strict=(-DCMAKE_COMPILE_WARNING_AS_ERROR=ON -DCMAKE_CXX_FLAGS="-Wall -Wextra -Wno-missing-field-initializers")
 
+# Packages that Qt needs to open windows.
+# shellcheck disable=SC2034
+qt_libraries=(libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-xinerama0
+    libxkbcommon-x11-0 libegl1 libdbus-1-3)
+
+# paraview_packages [QT]: prints the packages of ParaView, and those that the CMake package of paraview-dev requires without
+# depending on them. QT is the version of Qt, 5 or 6; by default that of this machine's ParaView.
+paraview_packages() {
+    local version=${1:-5} qt="qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev"
+    if [[ ! ${1:-} ]] && apt-cache depends paraview 2>/dev/null | grep libqt6 >/dev/null; then version=6; fi
+    if [[ $version == 6 ]]; then qt="qt6-base-dev qt6-svg-dev qt6-tools-dev qt6-5compat-dev"; fi
+    echo "paraview paraview-dev openmpi-bin $qt libutfcpp-dev libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev" \
+        "libavformat-dev libswscale-dev libswresample-dev libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev" \
+        "libdouble-conversion-dev libfreetype-dev"
+}
+
 # sdk: prints the folder of the installed C library. The gate installs it once and names the folder in ENTIRE_SDK. A script
 # that runs alone installs it as `make install` does.
 sdk() {

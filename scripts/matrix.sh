@@ -34,9 +34,6 @@ done
 
 packages=(ca-certificates g++ cmake ninja-build pkg-config valgrind xvfb xauth libgl1-mesa-dri python3 python3-numpy
     libvtk9-dev python3-vtk9)
-paraview=(paraview paraview-dev openmpi-bin qt6-base-dev qt6-svg-dev qt6-tools-dev qt6-5compat-dev libutfcpp-dev libxml2-dev
-    libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev libgl2ps-dev libpng-dev
-    libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
 # Commands that run in the folder after its installation. They install ParaView's Python modules; in some releases these
 # conflict with VTK's modules and are unpacked into another folder instead. And they make links to extension modules under
 # names without Python's suffix, which the CMake packages of newer ParaView versions in Debian expect.
@@ -51,6 +48,7 @@ finish='export DEBIAN_FRONTEND=noninteractive
 if [[ $short ]]; then
     folders=$folders/short finish=:
 else
+    read -ra paraview < <(paraview_packages 6)
     packages+=("${paraview[@]}")
 fi
 

@@ -3,6 +3,7 @@
 # this user has the rights. Prints its steps; a second run changes nothing. With ENTIRE_SETUP_INSTALL=no it only checks.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/lib.sh
 # In Debian, the PATH of a user who is not root lacks the folders of ldconfig.
 PATH=$PATH:/usr/sbin:/sbin
 # The gate that will run: test, change or nightly (see scripts/test.sh); empty for `make demo`.
@@ -144,14 +145,11 @@ case $for in
     change | nightly)
         # VTK and its Python, ParaView, a display, simulated user input for the window, and folders of other Debian releases.
         packages+=(libvtk9-dev python3-vtk9 python3-numpy python3-venv xvfb xauth xdotool mmdebstrap)
-        packages+=(paraview paraview-dev openmpi-bin qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev
-            libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev
-            libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
+        read -ra paraview < <(paraview_packages)
+        packages+=("${paraview[@]}")
         ;;&
     nightly)
-        # Slurm, and the libraries that Qt needs to open windows.
-        packages+=(slurm-wlm munge libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
-            libxcb-xinerama0 libxkbcommon-x11-0 libegl1 libdbus-1-3)
+        packages+=(slurm-wlm munge "${qt_libraries[@]}")
         ;;
 esac
 if ((${#packages[@]})) && command -v dpkg-query >/dev/null; then

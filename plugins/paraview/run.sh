@@ -21,12 +21,9 @@ arch=$(gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 cmake_dir=$(compgen -G "/usr/lib/$arch/cmake/paraview-*" | sort -V | tail -n 1 || true)
 
 lacks() { skip_all test-paraview "$1"; }
-packages="paraview paraview-dev qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev libxml2-dev \
-libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev libgl2ps-dev libpng-dev \
-libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev"
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++)"
 command -v pvbatch >/dev/null && [[ $cmake_dir ]] ||
-    lacks "ParaView and its development files are not installed (apt-get install $packages)"
+    lacks "ParaView and its development files are not installed (apt-get install $(paraview_packages))"
 command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): ParaView needs a display"
 mkdir -p "$out"
 

@@ -105,11 +105,9 @@ tests() {
 
 # Runs the tests in windows of Qt. Qt ends a process that cannot open a window, so this is tried first.
 qt_tests() {
-    local libraries="libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxcb-xinerama0
-        libxkbcommon-x11-0 libegl1 libdbus-1-3"
     if installed qt && ! QT_QPA_PLATFORM=xcb display "$out/qt/bin/python" \
         -c 'from PyQt6.QtWidgets import QApplication; QApplication([])' >/dev/null 2>&1; then
-        skip "test-python, qt" "Qt opens no window here (apt-get install $(echo $libraries))"
+        skip "test-python, qt" "Qt opens no window here (apt-get install ${qt_libraries[*]})"
     else
         tests qt tests/test_qt.py "$@"
     fi
