@@ -295,9 +295,10 @@ def dependency_tree(package, edges, *options):
 
 
 def addresses():
-    """Returns the files that lack the project's address in Cargo.toml."""
+    """Returns the files that lack the project's address in Cargo.toml, or the page for private reports below it."""
     address = re.search(r'^repository = "(.+)"', (ROOT / "Cargo.toml").read_text(), re.M).group(1)
-    return [name for name in ("plugins/python/pyproject.toml", "CITATION.cff") if address not in (ROOT / name).read_text()]
+    stated = {"plugins/python/pyproject.toml": address, "CITATION.cff": address, "SECURITY.md": f"{address}/security/advisories/new"}
+    return [name for name, text in stated.items() if text not in (ROOT / name).read_text()]
 
 
 def product_lines(folder):
