@@ -2,7 +2,7 @@
 """Measures the bars of the probe, of transfer functions and of volume summaries: one line `bar NAME VALUE LIMIT ok|short`
 each; exit status 1 when any is short.
 
-usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT] [--build-only] [--no-build]
+usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT]
 
 Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with
 the working tree's calls.rs). In each of N rounds, both programs run every measurement, in random order. The time of a
@@ -126,16 +126,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--work", default=str(ROOT / "target/bars-probe"))
     parser.add_argument("--only", default="", help="run only measurements whose names contain this text")
-    parser.add_argument("--build-only", action="store_true", help="build, and measure nothing")
-    parser.add_argument("--no-build", action="store_true", help="take the programs that were built last")
     options = parser.parse_args()
-    work = pathlib.Path(options.work).resolve()
-    targets = {side: work / f"{side}-build" for side in ("today", "before")}
-    work.mkdir(parents=True, exist_ok=True)
-    if options.build_only:
-        build(ROOT, targets["today"])
-        build(prepare(options.before, work), targets["before"])
-        return
 
     plans = [f"plan/{side}/{heat}/{mode}" for side in (11, 24) for heat in ("warm", "cold") for mode in MODES]
     transfers = [f"transfer/{edge}/{what}" for edge in EDGES for what in ("first", "edit", "plan")]
@@ -145,13 +136,15 @@ def main():
     asked = [n for n in plans + transfers + volumes + today_only if options.only in n]
     limits = {name: limit for name, (limit, needs) in BARS.items() if all(n in asked for n in needs)}
     with Bars(limits, {name for name in limits if name.startswith("summary")}) as bars:
-        measure(options, targets, asked, today_only, bars)
+        measure(options, asked, today_only, bars)
 
 
-def measure(options, targets, asked, today_only, bars):
-    if not options.no_build:
-        build(ROOT, targets["today"])
-        build(prepare(options.before, pathlib.Path(options.work).resolve()), targets["before"])
+def measure(options, asked, today_only, bars):
+    work = pathlib.Path(options.work).resolve()
+    work.mkdir(parents=True, exist_ok=True)
+    targets = {side: work / f"{side}-build" for side in ("today", "before")}
+    build(ROOT, targets["today"])
+    build(prepare(options.before, work), targets["before"])
     best = {}
     servers = {side: Server([target / "release/examples/probe_server"]) for side, target in targets.items()}
     for _ in range(options.rounds):
@@ -169,9 +162,6 @@ def measure(options, targets, asked, today_only, bars):
                             if (side, name) in mean)
         print(f"{name:24} {figures}")
 
-    def ratio(ours, theirs):
-        return mean["today", ours] / mean["before", theirs]
-
     for name, (_, needs) in BARS.items():
         if name not in bars.asked:
             continue
@@ -184,7 +174,7 @@ def measure(options, targets, asked, today_only, bars):
         elif name.endswith("_two_threads"):
             bars.found(name, mean["today", needs[0]] / mean["today", needs[1]])
         else:
-            bars.found(name, ratio(*needs))
+            bars.found(name, mean["today", needs[0]] / mean["before", needs[1]])
 
 
 if __name__ == "__main__":

@@ -1,12 +1,8 @@
-#!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Lists cycles of dependencies between files of a crate (circles): sets of files that use each other, directly or through
 others, by paths that begin with `crate` or `super`. Tests and lib.rs, main.rs and mod.rs are left out.
-
-    circles.py              prints a line for each circle
 """
 import re
-import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,9 +91,3 @@ def circles(graph):
 
 def all_circles():
     return [[str(file.relative_to(ROOT)) for file in circle] for crate in CRATES for circle in circles(uses(ROOT / crate / "src"))]
-
-
-if __name__ == "__main__":
-    sys.setrecursionlimit(10000)
-    for files in all_circles():
-        print(" ".join(files))

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from statistics import median_high
 from types import SimpleNamespace
 
 from bar_lines import Bars
@@ -52,11 +53,6 @@ def numbers(rows, column):
     return [float(row[column]) for row in rows if row[column]]
 
 
-def middle(values):
-    values = sorted(values)
-    return values[len(values) // 2]
-
-
 def steering(bars, command, display, folder):
     log = tools.run_script(command, display, session(), folder, [VOLUME])
     rows = log["frame"]
@@ -78,12 +74,12 @@ def interface(bars, command, display, folder):
     rows = tools.run_script(command, single, lines, folder, [VOLUME])["frame"]
     parts = [numbers(rows, f"{n}_seconds") for n in ("interface_cpu", "handing_cpu", "shown")]
     assert [len(part) for part in parts] == 3 * [INTERFACE_FRAMES] and min(parts[0]) > 0, "the log lacks processor times"
-    layout, handing, shown = (1e3 * middle(part) for part in parts)
+    layout, handing, shown = (1e3 * median_high(part) for part in parts)
     print(f"     processor time: layout {layout:.3f} ms, presentation {handing:.3f} ms; from the recording of commands to the end "
           f"of drawing, with presentation: {shown:.1f} ms " + ("of processor time" if software else "of GPU time"))
     # The layout thread records the commands, so that layout time and drawing time both include the recording.
     sums = [l + (max(h, s) if software else h) for l, h, s in zip(*parts)]
-    bars.found("explore_interface_ms", 1e3 * middle(sums), "layout, presentation, drawing")
+    bars.found("explore_interface_ms", 1e3 * median_high(sums), "layout, presentation, drawing")
 
 
 def latency(bars, command, display, folder):
@@ -124,7 +120,7 @@ def opening(bars, command, display, folder):
     for _ in range(5):
         log = tools.run_script(command, display, [at(3, quit=True)], folder, [volume])
         seconds.append(float(log["open"][0]["seconds"]))
-    bars.found("explore_open_seconds", middle(seconds))
+    bars.found("explore_open_seconds", median_high(seconds))
 
 
 def resting(bars, command, display, folder):
@@ -135,8 +131,8 @@ def resting(bars, command, display, folder):
     rest, full = numbers(log["rest"], "seconds"), numbers(log["full"], "seconds")
     # Time of each refinement divided by the mean of the full frames before and after it, minus 1.
     shares = [2 * r / (full[2 * i] + full[2 * i + 1]) - 1 for i, r in enumerate(rest)]
-    print(f"     full frame {middle(full):.3f} s, refinement to full quality {middle(rest):.3f} s")
-    bars.found("explore_rest_overhead", middle(shares))
+    print(f"     full frame {median_high(full):.3f} s, refinement to full quality {median_high(rest):.3f} s")
+    bars.found("explore_rest_overhead", median_high(shares))
     slices = numbers(log["rest"], "shown_seconds")
     target = float(log["rest"][0]["target_seconds"])
     bars.found("explore_longest_slice_to_target", max(slices) / target)

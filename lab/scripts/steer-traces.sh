@@ -8,8 +8,8 @@ lab=${ENTIRE_LAB:-${CARGO_TARGET_DIR:-target}/release/entire-lab}
 mkdir -p "$out/traces" "$out/training"
 
 # Paths over volumes outside of the repository: the bars depend on which of them exist.
-found=() absent=()
-for pair in isabel_wrf:isabel-switches viscous_fingers:fingers-cuts; do
+found=() absent=() pairs=(isabel_wrf:isabel-switches viscous_fingers:fingers-cuts)
+for pair in "${pairs[@]}"; do
     if [ -d "$data/ensembles/${pair%%:*}/run01" ] || [ -e "$out/traces/${pair#*:}.json.gz" ]; then
         found+=("${pair#*:}")
     else
@@ -50,14 +50,10 @@ trace banana-resize data/mr_banana.nrrd --generate switches --frames "$frames" \
     --scales "0:1,$((frames / 3)):0.6,$((2 * frames / 3)):1.2"
 trace maestroex-series data/maestroex_bubbles/m03/t0010.nrrd data/maestroex_bubbles/m03/t0015.nrrd \
     --enlarge 2 --hold 12 --generate orbit --frames "$frames"
-if [ -d "$data/ensembles" ]; then
-    v="$data/ensembles/isabel_wrf/run01"
-    first=$(find "$v" -name '*.nrrd' 2>/dev/null | sort | head -n 1 || true)
-    [ -n "$first" ] && trace isabel-switches "$first" --enlarge 2 --generate switches --frames "$frames"
-    v="$data/ensembles/viscous_fingers/run01"
-    first=$(find "$v" -name '*.nrrd' 2>/dev/null | sort | head -n 1 || true)
-    [ -n "$first" ] && trace fingers-cuts "$first" --enlarge 2 --generate cuts --frames "$frames"
-fi
+for pair in "${pairs[@]}"; do
+    first=$(find "$data/ensembles/${pair%%:*}/run01" -name '*.nrrd' 2>/dev/null | sort | head -n 1 || true)
+    [ -n "$first" ] && trace "${pair#*:}" "$first" --enlarge 2 --generate "${pair##*-}" --frames "$frames"
+done
 
 # Paths for choosing the controller's constants: other volumes than those of the paths above.
 training train-switches data/nyx_cosmology/m01/t0005.nrrd --enlarge 2 --generate switches --frames 64

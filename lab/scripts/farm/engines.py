@@ -54,6 +54,10 @@ HELD_OUT = ["castro_blast/m04/t0012", "castro_blast/m05/t0012", "maestroex_bubbl
             "nyx_cosmology/m04/t0010", "mr_banana"]
 
 
+# Renderer of a job file.
+CPU = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
+
+
 class Farm:
     def __init__(self, options):
         self.entire = Path(options.bin).resolve() / "entire"
@@ -176,8 +180,7 @@ def frames_of(farm, mean):
 def paper_case(farm, name, size, device, predict=""):
     """Writes the job of six volumes that no shipped model was trained on, with 64 views each; returns its file."""
     volumes = [farm.root / "data" / f"{volume}.nrrd" for volume in HELD_OUT]
-    own = f'[renderer]\nkind = "entire"\ndevice = "{device}"\n'
-    return farm.job(name, own, volumes, 64, size, predict)
+    return farm.job(name, CPU.replace("cpu", device), volumes, 64, size, predict)
 
 
 def record(farm):
@@ -226,11 +229,9 @@ def over_bound(bars, name, what, run, slots, cost):
 
 def hq_frames(farm, bars):
     slots = os.cpu_count()
-    volumes = [farm.root / "data" / f"{volume}.nrrd" for volume in HELD_OUT]
 
     def run(tasks):
-        own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
-        job = farm.job("hq-short", own, volumes[:1], tasks, "256x256")
+        job = farm.job("hq-short", CPU, [farm.root / "data" / f"{HELD_OUT[0]}.nrrd"], tasks, "256x256")
         farm.run(job, *farm.hyperqueue(), "--slots", str(slots), "--overhead", "0")
         return job
 
@@ -314,15 +315,14 @@ def kills(farm, bars, runs):
         bars.lacking(f"{runs} runs are fewer than the {RUNS} that the bar needs (--runs {RUNS})", ASKED["kills"])
         return
     volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:3]
-    own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
-    reference = farm.job("kill-reference", own, volumes, 40, "48x48")
+    reference = farm.job("kill-reference", CPU, volumes, 40, "48x48")
     farm.run(reference, "--slots", "2")
     right = pictures(reference)
     draw = random.Random(11)
     lost = wrong = killed = twice = 0
     for run in range(runs):
         engine = farm.hyperqueue() if run % 2 else []
-        job = farm.job(f"kill-{run}", own, volumes, 40, "48x48")
+        job = farm.job(f"kill-{run}", CPU, volumes, 40, "48x48")
         begun = job.parent / "db.cdb/.farm/journal.jsonl"
         for _ in range(12):
             more = ["--resume"] if begun.exists() and begun.stat().st_size else []
@@ -367,8 +367,7 @@ def full(farm, bars):
         return
     try:
         volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:2]
-        own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
-        reference = farm.job("full-reference", own, volumes, 40, "96x96")
+        reference = farm.job("full-reference", CPU, volumes, 40, "96x96")
         farm.run(reference, "--slots", "2")
         right = pictures(reference)
         job = folder / "job.toml"

@@ -81,12 +81,8 @@ class Contender:
     def pose(self, frame, frames, n):
         opaque = sum(frame >= frames * s // 200 for s in SWITCHES) % 2
         self.view.functions(self.functions[opaque], self.color)
-        self.view.camera(self.view_position(frame, frames, n))
+        self.view.camera(camera(frame, frames, n))
         return opaque
-
-    @staticmethod
-    def view_position(frame, frames, n):
-        return camera(frame, frames, n)
 
     def draw(self, frame, frames, n, reference):
         opaque = self.pose(frame, frames, n)
