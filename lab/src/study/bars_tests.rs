@@ -39,6 +39,7 @@ fn fit(name: &str, off: f64, numbers: usize) -> Fit {
         seen_intervals: None,
         crossed: Some(result("member", name, off).metrics),
         crossed_intervals: None,
+        noise: [0.0; 2],
         folds: 5,
         numbers,
         probe_side: 11,
@@ -106,22 +107,24 @@ fn the_rule_takes_the_smallest_of_the_good_ones_and_looks_at_no_test_frame() {
         .map(|(n, k)| trained(n, k))
         .join(",");
     all += r#", { "name": "t", "trees": true }"#;
-    let rule = |good: f64| {
+    let rule = |good: f64, noise: f64| {
         let study = study_of(&all, "{}");
         let mut found = Findings::default();
         // Every prediction is wrong by a factor. On the test frames the order of the errors is reversed.
         for (name, off, numbers) in
             [("large", 1.10, 900), ("good", good, 19), ("small", 1.30, 2), ("t", 1.01, 1)]
         {
-            found.fits.push(fit(name, off, numbers));
+            found.fits.push(Fit { noise: [noise, 0.0], ..fit(name, off, numbers) });
             found.results.push(result("member", name, 2.5 - off));
         }
         let table = fits_table(&study, &found, "a set", "member").to_text();
         assert_eq!(table.matches("selected").count(), 1, "{table}");
         by_rule(&study, &found, "a set").unwrap().name.clone()
     };
-    assert_eq!(rule(1.104), "good");
-    assert_eq!(rule(1.106), "large");
+    assert_eq!(rule(1.104, 0.0), "good");
+    assert_eq!(rule(1.106, 0.0), "large");
+    // Without the noise, the larger predictor's error is more than 5 % lower.
+    assert_eq!(rule(1.104, 0.08), "large");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Results of a study: errors, latencies and curves, by set, split and predictor.
 
 use crate::latency::Latency;
-use entire_io::dataset::{NoiseFloor, TimedFrame};
+use entire_io::dataset::{Clock, NoiseFloor, TimedFrame, noise_floor};
 use entire_io::metrics::{BoundMetrics, Metrics, intervals_by_group};
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
@@ -70,6 +70,9 @@ pub(crate) struct Fit {
     pub(crate) crossed: Option<Metrics>,
     /// Intervals of the errors in cross-validation.
     pub(crate) crossed_intervals: Option<Intervals>,
+    /// Median error and RMSE/SD of a perfect predictor on the frames of the cross-validation, due to the noise of
+    /// the measured times.
+    pub(crate) noise: [f64; 2],
     /// Number of folds of the cross-validation.
     pub(crate) folds: usize,
     /// Number of fitted parameters: weights, biases, and unit costs.
@@ -157,6 +160,38 @@ impl Findings {
     pub(crate) fn noise_mdape(&self, set: &str, split: &str) -> f64 {
         self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| n.2.mdape())
     }
+}
+
+impl Fit {
+    /// The error by which the rule compares predictors: the geometric mean of median error and RMSE/SD in
+    /// cross-validation, each without the noise of the measured times. `None` without a cross-validation.
+    pub(super) fn error(&self) -> Option<f64> {
+        let crossed = self.crossed.as_ref()?;
+        let [mdape, rmse_over_sd] = [(crossed.mdape, self.noise[0]), (crossed.rmse_over_sd, self.noise[1])]
+            .map(|(error, noise)| (error * error - noise * noise).max(0.0).sqrt());
+        Some((mdape * rmse_over_sd).sqrt())
+    }
+}
+
+/// Returns median error and RMSE/SD of a perfect predictor of measured times, due to their noise. Frames that were
+/// measured once are left out. `passes` is as in [`noise_floor`].
+pub(super) fn noise_of(
+    part: &TimedFrames<'_>,
+    clock: Clock,
+    passes: impl Fn(&TimedFrame) -> usize,
+) -> [f64; 2] {
+    let mdape = noise_floor(part.frames.iter().copied(), clock, passes).map_or(0.0, |n| n.mdape());
+    let squares = part.frames.iter().filter_map(|frame| {
+        let times: Vec<f64> = frame.repeats.iter().filter_map(|r| r.seconds(clock)).collect();
+        let n = times.len() as f64;
+        let mean = times.iter().sum::<f64>() / n;
+        let sum: f64 = times.iter().map(|t| (t - mean) * (t - mean)).sum();
+        (n > 1.0).then(|| sum / (n - 1.0) / n)
+    });
+    let squares: Vec<f64> = squares.collect();
+    let rmse = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
+    let sd = Metrics::new(&part.seconds, &part.seconds).map_or(f64::INFINITY, |m| m.sd);
+    [mdape, rmse / sd]
 }
 
 /// Number of frames to which predictors are calibrated.

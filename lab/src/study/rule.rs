@@ -15,7 +15,7 @@ const WORTH: f64 = 0.95;
 pub(crate) const SENTENCE: &str = "Rule of selection: a predictor is excluded if another predictor's error is more than 5 % lower on \
      the tables of every machine; of the others, the one with the fewest fitted parameters is selected (if several have the \
      same number, the one with the fewest rays). The error is the geometric mean of median error and RMSE/SD in \
-     cross-validation by ensemble member. Test frames are not used.";
+     cross-validation by ensemble member, each without the noise of the measured times. Test frames are not used.";
 
 /// A predictor with the data that the rule uses.
 #[derive(Clone, Debug)]
@@ -60,8 +60,7 @@ pub(crate) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Opti
         .filter_map(|p| {
             let mut errors = Vec::new();
             for set in &group {
-                let crossed = found.fit(set, &p.name)?.crossed.as_ref()?;
-                let error = (crossed.mdape * crossed.rmse_over_sd).sqrt();
+                let error = found.fit(set, &p.name)?.error()?;
                 errors.push(if error.is_finite() { error } else { f64::INFINITY });
             }
             let fit = found.fit(set, &p.name)?;
