@@ -17,7 +17,7 @@ macro_rules! selected {
 fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
     match shading {
         Shading::None => vec![selected!("unshaded"), selected!("unshaded-epyc"), selected!("unshaded-xeon")],
-        Shading::Local => vec![selected!("local")],
+        Shading::Local => vec![selected!("local"), selected!("local-xeon")],
         Shading::Scatter => vec![selected!("scatter")],
         _ => Vec::new(),
     }

@@ -10,6 +10,7 @@ use entire_core::model::{GroupKind, Key, ModelFile};
 use entire_io::dataset::{Clock, Table, read_tables};
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
+use entire_steer::predict::AnalyticModel;
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, predict};
 use entire_train::split::TimedFrames;
@@ -41,6 +42,11 @@ pub(crate) fn ship(
                 continue;
             };
             let (mut file, model) = read_model_file(&made.2)?;
+            // A calibration starts from several analytic models, but from one model with a learned factor.
+            let first = study.sets.iter().find(|s| s.group.is_some() && s.group == set.group);
+            if first.is_some_and(|s| s.name != set.name) && AnalyticModel::from_model(&model)?.is_none() {
+                continue;
+            }
             let judged_as =
                 model.prednet.as_ref().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;

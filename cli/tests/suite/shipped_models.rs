@@ -118,7 +118,7 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
 fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let model = model_of(&root.join("models/local-selected.safetensors"));
+    let model = model_of(&root.join("models/scatter-selected.safetensors"));
     let (predictor, layout) = (ModelPredictor::new(&model).unwrap(), Layout::of_model(&model).unwrap());
     let share_out = |table: &str, volumes: &str| {
         let table = root.join("data/timings").join(table);
@@ -131,9 +131,9 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     // Most frames of unseen members are within the training range if their simulation code is in the training
     // data.
     for known in ["castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05"] {
-        let share = share_out("local-members.csv.gz", known);
+        let share = share_out("scatter-members.csv.gz", known);
         assert!(share < 0.2, "{known}: {share}");
     }
-    let scans = share_out("local-scans.csv.gz", "scans/");
+    let scans = share_out("scatter-scans.csv.gz", "scans/");
     assert!(scans > 0.3, "{scans}");
 }
