@@ -13,10 +13,14 @@ FRAMES_JUDGED := none-members none-epyc-members none-xeon-members
 FRAMES_MODELS := unshaded-selected unshaded-epyc-selected unshaded-xeon-selected
 FRAMES_OPTIONS := --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) --judged $(FRAMES_JUDGED:%=data/timings/%.csv.gz) \
     --priors $(FRAMES_MODELS:%=models/%.safetensors)
+FRAMES_LOCAL := --data $(addprefix data/timings/,local-train.csv.gz local-xeon-train.csv.gz) \
+    --judged $(addprefix data/timings/,local-members.csv.gz local-xeon-members.csv.gz) \
+    --priors $(addprefix models/,local-selected.safetensors local-xeon-selected.safetensors)
 
 .PHONY: study-frames
 study-frames: ## Compute the calibration error by the number of frames of another type of machine: out/frames/frames.svg
 	$(LAB) frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
+	$(LAB) frames $(FRAMES_LOCAL) --clock cpu --out out/frames-local | grep -v '^bar '
 
 .PHONY: bars-accuracy
 bars-accuracy: ## Run the study and print every accuracy bar (fails if one is missed): bar NAME VALUE LIMIT ok|short
