@@ -240,14 +240,13 @@ impl Source<'_> {
         Ok(names)
     }
 
-    /// True if the file has a tensor or the layout of VolumeNet.
+    /// True if the file has a tensor of VolumeNet.
     fn has_volumenet(&self) -> bool {
         let block = ["conv.weight", "conv.bias", "bn.weight", "bn.bias", "bn.running_mean", "bn.running_var"];
-        self.metadata.contains_key(Key::VolumeNet.name())
-            || self.tensors.keys().any(|name| {
-                numbered(name, "volumenet.encoder.", &block).is_some()
-                    || matches!(name.as_str(), "volumenet.fc.weight" | "volumenet.fc.bias")
-            })
+        self.tensors.keys().any(|name| {
+            numbered(name, "volumenet.encoder.", &block).is_some()
+                || matches!(name.as_str(), "volumenet.fc.weight" | "volumenet.fc.bias")
+        })
     }
 
     fn volumenet(&self) -> Result<VolumeNetParts> {

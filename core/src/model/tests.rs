@@ -263,9 +263,6 @@ fn metadata_is_checked() {
     assert_eq!(f.to_model().unwrap().scene_features, ["a", "b", "c", "d", "e", "f"].map(String::from));
     let one = r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#;
     fails(&set(Key::VolumeNet, one), invalid, &["1 blocks", "2"]);
-    let mut f = file();
-    f.metadata.insert(Key::VolumeNet.into(), one.into());
-    fails(&f, invalid, &[Key::VolumeNet.name(), "volumenet.encoder.*.conv.weight for 0"]);
     fails(&set(Key::VolumeNet, &one.replace('8', "0")), invalid, &["input is 0"]);
     fails(&set(Key::VolumeNet, &one.replace('8', "100000")), invalid, &["100000", "512"]);
     fails(&set(Key::VolumeNet, "8"), invalid, &["form"]);
