@@ -1,5 +1,6 @@
 //! The frames of a set: for training, for upper bounds, and for testing.
 
+use super::findings::noise_of;
 use super::{Set, Study};
 use anyhow::{Result, ensure};
 use entire_io::dataset::{Clock, Table, read_tables};
@@ -63,6 +64,9 @@ pub(super) struct SetData<'a> {
     pub(super) bounds: TimedFrames<'a>,
     /// Test frames, by split.
     pub(super) splits: Vec<TimedFrames<'a>>,
+    /// Median error and RMSE/SD of a perfect predictor on the frames of the training tables, due to the noise of
+    /// the measured times.
+    pub(super) noise: [f64; 2],
     training_tables: usize,
 }
 
@@ -77,6 +81,7 @@ impl<'a> SetData<'a> {
             clock.name()
         );
         let by = all.groups_at_least(MEMBERS);
+        let noise = noise_of(&all, clock, |f| tables.tables[f.table].passes());
         let learned = |all: TimedFrames<'a>| {
             let (validation, training) = all.hold_out(by, 1);
             Learned { all, validation, training }
@@ -87,6 +92,7 @@ impl<'a> SetData<'a> {
             every_step: learned(every),
             bounds: tables.frames(&tables.bounds, clock),
             splits: tables.splits.iter().map(|r| tables.frames(r, clock)).collect(),
+            noise,
             training_tables: tables.training.len(),
         })
     }

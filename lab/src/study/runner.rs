@@ -6,7 +6,7 @@ use super::cache::{STUDY_KEY, identity, kept, path_of};
 use super::calibrated::calibrated;
 use super::data::{MEMBERS, OnSet, SetData, SetTables};
 use super::description::main_panel;
-use super::findings::{judge, noise_of};
+use super::findings::judge;
 use super::rule::{by_rule, numbers};
 use super::{Findings, Fit, Intervals, Named, Study};
 use crate::latency::{Bench, Latency};
@@ -290,8 +290,6 @@ impl Runner<'_> {
         let made = self.any(&key, method, context, (&learned.training, &learned.validation), &from)?;
         let seen = data.of_training_tables(&learned.training);
         let predicted = made.predict(context, &seen.frames)?;
-        let noise =
-            noise_of(&data.one_step.all, on.study.clock.parse()?, |f| context.tables[f.table].passes());
         let fit = Metrics::new(&predicted, &seen.seconds).map(|metrics| Fit {
             set: set.name.clone(),
             predictor: named.name.clone(),
@@ -301,7 +299,7 @@ impl Runner<'_> {
             crossed_intervals: crossed
                 .as_ref()
                 .and_then(|c| Intervals::by(&c.predicted, &c.measured, &c.volumes)),
-            noise,
+            noise: data.noise,
             folds: crossed.as_ref().map_or(0, |c| c.folds),
             numbers: made.model().map_or(0, |m| numbers(m, data.one_step.all.frames[0].scene.shading)),
             probe_side: made.probe_side(),
