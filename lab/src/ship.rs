@@ -43,8 +43,8 @@ pub(crate) fn ship(
             };
             let (mut file, model) = read_model_file(&made.2)?;
             // A calibration starts from several analytic models, but from one model with a learned factor.
-            let first = study.sets.iter().find(|s| s.group.is_some() && s.group == set.group);
-            if first.is_some_and(|s| s.name != set.name) && AnalyticModel::from_model(&model)?.is_none() {
+            let is_first = study.group(set).next().is_some_and(|first| first.name == set.name);
+            if !is_first && AnalyticModel::from_model(&model)?.is_none() {
                 continue;
             }
             let judged_as =

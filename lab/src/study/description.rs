@@ -80,6 +80,13 @@ pub(crate) struct Set {
     pub(crate) limits: Limits,
 }
 
+impl Study {
+    /// The sets of a set's group, in the order of the description; the set alone if it is in no group.
+    pub(crate) fn group(&self, of: &Set) -> impl Iterator<Item = &Set> {
+        self.sets.iter().filter(move |s| s.name == of.name || (s.group.is_some() && s.group == of.group))
+    }
+}
+
 impl Set {
     /// True if the frames of a split determine the upper bounds of predictors that are not cross-validated.
     pub(crate) fn bounds_are_of(&self, split: &SplitTables) -> bool {

@@ -47,12 +47,7 @@ fn may_choose(named: &Named, set: &str) -> bool {
 /// The predictor that the rule selects for a set, by the errors of cross-validation in all sets of its group.
 pub(crate) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a Named> {
     let of = study.sets.iter().find(|s| s.name == set)?;
-    let group: Vec<&str> = study
-        .sets
-        .iter()
-        .filter(|s| s.name == set || (s.group.is_some() && s.group == of.group))
-        .map(|s| s.name.as_str())
-        .collect();
+    let group: Vec<&str> = study.group(of).map(|s| s.name.as_str()).collect();
     let (named, contenders): (Vec<&Named>, Vec<Contender>) = study
         .predictors
         .iter()
