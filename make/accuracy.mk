@@ -7,15 +7,11 @@ STUDY_OUT ?= out/study
 study: ## Train and evaluate every predictor of STUDY: out/study/report.html
 	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)"
 
-# The tables and the model at the same position in these lists are of one type of machine.
-FRAMES_TABLES := none-train none-epyc-train none-xeon-train
-FRAMES_JUDGED := none-members none-epyc-members none-xeon-members
-FRAMES_MODELS := unshaded-selected unshaded-epyc-selected unshaded-xeon-selected
-FRAMES_OPTIONS := --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) --judged $(FRAMES_JUDGED:%=data/timings/%.csv.gz) \
-    --priors $(FRAMES_MODELS:%=models/%.safetensors)
-FRAMES_LOCAL := --data $(addprefix data/timings/,local-train.csv.gz local-xeon-train.csv.gz) \
-    --judged $(addprefix data/timings/,local-members.csv.gz local-xeon-members.csv.gz) \
-    --priors $(addprefix models/,local-selected.safetensors local-xeon-selected.safetensors)
+# $(call frames,TABLES,MODELS): options of `entire-lab frames`. Table and model at the same position are of one type of machine.
+frames = --data $(1:%=data/timings/%-train.csv.gz) --judged $(1:%=data/timings/%-members.csv.gz) \
+    --priors $(2:%=models/%-selected.safetensors)
+FRAMES_OPTIONS := $(call frames,none none-epyc none-xeon,unshaded unshaded-epyc unshaded-xeon)
+FRAMES_LOCAL := $(call frames,local local-xeon,local local-xeon)
 
 .PHONY: study-frames
 study-frames: ## Compute the calibration error by the number of frames of another type of machine: out/frames/frames.svg
