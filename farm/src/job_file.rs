@@ -226,7 +226,7 @@ impl Default for Retry {
     }
 }
 
-/// How the raycaster draws: shading, skipping, termination.
+/// Shading, skipping and termination of the raycaster's frames.
 pub(crate) type Draw = (Shading, Skipping, f32);
 
 /// Returns a frame of the raycaster.
