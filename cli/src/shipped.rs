@@ -18,7 +18,7 @@ fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
     match shading {
         Shading::None => vec![selected!("unshaded"), selected!("unshaded-epyc"), selected!("unshaded-xeon")],
         Shading::Local => vec![selected!("local"), selected!("local-xeon")],
-        Shading::Scatter => vec![selected!("scatter")],
+        Shading::Scatter => vec![selected!("scatter"), selected!("scatter-xeon")],
         _ => Vec::new(),
     }
 }

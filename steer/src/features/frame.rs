@@ -109,7 +109,7 @@ pub(crate) struct Work {
     /// As [`Self::shadow_samples`], plus the samples for which rays wait in a renderer that marches eight
     /// adjacent rays in lockstep: all eight wait while any of them shades.
     pub(crate) lane_shadow_samples: f64,
-    /// As [`Self::lane_shadow_samples`], for adjacent rays so far apart that their samples are independent.
+    /// As [`Self::lane_shadow_samples`], for rays [`UNSHARED_SHADING`] apart.
     pub(crate) parted_shadow_samples: f64,
     /// Number of runs: consecutive samples between two jumps. 0 without skipping.
     pub(crate) runs: f64,
@@ -150,6 +150,15 @@ pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 
 /// Ray spacing at which half of the reads of shading are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SHADING: f64 = 8.0;
+
+/// Shadow samples for which rays far apart wait because their own sample is transparent, divided by the number if the
+/// visible voxels were spread evenly over each cell. The factor exceeds 1 because visible voxels lie close together.
+/// Fitted to training frames of two machines.
+const WAITING_TRANSPARENT: f64 = 4.0;
+
+/// Shadow samples for which rays far apart wait because they have ended, divided by all shadow samples, by the share
+/// of rays that end early, and by [`Probe::ends_apart`]. Fitted to training frames of two machines.
+const WAITING_ENDED: f64 = 10.0;
 
 /// Features of a camera's view of a volume under a transfer function, measured once per frame.
 ///
@@ -309,7 +318,7 @@ impl FrameFeatures {
             longest_segments += p.longest.shadow_segments * inv;
         }
         let shadow_samples = rays * f64::from(shadow);
-        let waiting = if p.visible > 0.0 { f64::from(p.busy / p.visible).max(1.0) } else { 1.0 };
+        let ray_spacing = f64::from(p.spread / setting.height as f32);
         let mut work = Work {
             pixels,
             rays,
@@ -318,19 +327,17 @@ impl FrameFeatures {
             lane_samples: rays * f64::from(per_lane),
             shaded: rays * f64::from(shaded),
             shadow_samples,
-            lane_shadow_samples: 0.0,
-            parted_shadow_samples: shadow_samples * waiting,
+            lane_shadow_samples: shadow_samples * self.waiting(ray_spacing),
+            parted_shadow_samples: shadow_samples * self.waiting(UNSHARED_SHADING),
             runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
             segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
             longest_samples: f64::from(longest_length * inv + crossing),
             longest_segments: if skipping { f64::from(longest_segments) } else { 0.0 },
             longest_shadow_samples: f64::from(longest_shadow),
-            ray_spacing: f64::from(p.spread / setting.height as f32),
+            ray_spacing,
             touched: 0.0,
             uncached: 0.0,
         };
-        // Adjacent rays less than about two voxels apart shade at the same time, so they hardly wait.
-        work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared(UNSHARED_SPACING) * (waiting - 1.0));
         let local = if setting.shading.is_lit() { work.shaded } else { 0.0 };
         let reads = work.samples * work.unshared(UNSHARED_SPACING)
             + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
@@ -338,6 +345,17 @@ impl FrameFeatures {
         work.touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
         work.uncached = work.touched / (work.touched + UnitCosts::CACHED_VOXELS);
         work
+    }
+
+    /// Number of shadow samples of eight adjacent rays in lockstep, divided by that of the rays alone; at least 1. A
+    /// ray waits while another one shades, if its own sample is transparent or if it has ended. Adjacent rays
+    /// shade at the same time; [`UNSHARED_SHADING`] apart, they wait half as long as rays far apart.
+    fn waiting(&self, ray_spacing: f64) -> f64 {
+        let p = &self.probe;
+        let transparent = if p.visible > 0.0 { (f64::from(p.busy / p.visible) - 1.0).max(0.0) } else { 0.0 };
+        let ended = f64::from(p.terminated * p.ends_apart);
+        let apart = ray_spacing / (ray_spacing + UNSHARED_SHADING);
+        1.0 + apart * (WAITING_TRANSPARENT * transparent + WAITING_ENDED * ended)
     }
 
     /// Returns a function that gives the value of any quantity at a setting; the work at the setting is

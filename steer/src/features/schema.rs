@@ -76,7 +76,7 @@ quantities! {
         "samples along shadow rays with single scattering, otherwise 0";
     LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
         "samples along shadow rays, plus the samples for which rays wait while another ray of their group of \
-         eight adjacent rays shades";
+         eight adjacent rays shades: because their own sample is transparent, or because they have ended";
     FarSkips, "far_skips", "jumps", 1.0, yes, yes,
         "jumps whose reads miss the caches: skips times the far share, which is the share of reads that miss \
          the caches";
@@ -90,8 +90,8 @@ quantities! {
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
         "local samples whose reads miss the caches: local samples times the far share of shading";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays, plus the samples for which rays far apart would wait while another ray \
-         of their group of eight shades; all times the far share of shading";
+        "samples along shadow rays, plus the samples for which rays eight reference steps apart wait while \
+         another ray of their group of eight shades; all times the far share of shading";
     FarX, "far_x", "samples", 1.0, yes, yes,
         "samples times the far share, times the share of crossed voxel borders that are normal to x; rays \
          along an axis read slowly if adjacent voxels of this axis are far apart in memory";

@@ -52,6 +52,10 @@ pub(crate) struct Probe {
     /// Length over which at least one of eight adjacent rays has a sample with opacity, if the rays sample a
     /// cell independently; 0 without single scattering.
     pub(super) busy: f32,
+    /// For neighboring probe rays that both terminate early: the mean distance of their ends along the rays,
+    /// divided by the sum of this distance and the mean visible length; 0 without such rays or without single
+    /// scattering.
+    pub(super) ends_apart: f32,
     /// Runs of samples between jumps: number of times a ray enters an occupied block from an empty one or
     /// from outside.
     pub(super) runs: f32,
@@ -190,6 +194,7 @@ impl Probe {
             empty: total(EMPTY) * inv,
             visible: total(VISIBLE) * inv,
             busy: total(BUSY) * inv,
+            ends_apart: if frame.shading.scatters() { ends_apart(&all[..count], &rays, side) } else { 0.0 },
             runs: total(RUNS) * inv,
             segments: total(SEGMENTS) * inv,
             spread: frame.camera.height_at(depth) / shape.reference_step,
@@ -322,6 +327,27 @@ fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
         }
     }
     sums[1..=side].iter().sum()
+}
+
+/// Computes [`Probe::ends_apart`] from the lengths of the rays up to their ends, `ends`, and from their visible
+/// lengths.
+fn ends_apart(ends: &[f32], rays: &[&mut [f32]; FIELDS], side: usize) -> f32 {
+    let (visible, terminated) = (&rays[VISIBLE], &rays[TERMINATED]);
+    let (mut distance, mut length) = (0.0f32, 0.0f32);
+    let mut add = |i: usize, j: usize| {
+        let both = terminated[i] * terminated[j];
+        distance += both * (ends[i] - ends[j]).abs();
+        length += both * 0.5 * (visible[i] + visible[j]);
+    };
+    for y in 0..side {
+        for i in y * side..(y + 1) * side - 1 {
+            add(i, i + 1);
+        }
+    }
+    for i in 0..side * (side - 1) {
+        add(i, i + side);
+    }
+    if distance > 0.0 { distance / (distance + length) } else { 0.0 }
 }
 
 /// Relative standard error of the mean over the rays that hit the box, estimated from the differences of

@@ -1,6 +1,8 @@
 //! Compares packets of rays with single rays, edited summaries with new ones, and parallel rays with closed
 //! forms and with a distant perspective camera.
 
+use super::ends_apart;
+use super::march::{FIELDS, TERMINATED, VISIBLE};
 use crate::features::tests::{frame, noise, summary, table};
 use crate::features::*;
 use entire_core::kernels::Level;
@@ -267,8 +269,8 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     }
 }
 
-/// Checks the samples for which rays wait in groups of eight. Rays far apart wait while any of them shades.
-/// Adjacent rays shade at the same time and do not wait. No ray waits where all eight shade.
+/// Compares the samples for which rays wait in groups of eight with their definition. Adjacent rays shade at the
+/// same time and do not wait. Rays far apart wait while any of them shades, unless all eight do.
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];
@@ -287,29 +289,42 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
         // share.
         let expected = 1.0 - (1.0 - shown).powi(8);
         assert!((busy - expected).abs() < 0.01, "{least}: {shown}, {busy} of {expected}");
-        let ratio = |size: u32| {
+        let independent = f64::from(busy / shown);
+        assert_eq!(independent > 1.05, apart, "{independent}");
+        for size in [16384, 64, 1] {
             let setting = Setting { width: size, height: size, ..Setting::from(&frame) };
             let work = features.work(&setting);
             let square = work.ray_spacing * work.ray_spacing;
             let value = |q| features.quantity_of(q, &setting, &work);
             let [lanes, spread] =
                 [SceneQuantity::LaneShadowSamples, SceneQuantity::FarShadowSamples].map(value);
-            let far = spread / work.shadow_samples / (square / (square + 64.0)) / work.uncached;
+            let waiting = 1.0 + 4.0 * (independent - 1.0) * work.ray_spacing / (work.ray_spacing + 8.0);
+            assert!((lanes / work.shadow_samples - waiting).abs() < 1e-5 * waiting, "{size}: {waiting}");
+            let parted = work.shadow_samples * (1.0 + 4.0 * (independent - 1.0) * 0.5);
+            let far = parted * work.uncached * square / (square + 64.0);
+            assert!((spread - far).abs() < 1e-5 * far, "{size}: {spread} of {far}");
             assert_eq!(value(SceneQuantity::FarLocalSamples), 0.0);
-            (lanes / work.shadow_samples, far)
-        };
-        let waiting = f64::from(busy / shown);
-        let (near, far) = (ratio(16384), ratio(1));
-        assert!((near.0 - 1.0).abs() < 0.02, "{near:?}");
-        assert!((far.0 - waiting).abs() < 0.02 * waiting, "{far:?} of {waiting}");
-        assert!((near.1 - waiting).abs() < 1e-3 && (far.1 - waiting).abs() < 1e-3, "{near:?}, {far:?}");
-        assert_eq!(waiting > 1.05, apart, "{waiting}");
+        }
         let local = Setting { shading: Shading::Local, ..Setting::from(&frame) };
         let work = features.work(&local);
         let square = work.ray_spacing * work.ray_spacing;
         let spread = features.quantity_of(SceneQuantity::FarLocalSamples, &local, &work);
         assert!((spread / work.shaded - work.uncached * square / (square + 64.0)).abs() < 1e-6, "{spread}");
     }
+}
+
+/// Checks the distance of ends on two by two rays, of which three terminate early: two pairs count.
+#[test]
+fn only_rays_that_terminate_early_end_apart() {
+    let mut room = [[0.0f32; 4]; FIELDS];
+    room[VISIBLE] = [1.0, 3.0, 5.0, 100.0];
+    room[TERMINATED] = [1.0, 1.0, 1.0, 0.0];
+    let rays = room.each_mut().map(|field| field.as_mut_slice());
+    let (distance, length) = (20.0 + 4.0, 2.0 + 3.0);
+    assert_eq!(ends_apart(&[10.0, 30.0, 6.0, 900.0], &rays, 2), distance / (distance + length));
+    assert_eq!(ends_apart(&[10.0, 10.0, 10.0, 900.0], &rays, 2), 0.0);
+    rays[TERMINATED].fill(0.0);
+    assert_eq!(ends_apart(&[10.0, 30.0, 6.0, 900.0], &rays, 2), 0.0);
 }
 
 /// Compares the share of unshared reads that wait for memory with its definition, in each shading mode. A frame
