@@ -12,11 +12,14 @@ frames = --data $(1:%=data/timings/%-train.csv.gz) --judged $(1:%=data/timings/%
     --priors $(2:%=models/%-selected.safetensors)
 FRAMES_OPTIONS := $(call frames,none none-epyc none-xeon,unshaded unshaded-epyc unshaded-xeon)
 FRAMES_LOCAL := $(call frames,local local-xeon,local local-xeon)
+FRAMES_SCATTER := $(call frames,scatter scatter-xeon,scatter scatter-xeon)
 
 .PHONY: study-frames
 study-frames: ## Compute the calibration error by the number of frames of another type of machine: out/frames/frames.svg
 	$(LAB) frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
-	$(LAB) frames $(FRAMES_LOCAL) --clock cpu --out out/frames-local | grep -v '^bar '
+	$(LAB) frames $(FRAMES_LOCAL) --clock cpu --out out/frames-local > out/frames/local.txt
+	$(LAB) frames $(FRAMES_SCATTER) --clock cpu --out out/frames-scatter > out/frames/scatter.txt
+	grep -hv '^bar ' out/frames/local.txt out/frames/scatter.txt
 
 .PHONY: bars-accuracy
 bars-accuracy: ## Run the study and print every accuracy bar (fails if one is missed): bar NAME VALUE LIMIT ok|short
