@@ -62,12 +62,12 @@ pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option
 }
 
 /// Table of the errors on training frames, in cross-validation, and on the main split, each with its interval over
-/// volumes.
+/// volumes, and of the error by which the rule compares predictors.
 pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::headed(
         "predictor | #RMSE/SD (90 %), training frames | #… cross-validated | #… test | \
-         #median error % (90 %), training frames | #… cross-validated | #… test | #fitted parameters | \
-         #cold µs | rule",
+         #median error % (90 %), training frames | #… cross-validated | #… test | \
+         #geometric mean of both, cross-validated, without noise | #fitted parameters | #cold µs | rule",
     );
     let rule = by_rule(study, found, set).map(|p| p.name.as_str());
     for f in found.fits.iter().filter(|f| f.set == set) {
@@ -83,6 +83,7 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
         let mut row = vec![f.predictor.clone().into()];
         row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_rmse(i, m)).into()));
         row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_mdape(i, m)).into()));
+        row.push(f.error().map(|error| format!("{error:.4}")).into());
         row.extend([(f.numbers > 0).then(|| f.numbers.to_string()).into(), cold.into(), says.into()]);
         table.row(row);
     }
