@@ -33,10 +33,12 @@ impl Classifier {
     }
 
     /// True if all samples at table positions `low`…`high` (0…255) are transparent. A margin of 1/1000 entry
-    /// on both sides covers values that rounding has pushed over the ends.
+    /// on both sides covers values that rounding has pushed over the ends. Interpolation between equal values
+    /// does not round, so there is no margin if `low` is `high`.
     pub(crate) fn is_empty(&self, low: f32, high: f32) -> bool {
-        let first = (low - 1e-3).floor().clamp(0.0, 255.0) as usize;
-        let last = (high + 1e-3).ceil().clamp(0.0, 255.0) as usize;
+        let margin = if low == high { 0.0 } else { 1e-3 };
+        let first = (low - margin).floor().clamp(0.0, 255.0) as usize;
+        let last = (high + margin).ceil().clamp(0.0, 255.0) as usize;
         self.visible_before[last + 1] == self.visible_before[first]
     }
 }
@@ -72,6 +74,7 @@ mod tests {
         let t = c.step_table(16.0);
         assert_eq!(t[7][3], 0.0);
         assert!((t[8][3] - (1.0 - 0.75f32.powi(16))).abs() < 1e-5);
-        assert!(c.is_empty(7.0 + 2e-3, 7.0 - 2e-3) && !c.is_empty(7.0, 7.0));
+        assert!(c.is_empty(7.0, 7.0), "every sample between voxels of this value has entry 7");
+        assert!(!c.is_empty(7.0, 7.0 + 1e-4) && !c.is_empty(7.0 - 1e-4, 7.0));
     }
 }
