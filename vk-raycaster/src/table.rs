@@ -74,6 +74,7 @@ mod tests {
         let t = c.step_table(16.0);
         assert_eq!(t[7][3], 0.0);
         assert!((t[8][3] - (1.0 - 0.75f32.powi(16))).abs() < 1e-5);
+        assert!(c.is_empty(7.0 + 2e-3, 7.0 - 2e-3));
         assert!(c.is_empty(7.0, 7.0), "every sample between voxels of this value has entry 7");
         assert!(!c.is_empty(7.0, 7.0 + 1e-4) && !c.is_empty(7.0 - 1e-4, 7.0));
     }
