@@ -319,6 +319,11 @@ impl FrameFeatures {
         }
         let shadow_samples = rays * f64::from(shadow);
         let ray_spacing = f64::from(p.spread / setting.height as f32);
+        let [lane_shadow_samples, parted_shadow_samples] = if shadow_samples > 0.0 {
+            [ray_spacing, UNSHARED_SHADING].map(|spacing| shadow_samples * self.waiting(spacing))
+        } else {
+            [0.0; 2]
+        };
         let mut work = Work {
             pixels,
             rays,
@@ -327,8 +332,8 @@ impl FrameFeatures {
             lane_samples: rays * f64::from(per_lane),
             shaded: rays * f64::from(shaded),
             shadow_samples,
-            lane_shadow_samples: shadow_samples * self.waiting(ray_spacing),
-            parted_shadow_samples: shadow_samples * self.waiting(UNSHARED_SHADING),
+            lane_shadow_samples,
+            parted_shadow_samples,
             runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
             segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
             longest_samples: f64::from(longest_length * inv + crossing),
