@@ -754,10 +754,10 @@ entire_result entire_transfer_function_last_error(const entire_transfer_function
  * uniform random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
  * observing still do not allocate.
  *
- * `prior` is the model to start from, fitted on another machine or renderer: unit costs, or unit costs times
- * a learned factor with the session's probe, such as those in models/. NULL starts from the unit costs of a
- * software renderer. Unusual and cancelled observations, the first frame of the session, and the first frame
- * of a volume are not recorded.
+ * `prior` is the model to start from, fitted on another machine or renderer: unit costs, such as the
+ * models in models/, or unit costs times a learned factor with the session's probe. NULL starts from the unit
+ * costs of a software renderer. Unusual and cancelled observations, the first frame of the session, and the
+ * first frame of a volume are not recorded.
  *
  * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
  * plan every frame as it was drawn, and observe its time.
