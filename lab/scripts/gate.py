@@ -55,6 +55,9 @@ RENAMED = {
     "closed_loop_table": "ours_passes_every_scene",
     "prediction_with_feedback_beats_reaction_at_switches_and_in_calm": "ours_passes_every_scene",
     "an_unreachable_target_leaves_the_step_alone": "ours_passes_every_scene",
+    "blocks_of_any_edge_draw_the_same_picture_with_other_work":
+        "render_skips_without_changing_the_picture_and_range_changes_it",
+    "edges_are_checked_and_followed": "blocks_hold_their_voxels_and_one_layer_more",
     "the_page_holds_every_chart_and_fetches_nothing": "a_page_fetches_nothing",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.

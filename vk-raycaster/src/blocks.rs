@@ -2,25 +2,13 @@
 //! block of the other kind (empty or not).
 
 use crate::clock::Stopwatch;
-use crate::error::{Error, Result};
 use crate::renderer::Preparation;
 use crate::table::Classifier;
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;
 
-/// Default cells along a block's edge; see [`BLOCK_EDGES`].
+/// Number of cells along a block's edge.
 pub const BLOCK_EDGE: usize = 8;
-
-/// Allowed block edges, in cells. Small blocks skip more of the empty space; large blocks make a smaller map.
-pub const BLOCK_EDGES: [usize; 3] = [4, 8, 16];
-
-/// Checks a block edge that a user chose.
-pub(crate) fn check_edge(edge: usize) -> Result<()> {
-    if BLOCK_EDGES.contains(&edge) {
-        return Ok(());
-    }
-    Err(Error::new(format!("the blocks' edge is {edge} cells; it must be 4, 8 or 16")))
-}
 
 /// Largest distance that a [`SkipMap`] entry holds.
 const MAX_DISTANCE: u8 = 127;
@@ -38,7 +26,8 @@ pub(crate) struct BlockMap {
 }
 
 impl BlockMap {
-    pub(crate) fn new(volume: &PreparedVolume, edge: usize) -> Self {
+    pub(crate) fn new(volume: &PreparedVolume) -> Self {
+        let edge = BLOCK_EDGE;
         let dims = volume.geometry.dims.map(|n| n.div_ceil(edge));
         let ranges = with_voxels!(&volume.voxels, v => ranges(v, volume, dims, edge));
         Self { edge, dims, ranges }
@@ -184,7 +173,7 @@ mod tests {
     use entire_core::scene::{Scalars, TABLE_LEN, TransferTable, VolumeView};
 
     fn block_map(data: &[u8], dims: [usize; 3]) -> BlockMap {
-        BlockMap::new(&PreparedVolume::new(&VolumeView::new(Scalars::U8(data), dims).unwrap()), BLOCK_EDGE)
+        BlockMap::new(&PreparedVolume::new(&VolumeView::new(Scalars::U8(data), dims).unwrap()))
     }
 
     #[test]
@@ -206,22 +195,6 @@ mod tests {
     fn one_voxel_makes_one_block() {
         let map = block_map(&[42], [1, 1, 1]);
         assert_eq!((map.dims, map.ranges), ([1, 1, 1], vec![[42.0, 42.0]]));
-    }
-
-    #[test]
-    fn edges_are_checked_and_followed() {
-        assert!(BLOCK_EDGES.iter().all(|&e| check_edge(e).is_ok()));
-        for bad in [0, 1, 2, 7, 32, usize::MAX] {
-            assert!(check_edge(bad).unwrap_err().to_string().contains("4, 8 or 16"));
-        }
-        let data: Vec<u8> = (0..20).collect();
-        let volume = PreparedVolume::new(&VolumeView::new(Scalars::U8(&data), [20, 1, 1]).unwrap());
-        for (edge, want) in
-            [(4, vec![4.0, 8.0, 12.0, 16.0, 19.0]), (8, vec![8.0, 16.0, 19.0]), (16, vec![16.0, 19.0])]
-        {
-            let map = BlockMap::new(&volume, edge);
-            assert_eq!(map.ranges.iter().map(|r| r[1]).collect::<Vec<_>>(), want);
-        }
     }
 
     #[test]

@@ -5,7 +5,7 @@
     reason = "loops over the three axes read several arrays at once, as in the shader"
 )]
 
-use crate::blocks::{BLOCK_EDGE, BlockMap, EMPTY_BIT, SkipMap, check_edge};
+use crate::blocks::{BlockMap, EMPTY_BIT, SkipMap};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
 use crate::renderer::{FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
@@ -17,18 +17,12 @@ use rayon::prelude::*;
 
 /// The CPU version: renders the picture that the crate documentation defines, with exact counts, on all
 /// threads of the current rayon pool.
+#[derive(Default)]
 pub struct CpuRaycaster {
-    block_edge: usize,
     volume: Option<(PreparedVolume, BlockMap)>,
     classifier: Option<Classifier>,
     /// Made once volume and transfer function are set.
     skip: Option<SkipMap>,
-}
-
-impl Default for CpuRaycaster {
-    fn default() -> Self {
-        Self { block_edge: BLOCK_EDGE, volume: None, classifier: None, skip: None }
-    }
 }
 
 impl CpuRaycaster {
@@ -77,19 +71,13 @@ impl Renderer for CpuRaycaster {
         "cpu"
     }
 
-    fn set_block_edge(&mut self, edge: usize) -> Result<()> {
-        check_edge(edge)?;
-        self.block_edge = edge;
-        Ok(())
-    }
-
     fn set_volume(&mut self, volume: &VolumeView<'_>) -> Result<Preparation> {
         let all = Stopwatch::start();
         let mut preparation = Preparation::default();
         let volume = PreparedVolume::new(volume);
         preparation.upload = Some(all.wall());
         let watch = Stopwatch::start();
-        let blocks = BlockMap::new(&volume, self.block_edge);
+        let blocks = BlockMap::new(&volume);
         preparation.block_map = Some(watch.wall());
         self.volume = Some((volume, blocks));
         self.update_skip_map(&mut preparation);

@@ -42,12 +42,11 @@
 //! at each sample, until the ray leaves the box or T falls below 0.25. Then c ← c·(0.25 + 0.75·T).
 //! With local shading and single scattering, c is lit first; the shadow ray attenuates the lit color.
 //!
-//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`] (a cell lies between
-//! eight voxel centers), store the smallest and largest value of their samples; a block is empty when the
-//! table is transparent over that interval. A sample inside an empty block is not taken: the ray continues
-//! with the first sample beyond it (`blocks`), or beyond all blocks that the Chebyshev distance map shows to
-//! be empty (`distance`). Sample positions are the same with every skipping mode, and so is the picture.
-//! Shadow rays skip empty blocks, too.
+//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells (a cell lies between eight voxel centers) store the smallest
+//! and largest value of their samples; a block is empty when the table is transparent over that interval. A
+//! sample inside an empty block is not taken: the ray continues with the first sample beyond it (`blocks`),
+//! or beyond all blocks that the Chebyshev distance map shows to be empty (`distance`). Sample positions are
+//! the same with every skipping mode, and so is the picture. Shadow rays skip empty blocks, too.
 //!
 //! *Counts.* See [`WorkCounts`].
 
@@ -64,7 +63,7 @@ mod table;
 mod voxels;
 mod vulkan;
 
-pub use blocks::{BLOCK_EDGE, BLOCK_EDGES};
+pub use blocks::BLOCK_EDGE;
 pub use cpu::CpuRaycaster;
 pub use error::{Error, Result};
 pub use probe::{Agreement, Probe, ProbeOptions, TimestampQuality, probe};

@@ -1,6 +1,6 @@
 //! Interface of all renderers of this crate.
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use entire_core::scene::{Frame, TransferTable, VolumeView};
 
 /// An 8-bit RGBA image, rows from top to bottom, colors premultiplied by opacity over black.
@@ -109,24 +109,6 @@ pub trait Renderer {
 
     /// `vulkan` or `cpu`.
     fn backend(&self) -> &'static str;
-
-    /// Sets the edge of the blocks that are skipped, in cells: one of [`BLOCK_EDGES`](crate::BLOCK_EDGES), by
-    /// default [`BLOCK_EDGE`](crate::BLOCK_EDGE). It applies to volumes that are set afterwards.
-    ///
-    /// # Errors
-    /// For an edge that is not in [`BLOCK_EDGES`](crate::BLOCK_EDGES); from a renderer with fixed blocks,
-    /// for any edge other than [`BLOCK_EDGE`](crate::BLOCK_EDGE).
-    fn set_block_edge(&mut self, edge: usize) -> Result<()> {
-        crate::blocks::check_edge(edge)?;
-        if edge == crate::BLOCK_EDGE {
-            return Ok(());
-        }
-        Err(Error::new(format!(
-            "the {} renderer's blocks have {} cells along an edge",
-            self.backend(),
-            crate::BLOCK_EDGE
-        )))
-    }
 
     /// Kind and limits of the device; `None` if the renderer runs on the host.
     fn limits(&self) -> Option<DeviceLimits> {

@@ -8,8 +8,7 @@ use entire_core::scene::{
     Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeOptions, VolumeView,
 };
 use entire_vk_raycaster::{
-    BLOCK_EDGES, CpuRaycaster, Picture, Region, Rendered, Renderer, VoxelFetch, VulkanOptions,
-    VulkanRaycaster, WorkCounts,
+    CpuRaycaster, Picture, Region, Rendered, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster, WorkCounts,
 };
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::collections::VecDeque;
@@ -225,37 +224,6 @@ fn odd_volumes() -> Outcome {
                 }
             }
         }
-    }
-    expect_silence(&both.gpu)
-}
-
-fn blocks_of_every_edge_match_the_twin() -> Outcome {
-    let mut both = Both::new(open_validated(None, None)?);
-    let data = Data::new([37, 53, 29]);
-    let mut pictures = vec![];
-    for edge in BLOCK_EDGES {
-        both.gpu.set_block_edge(edge)?;
-        both.twin.set_block_edge(edge)?;
-        for (kind, view) in data.views().into_iter().take(2) {
-            both.set_volume(&view)?;
-            both.set_transfer(&opaque())?;
-            for skipping in Skipping::ALL {
-                let f = Frame { skipping, shading: Shading::Local, ..frame(20.0, 35.0, 2.5, 61, 47) };
-                let name = format!("{edge}, {kind}, {skipping}");
-                let (a, b) = both.draw(&name, &f, f64::INFINITY)?;
-                if both.gpu.is_software() {
-                    assert_eq!(a.counts, b.counts, "{name}");
-                }
-                if kind == "u8" {
-                    pictures.push(a.image);
-                }
-            }
-        }
-    }
-    let same = pictures.windows(2).all(|w| w[0] == w[1]);
-    assert!(same, "the picture depends on the edge of the blocks");
-    for renderer in [&mut both.gpu as &mut dyn Renderer, &mut both.twin] {
-        assert!(renderer.set_block_edge(5).is_err_and(|e| e.to_string().contains("4, 8 or 16")));
     }
     expect_silence(&both.gpu)
 }
@@ -564,7 +532,6 @@ fn main() {
         ("sampler_matches_the_twin", || compare(VoxelFetch::Sampler, false)),
         ("packed_fetch_matches_the_twin", || compare(VoxelFetch::Packed, true)),
         ("odd_volumes_match_the_twin", odd_volumes),
-        ("blocks_of_every_edge_match_the_twin", blocks_of_every_edge_match_the_twin),
         ("homogeneous_slab_absorbs_by_its_thickness", homogeneous_slab),
         ("skipping_changes_nothing_but_the_work", skipping_changes_nothing),
         ("bricks_of_texels_match_the_twin", || bricks_match_the_twin(VoxelFetch::Texels)),

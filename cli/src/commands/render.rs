@@ -42,9 +42,6 @@ pub(crate) struct Options {
     /// Rendering options.
     #[command(flatten)]
     pub(crate) render: RenderArgs,
-    /// Edge of the blocks that are skipped, in cells: 4, 8 or 16.
-    #[arg(long, default_value_t = entire_vk_raycaster::BLOCK_EDGE, value_name = "CELLS")]
-    pub(crate) block_edge: usize,
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub(crate) fov: f32,
@@ -116,7 +113,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
     let volume = open_volume(&options.volume, &options.reading)?;
     let mut renderer = device::open(options.render.device)?;
-    renderer.set_block_edge(options.block_edge).context("--block-edge")?;
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
     let table_time = renderer.set_transfer(&table)?;
@@ -168,7 +164,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "step": short(frame.step),
             "shade": options.render.shade.to_string(),
             "skip": options.render.skip.to_string(),
-            "block_edge": options.block_edge,
             "termination": short(frame.termination),
             "backend": renderer.backend(),
             "device": renderer.device(),

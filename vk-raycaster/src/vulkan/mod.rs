@@ -13,7 +13,7 @@ mod resources;
 mod shared;
 mod upload;
 
-use crate::blocks::{BLOCK_EDGE, BlockMap, SkipMap, check_edge};
+use crate::blocks::{BlockMap, SkipMap};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
 use crate::renderer::{DeviceLimits, FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
@@ -140,7 +140,6 @@ impl VulkanOptions {
 pub struct VulkanRaycaster {
     engine: Engine,
     options: VulkanOptions,
-    block_edge: usize,
     volume: Option<DeviceVolume>,
     classifier: Option<Classifier>,
     /// Ray step whose table is on the device; `None` if the device has no table of the current transfer
@@ -236,7 +235,6 @@ impl VulkanRaycaster {
         Ok(Self {
             engine: Engine::new(gpu)?,
             options,
-            block_edge: BLOCK_EDGE,
             volume: None,
             classifier: None,
             table_step: None,
@@ -403,10 +401,8 @@ impl VulkanRaycaster {
             let limit = self.engine.gpu().limits.max_image_dimension3_d as usize;
             if let Some(count) = volume.blocks.dims.iter().find(|n| **n > limit) {
                 return Err(Error::new(format!(
-                    "the skip map has {count} blocks along an axis, {} takes at most {limit}: set larger blocks than {} \
-                     cells, or crop the volume",
-                    self.engine.gpu().name,
-                    self.block_edge
+                    "the skip map has {count} blocks along an axis, {} takes at most {limit}: crop the volume",
+                    self.engine.gpu().name
                 )));
             }
             let map = SkipMap::new(&volume.blocks, classifier, preparation);
@@ -443,12 +439,6 @@ impl Renderer for VulkanRaycaster {
         Some(self.engine.gpu().reported.clone())
     }
 
-    fn set_block_edge(&mut self, edge: usize) -> Result<()> {
-        check_edge(edge)?;
-        self.block_edge = edge;
-        Ok(())
-    }
-
     fn set_volume(&mut self, view: &VolumeView<'_>) -> Result<Preparation> {
         let all = Stopwatch::start();
         let mut preparation = Preparation::default();
@@ -477,7 +467,7 @@ impl Renderer for VulkanRaycaster {
         }
         preparation.upload = Some(all.wall());
         let watch = Stopwatch::start();
-        let blocks = BlockMap::new(&prepared, self.block_edge);
+        let blocks = BlockMap::new(&prepared);
         preparation.block_map = Some(watch.wall());
         let mut geometry = prepared.geometry;
         geometry.scale *= plan.unit;
