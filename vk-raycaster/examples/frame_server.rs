@@ -9,8 +9,6 @@
 //! camera RX RY DZ WIDTH HEIGHT          sets the camera; returns eye, forward and up in world units, with
 //!                                       the origin at a corner of the box
 //! frame none|blocks|distance            renders; returns the seconds by each clock
-//! flight none|blocks|distance N         renders N frames one by one, then with two in flight; returns the
-//!                                       seconds of both
 //! counts none|blocks|distance           renders; returns the counts of rays, samples and skips
 //! image none|blocks|distance FILE       renders and writes RGB bytes, over black, rows from the top
 //! ```
@@ -117,26 +115,6 @@ impl Server {
                     r.time.wall,
                     part(r.time.cpu),
                     part(r.time.device)
-                ))
-            }
-            ["flight", mode, n] => {
-                let (frame, n) = (self.framed(mode)?, n.parse::<usize>()?);
-                let start = std::time::Instant::now();
-                for _ in 0..n {
-                    self.renderer.render(&frame)?;
-                }
-                let alone = start.elapsed().as_secs_f64();
-                let start = std::time::Instant::now();
-                for i in 0..n {
-                    if i >= VulkanRaycaster::FRAMES_IN_FLIGHT {
-                        self.renderer.collect()?;
-                    }
-                    self.renderer.enqueue(&frame)?;
-                }
-                while self.renderer.collect()?.is_some() {}
-                Ok(format!(
-                    r#"{{"one_by_one": {alone:e}, "in_flight": {:e}}}"#,
-                    start.elapsed().as_secs_f64()
                 ))
             }
             ["counts", mode] => {

@@ -215,18 +215,15 @@ fn small_frame() -> Frame {
     frame(20.0, 35.0, 2.5, 19, 13)
 }
 
-/// Uses a renderer in every way: sets volume and transfer function, draws a frame in flight and a frame.
-/// Returns the picture.
+/// Uses a renderer in every way: sets volume and transfer function, draws a frame twice. Returns the picture.
 fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
     let dims = [9, 8, 7];
     let voxels = field_bytes(dims);
     gpu.set_volume(&VolumeView::new(Scalars::U8(&voxels), dims).expect("a volume"))?;
     gpu.set_transfer(&medium())?;
-    gpu.enqueue(&small_frame())?;
-    let flown = gpu.collect()?.expect("a frame was enqueued");
-    let rendered = gpu.render(&small_frame())?;
-    assert_eq!(flown.image, rendered.image);
-    Ok(rendered.image)
+    let [first, second] = [gpu.render(&small_frame())?, gpu.render(&small_frame())?];
+    assert_eq!(first.image, second.image);
+    Ok(second.image)
 }
 
 /// Returns the numbers of calls and waits of a device without faults, and its picture.
@@ -275,32 +272,6 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
         drop(gpu);
         assert_eq!(DESTROYED.get(), 1, "call {after}: a lost device is freed");
     }
-    new_renderer_draws(&image)
-}
-
-/// Checks that each frame in flight fails with an error when the device is lost.
-fn frames_in_flight_of_a_lost_device_fail_one_by_one() -> Outcome {
-    let (_, _, image) = sound()?;
-    let mut gpu = open()?;
-    use_it(&mut gpu)?;
-    for _ in 0..VulkanRaycaster::FRAMES_IN_FLIGHT {
-        gpu.enqueue(&small_frame())?;
-    }
-    set(Fault::Lost(0));
-    for _ in 0..VulkanRaycaster::FRAMES_IN_FLIGHT {
-        let error = gpu.collect().expect_err("the device is lost").to_string();
-        assert!(error.contains("make a new renderer"), "{error}");
-    }
-    assert!(gpu.collect()?.is_none());
-    // Frames that are never collected leave no resources behind, either.
-    drop(gpu);
-    set(Fault::Sound);
-    let mut gpu = open()?;
-    use_it(&mut gpu)?;
-    gpu.enqueue(&small_frame())?;
-    set(Fault::Lost(0));
-    drop(gpu);
-    assert_eq!(DESTROYED.get(), 1);
     new_renderer_draws(&image)
 }
 
@@ -376,16 +347,12 @@ fn slow_frames_halve_the_tiles_once_each() -> Outcome {
     gpu.set_volume(&VolumeView::new(Scalars::U8(&voxels), dims)?)?;
     gpu.set_transfer(&medium())?;
     let wide = frame(20.0, 35.0, 2.5, 1024, 4);
-    let tiles = |gpu: &mut VulkanRaycaster, edge: u32| {
-        let error = gpu.enqueue(&wide).expect_err("a frame of several tiles").to_string();
-        assert!(error.contains(&format!("tiles of {edge} pixels")), "{edge}: {error}");
-    };
-    tiles(&mut gpu, 256);
     gpu.render(&small_frame())?;
-    tiles(&mut gpu, 256);
-    for edge in [128, 64, 64] {
+    for edge in [256, 128, 64, 64] {
+        WAITS.take();
         gpu.render(&wide)?;
-        tiles(&mut gpu, edge);
+        // The renderer waits once for each tile.
+        assert_eq!(WAITS.take().len(), 1024 / edge, "{edge}");
     }
     Ok(())
 }
@@ -407,7 +374,6 @@ fn main() {
     }
     let trials = trials![
         a_device_lost_in_any_call_is_an_error_that_names_it: none,
-        frames_in_flight_of_a_lost_device_fail_one_by_one: none,
         a_hanging_device_is_waited_for_once_and_left_alone: none,
         a_device_that_answers_again_renders_again: none,
         a_frame_that_takes_too_long_is_given_up_while_it_runs: none,

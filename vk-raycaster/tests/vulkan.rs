@@ -11,7 +11,6 @@ use entire_vk_raycaster::{
     CpuRaycaster, Picture, Region, Rendered, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster, WorkCounts,
 };
 use libtest_mimic::{Arguments, Failed, Trial};
-use std::collections::VecDeque;
 
 /// Upper bound of the difference of a channel between device and CPU version, in units of 1/255.
 const LARGEST: u8 = 2;
@@ -351,65 +350,6 @@ fn raycasters_share_a_device() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Checks that frames in flight equal the frames of `render`, in order, even if volume and transfer function
-/// change meanwhile.
-fn frames_in_flight_are_the_rendered_ones() -> Outcome {
-    let mut gpu = open_validated(None, None)?;
-    let mut alone = open(VulkanOptions { count_work: true, ..Default::default() })?;
-    let data = field_bytes([40; 3]);
-    let view = VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap();
-    for r in [&mut gpu, &mut alone] {
-        r.set_volume(&view)?;
-        r.set_transfer(&medium())?;
-    }
-    assert!(gpu.collect()?.is_none(), "no frame was enqueued");
-    let frames: Vec<Frame> = (0..7u16)
-        .map(|i| {
-            let step = [1.0, 0.5, 2.0][usize::from(i) % 3];
-            Frame { step, ..frame(10.0, 20.0 * f32::from(i), 2.5, 40 + 9 * u32::from(i), 50) }
-        })
-        .collect();
-    let mut wanted = VecDeque::new();
-    let check = |gpu: &mut VulkanRaycaster, wanted: &mut VecDeque<Rendered>| -> Outcome {
-        let found = gpu.collect()?.ok_or("no frame")?;
-        let want = wanted.pop_front().ok_or("more frames than enqueued")?;
-        let timed = found.time.device.is_some() == gpu.has_timestamps() && found.time.wall > 0.0;
-        assert!(timed && found.image == want.image, "{:?} {:?}", found.counts, want.counts);
-        assert_eq!(found.counts, want.counts);
-        Ok(())
-    };
-    for (i, f) in frames.iter().enumerate() {
-        if wanted.len() == VulkanRaycaster::FRAMES_IN_FLIGHT {
-            assert!(gpu.enqueue(f).is_err_and(|e| e.to_string().contains("in flight")));
-            check(&mut gpu, &mut wanted)?;
-        }
-        if i == 4 {
-            // Changes the transfer function while a frame with the old one is in flight.
-            gpu.set_transfer(&opaque())?;
-            alone.set_transfer(&opaque())?;
-        }
-        gpu.enqueue(f)?;
-        wanted.push_back(alone.render(f)?);
-        if i == 5 {
-            // While the maximum number of frames is in flight, changes the volume and then sets the first
-            // transfer function again.
-            let other = field_bytes([24; 3]);
-            let other = VolumeView::new(Scalars::U8(&other), [24; 3]).unwrap();
-            for r in [&mut gpu, &mut alone] {
-                r.set_volume(&other)?;
-                r.set_transfer(&medium())?;
-            }
-        }
-    }
-    // One slot is free for a frame that is rendered in between.
-    check(&mut gpu, &mut wanted)?;
-    assert!(gpu.render(&frames[0])?.image == alone.render(&frames[0])?.image, "beside a frame in flight");
-    check(&mut gpu, &mut wanted)?;
-    let large = frame(0.0, 0.0, 3.0, 4096, 8);
-    assert!(gpu.enqueue(&large).is_err_and(|e| e.to_string().contains("several dispatches")));
-    expect_silence(&gpu)
-}
-
 /// Checks that frames with and without counts have the same bits. Frames without counts may use a shader
 /// variant in which the rays of a subgroup skip together.
 fn counting_changes_no_picture() -> Outcome {
@@ -538,7 +478,6 @@ fn main() {
         ("bricks_of_a_sampler_match_the_twin", || bricks_match_the_twin(VoxelFetch::Sampler)),
         ("regions_are_parts_of_the_whole", regions_are_parts_of_the_whole),
         ("raycasters_share_a_device", raycasters_share_a_device),
-        ("frames_in_flight_are_the_rendered_ones", frames_in_flight_are_the_rendered_ones),
         ("counting_changes_no_picture", counting_changes_no_picture),
         ("long_rays_are_cast_in_windows", long_rays_are_cast_in_windows),
         ("tiles_join_without_seams", tiles_join_without_seams),

@@ -1,8 +1,9 @@
 //! Casting the rays of a frame or of a part of it: tile by tile, brick by brick, window by window.
 
+use super::engine::Cast;
 use super::picture::{Picture, Region};
 use super::recording::{IMAGE_BYTES, Output, Tile, record_tile, tiles};
-use super::{Brick, Cast, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_counts, brick_order};
+use super::{Brick, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_counts, brick_order};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
 use crate::renderer::{FrameTime, Image, Rendered, WorkCounts};
@@ -72,7 +73,6 @@ impl VulkanRaycaster {
         let order = self.volume.as_ref().map(|v| brick_order(v, &plan.setup)).unwrap_or_default();
         let bricks = self.volume.as_ref().map(|v| v.bricks.clone()).unwrap_or_default();
         self.table_step = None;
-        let slot = self.engine.free_slot()?;
         let mut counts = WorkCounts::default();
         let mut device = self.has_timestamps().then_some(0.0);
         let timestamps = device.is_some();
@@ -104,8 +104,7 @@ impl VulkanRaycaster {
                     // ignored.
                     let compiled = self.engine.has_pipeline(plan.key);
                     let tile_watch = Stopwatch::start();
-                    let ticket = self.engine.start(slot, &cast, &commands)?;
-                    let found = self.engine.finish(ticket)?;
+                    let found = self.engine.cast(&cast, &commands)?;
                     device = device.zip(found.seconds).map(|(sum, s)| sum + s);
                     let seconds = found.seconds.unwrap_or_else(|| tile_watch.wall());
                     if compiled && seconds > longest {

@@ -37,10 +37,10 @@ pub(crate) struct ShaderKey {
     pub(crate) bricks: u32,
 }
 
-/// Maximum number of frames in flight.
-pub(crate) const FRAMES_IN_FLIGHT: usize = 2;
-/// Index of the slot for copies to the device, so that copies can run while every other slot has a frame.
-const COPIES: usize = FRAMES_IN_FLIGHT;
+/// Index of the slot that casts rays.
+const CASTS: usize = 0;
+/// Index of the slot that copies to the device.
+const COPIES: usize = 1;
 
 /// Maximum number of textures that a volume may be cut into.
 pub(crate) const MAX_BRICKS: usize = 64;
@@ -69,7 +69,7 @@ pub(crate) struct CastTile<'a> {
     pub(crate) work: &'a [u8],
 }
 
-/// Resources of one submission. Each slot has its own, so that several submissions can run at the same time.
+/// Resources of casts or of copies, used by one submission at a time.
 struct Slot {
     descriptors: Owned<vk::DescriptorPool>,
     /// The descriptor sets made so far, by brick of the volume, each with all resources of a dispatch.
@@ -83,21 +83,6 @@ struct Slot {
     tile: Option<TileBuffers>,
     /// True if the fence was submitted and not reset since.
     pending: bool,
-    running: Option<Running>,
-}
-
-/// A submitted cast.
-struct Running {
-    number: u64,
-    pass: String,
-    pixels: u64,
-    counting: bool,
-}
-
-/// A submission of [`Engine::start`], for [`Engine::finish`].
-pub(crate) struct Ticket {
-    slot: usize,
-    number: u64,
 }
 
 /// Buffers whose size depends on the tile.
@@ -117,7 +102,7 @@ pub(crate) struct Engine {
     pipeline_layout: Owned<vk::PipelineLayout>,
     set_layout: Owned<vk::DescriptorSetLayout>,
     sampler: Owned<vk::Sampler>,
-    slots: Vec<Slot>,
+    slots: [Slot; 2],
     table: Option<Image>,
     /// The volume, in bricks if it is too large for one texture.
     volume: Vec<Image>,
@@ -129,8 +114,6 @@ pub(crate) struct Engine {
     /// True after a submission has exceeded its time limit: the engine then polls the device instead of
     /// waiting.
     hangs: bool,
-    /// Number of casts so far.
-    casts: u64,
 }
 
 impl Slot {
@@ -190,7 +173,6 @@ impl Slot {
             table_staging,
             tile: None,
             pending: false,
-            running: None,
         })
     }
 }
@@ -237,7 +219,7 @@ impl Engine {
             .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE);
         let sampler = owned!(&gpu, create_sampler(&info), destroy_sampler, "vkCreateSampler")?;
-        let slots = (0..=COPIES).map(|_| Slot::new(&gpu)).collect::<Result<_>>()?;
+        let slots = [Slot::new(&gpu)?, Slot::new(&gpu)?];
         Ok(Self {
             pipelines: HashMap::new(),
             pipeline_layout,
@@ -250,7 +232,6 @@ impl Engine {
             staging: None,
             broken: false,
             hangs: false,
-            casts: 0,
             gpu,
         })
     }
@@ -339,43 +320,22 @@ impl Engine {
         self.pipelines.contains_key(&key)
     }
 
-    /// Returns the index of a frame slot that has no running submission.
-    pub(crate) fn free_slot(&self) -> Result<usize> {
-        self.slots[..COPIES].iter().position(|s| s.running.is_none()).ok_or_else(|| {
-            Error::new(format!(
-                "{FRAMES_IN_FLIGHT} frames are in flight, which is the maximum: collect one first"
-            ))
-        })
-    }
-
-    /// Starts to cast the rays of a tile.
-    pub(crate) fn start(&mut self, slot: usize, cast: &Cast<'_>, commands: &[Command]) -> Result<Ticket> {
+    /// Casts the rays of a tile and waits for the result.
+    pub(crate) fn cast(&mut self, cast: &Cast<'_>, commands: &[Command]) -> Result<CastTile<'_>> {
         self.gpu.check()?;
         if self.broken {
             self.drain()?;
         }
         let pixels = u64::from(cast.tile.width) * u64::from(cast.tile.height);
         let counting = cast.key.counting != 0;
-        self.reserve_tile(slot, pixels, counting, cast.windowed)?;
+        self.reserve_tile(pixels, counting, cast.windowed)?;
         self.prepare_pipeline(cast.key)?;
-        let set = self.prepare_set(slot, cast.brick)?;
+        let set = self.prepare_set(cast.brick)?;
         let shader = self.pipelines.get(&cast.key).map(|p| (p.get(), set));
-        self.submit(slot, cast.pass, shader, commands)?;
-        self.casts += 1;
-        let number = self.casts;
-        self.slots[slot].running = Some(Running { number, pass: cast.pass.to_owned(), pixels, counting });
-        Ok(Ticket { slot, number })
-    }
-
-    /// Waits for a started cast.
-    pub(crate) fn finish(&mut self, Ticket { slot, number }: Ticket) -> Result<CastTile<'_>> {
-        let running = &mut self.slots[slot].running;
-        let Some(Running { pass, pixels, counting, .. }) = running.take_if(|r| r.number == number) else {
-            return Err(Error::new("nothing was cast, or the device failed meanwhile: render again"));
-        };
-        self.wait(slot, &pass)?;
-        let seconds = self.read_seconds(slot)?;
-        let Some(buffers) = &self.slots[slot].tile else { return Err(Error::new("no tile buffers")) };
+        self.submit(CASTS, cast.pass, shader, commands)?;
+        self.wait(CASTS, cast.pass)?;
+        let seconds = self.read_seconds()?;
+        let Some(buffers) = &self.slots[CASTS].tile else { return Err(Error::new("no tile buffers")) };
         let bytes = buffers.read_back.bytes()?;
         let image_bytes = (pixels * IMAGE_BYTES) as usize;
         let work_bytes = if counting { (pixels * WORK_BYTES) as usize } else { 0 };
@@ -383,8 +343,8 @@ impl Engine {
         Ok(CastTile { seconds, image, work: &rest[..work_bytes] })
     }
 
-    fn reserve_tile(&mut self, slot: usize, pixels: u64, counting: bool, windowed: bool) -> Result<()> {
-        let slot = &mut self.slots[slot];
+    fn reserve_tile(&mut self, pixels: u64, counting: bool, windowed: bool) -> Result<()> {
+        let slot = &mut self.slots[CASTS];
         if slot
             .tile
             .as_ref()
@@ -442,19 +402,18 @@ impl Engine {
         Ok(())
     }
 
-    /// Returns the slot's descriptor set for a brick; makes it from the current resources if it does not
+    /// Returns the descriptor set of casts for a brick; makes it from the current resources if it does not
     /// exist. Sets are never rewritten: some drivers read every descriptor of a set, including those that the
     /// shader does not use and whose resources are freed.
-    fn prepare_set(&mut self, index: usize, brick: usize) -> Result<vk::DescriptorSet> {
-        let slot = &mut self.slots[index];
+    fn prepare_set(&mut self, brick: usize) -> Result<vk::DescriptorSet> {
+        let slot = &mut self.slots[CASTS];
         if let Some(set) = slot.sets.get(&brick) {
             return Ok(*set);
         }
         let device = &self.gpu.device;
         let pool = slot.descriptors.get();
         if slot.sets.is_empty() {
-            // SAFETY: the device does not use the pool's sets: sets are made only for a slot whose submission
-            // was waited for.
+            // SAFETY: the device does not use the pool's sets: the slot's last submission was waited for.
             unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
                 .on(&self.gpu, "vkResetDescriptorPool")?;
         }

@@ -16,18 +16,17 @@ mod upload;
 use crate::blocks::{BlockMap, SkipMap};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
-use crate::renderer::{DeviceLimits, FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
+use crate::renderer::{DeviceLimits, Preparation, Rendered, Renderer, WorkCounts};
 use crate::setup::{FAR, FrameSetup, check};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
-use engine::{Cast, Engine, STATE_BYTES, ShaderKey, Ticket};
+use engine::{Engine, STATE_BYTES, ShaderKey};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use gpu::{Gpu, GpuOptions, WrapDevice};
 pub use picture::{Picture, Region};
-use recording::{Output, Target, Tile, WORK_BYTES, record_tile};
+use recording::{Target, WORK_BYTES};
 use resources::Shape;
 pub use shared::SharedDevice;
-use std::collections::VecDeque;
 use std::ffi::CString;
 use std::sync::Arc;
 use std::time::Duration;
@@ -150,17 +149,6 @@ pub struct VulkanRaycaster {
     occupied: Option<(usize, usize)>,
     /// Edge of the tiles for each shading mode, in pixels.
     tile: [u32; Shading::ALL.len()],
-    /// Frames that were enqueued and not yet collected.
-    in_flight: VecDeque<Enqueued>,
-}
-
-/// A frame in flight.
-struct Enqueued {
-    ticket: Ticket,
-    width: u32,
-    height: u32,
-    watch: Stopwatch,
-    counting: bool,
 }
 
 /// Parameters that all dispatches of a frame share.
@@ -241,7 +229,6 @@ impl VulkanRaycaster {
             has_skip_map: false,
             occupied: None,
             tile: [edge; Shading::ALL.len()],
-            in_flight: VecDeque::new(),
         })
     }
 
@@ -270,72 +257,6 @@ impl VulkanRaycaster {
     /// volume and transfer function were set.
     pub fn occupied_blocks(&self) -> Option<(usize, usize)> {
         self.occupied
-    }
-
-    /// Maximum number of frames in flight: enqueued and not yet collected.
-    pub const FRAMES_IN_FLIGHT: usize = engine::FRAMES_IN_FLIGHT;
-
-    /// Starts a frame and returns while the device renders it, so that the host can prepare the next frame or
-    /// use the previous frame meanwhile. [`VulkanRaycaster::collect`] returns the frames in order. A change
-    /// of volume or transfer function applies to frames that are enqueued after it.
-    ///
-    /// # Errors
-    /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one
-    /// dispatch (an image larger than a tile, a volume in bricks, very long rays: [`Renderer::render`] draws
-    /// such frames), or where [`Renderer::render`] fails.
-    pub fn enqueue(&mut self, frame: &Frame) -> Result<()> {
-        let watch = Stopwatch::start();
-        let plan = self.plan(frame)?;
-        let (width, height) = (frame.width, frame.height);
-        let bricks = self.volume.as_ref().map_or(0, |v| v.bricks.len());
-        let tile = Tile { x: 0, y: 0, width, height };
-        if width.max(height) > self.tile[plan.class] || plan.last_window > 0.0 || bricks != 1 {
-            return Err(Error::new(format!(
-                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {} \
-                 pixels, {bricks} bricks) and cannot be enqueued; call `render` instead",
-                self.tile[plan.class]
-            )));
-        }
-        let slot = self.engine.free_slot()?;
-        self.table_step = None;
-        let commands = record_tile(
-            &plan.setup,
-            tile,
-            plan.table,
-            self.has_timestamps(),
-            self.options.count_work,
-            Output::Host,
-        );
-        let cast =
-            Cast { pass: "ray casting, a frame in flight", key: plan.key, tile, windowed: false, brick: 0 };
-        let ticket = self.engine.start(slot, &cast, &commands)?;
-        self.table_step = Some(frame.step);
-        self.in_flight.push_back(Enqueued {
-            ticket,
-            width,
-            height,
-            watch,
-            counting: self.options.count_work,
-        });
-        Ok(())
-    }
-
-    /// Waits for the oldest frame in flight; `None` if there is none. The frame's wall time starts with the
-    /// call of [`VulkanRaycaster::enqueue`] and overlaps with the wall times of the frames before and after
-    /// it.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn collect(&mut self) -> Result<Option<Rendered>> {
-        let Some(Enqueued { ticket, width, height, watch, counting }) = self.in_flight.pop_front() else {
-            return Ok(None);
-        };
-        let done = self.engine.finish(ticket)?;
-        let mut counts = WorkCounts::default();
-        add_counts(&mut counts, done.work);
-        let image = Image { width, height, rgba: done.image.to_vec() };
-        let time = FrameTime { device: done.seconds, wall: watch.wall(), cpu: watch.cpu() };
-        Ok(Some(Rendered { image, time, counts: counting.then_some(counts) }))
     }
 
     /// Returns the parameters that all dispatches of a frame share.

@@ -1,6 +1,6 @@
 //! Translation of a recording to a command buffer: one Vulkan call, or a few, for each command.
 
-use super::{Engine, Shader, Slot};
+use super::{CASTS, Engine, Shader, Slot};
 use crate::error::{Error, Result};
 use crate::vulkan::gpu::{NamedCall, seconds_between};
 use crate::vulkan::recording::{Command, Hazard, Target};
@@ -236,10 +236,9 @@ impl Engine {
         }
     }
 
-    /// Returns the seconds between the two timestamps of the slot's last submission, or `None` without
-    /// timestamps.
-    pub(super) fn read_seconds(&self, slot: usize) -> Result<Option<f64>> {
-        let (Some(queries), Some(clock)) = (&self.slots[slot].queries, self.gpu.timestamps) else {
+    /// Returns the seconds between the two timestamps of the last cast, or `None` without timestamps.
+    pub(super) fn read_seconds(&self) -> Result<Option<f64>> {
+        let (Some(queries), Some(clock)) = (&self.slots[CASTS].queries, self.gpu.timestamps) else {
             return Ok(None);
         };
         let mut ticks = [0u64; 2];

@@ -6,14 +6,12 @@ use crate::vulkan::gpu::NamedCall;
 use ash::vk;
 
 impl Engine {
-    /// Waits until no submission is running; finished casts can still be collected.
+    /// Waits until no submission is running.
     pub(crate) fn drain(&mut self) -> Result<()> {
         self.gpu.check()?;
         for slot in 0..self.slots.len() {
             if self.slots[slot].pending {
-                let pass =
-                    self.slots[slot].running.as_ref().map_or("an earlier pass", |r| &r.pass).to_owned();
-                self.wait_for_fence(slot, &pass)?;
+                self.wait_for_fence(slot, "an earlier pass")?;
             }
         }
         if self.broken {
@@ -21,7 +19,6 @@ impl Engine {
                 if self.slots[slot].pending {
                     self.reset_fence(slot)?;
                 }
-                self.slots[slot].running = None;
             }
             self.broken = false;
         }
