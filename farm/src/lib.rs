@@ -34,6 +34,6 @@ pub mod worker;
 
 pub use command::quoted;
 pub use list::{
-    By, Farm, Method, Plan, Span, Task, Timeline, eta, parse_tasks, plan, play, read_tasks, simulate_queue,
-    times, volume_numbers,
+    By, Method, Plan, Span, Task, Timeline, parse_tasks, plan, play, read_tasks, simulate_queue, times,
+    volume_numbers,
 };

@@ -58,6 +58,9 @@ RENAMED = {
     "blocks_of_any_edge_draw_the_same_picture_with_other_work":
         "render_skips_without_changing_the_picture_and_range_changes_it",
     "edges_are_checked_and_followed": "blocks_hold_their_voxels_and_one_layer_more",
+    "affinity_saves_loads": "every_plan_counts_the_loading_times",
+    "a_dispatch_takes_as_long_on_a_fast_node": "every_plan_counts_the_loading_times",
+    "the_expected_end_is_not_below_the_bound": "queues_keep_their_promises",
     "the_page_holds_every_chart_and_fetches_nothing": "a_page_fetches_nothing",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.

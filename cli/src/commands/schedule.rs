@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_farm::list::lower_bound;
-use entire_farm::{By, Farm, Method, Task, eta, plan, play, read_tasks, times};
+use entire_farm::{By, Method, Task, plan, play, read_tasks, times};
 use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole};
 use entire_steer::schedule::MAX_NODES;
 use serde_json::json;
@@ -18,8 +18,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv
-  entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out order.json
-  entire schedule tasks.csv --nodes 8 --method affinity --window 32 --out order.csv")]
+  entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out order.json")]
 pub(crate) struct Options {
     /// The task list: CSV with a header line, or a JSON array of objects (.json). Columns: `predicted_s` or
     /// `measured_s`, in seconds on a node of speed 1; optionally `task` (a name), `volume`, and `load_s`, the
@@ -38,12 +37,6 @@ pub(crate) struct Options {
     /// Task times that the schedule uses.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) by: By,
-    /// Seconds that a node spends on each dispatch from a queue [default: 0].
-    #[arg(long, value_name = "SECONDS")]
-    pub(crate) dispatch: Option<f64>,
-    /// Queue entries that a node searches for a task on its loaded volume (--method affinity) [default: 64].
-    #[arg(long, value_name = "TASKS")]
-    pub(crate) window: Option<usize>,
     /// File for the assignment or order (.csv or .json).
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
@@ -64,35 +57,22 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         (None, false) => options.speeds.clone(),
         (None, true) => bail!("say how many nodes there are (--nodes N, or --speeds S,…)"),
     };
-    let name = options.method.name();
-    ensure!(
-        options.dispatch.is_none() || !matches!(options.method, Method::Static | Method::Longest),
-        "--dispatch is the cost of a queue; --method {name} has no queue: leave --dispatch out, or choose \
-         queue, arrival or affinity"
-    );
-    ensure!(
-        options.window.is_none() || options.method == Method::Affinity,
-        "--window is for --method affinity; --method {name} searches no queue: leave --window out, or \
-         choose affinity"
-    );
-    let farm =
-        Farm { speeds, dispatch: options.dispatch.unwrap_or(0.0), window: options.window.unwrap_or(64) };
-    write(&tasks, &farm, options)
+    write(&tasks, &speeds, options)
 }
 
-fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
-    let (speeds, out) = (&farm.speeds, &options.out);
+fn write(tasks: &[Task], speeds: &[f64], options: &Options) -> Result<()> {
+    let out = &options.out;
     ensure_not_input(out, [options.tasks.as_path()]).context("--out")?;
     make_folder_of(out)?;
     let deciding = times(tasks, options.by)?;
     let plan = plan(options.method, &deciding, speeds)?;
     // Expected seconds: the prediction of each task, or its measured time if it has no prediction.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
-    let line = play(&plan, &expected, tasks, farm)?;
-    let ([low, middle, high], bound) = eta(&plan, &expected, tasks, farm)?;
+    let line = play(&plan, &expected, tasks, speeds)?;
+    let bound = lower_bound(&expected, speeds)?;
     ensure!(
-        line.makespan.is_finite() && high.is_finite(),
-        "the schedule takes more seconds than a number can hold; check --dispatch and the unit of load_s"
+        line.makespan.is_finite() && bound.is_finite(),
+        "the schedule takes more seconds than a number can hold; check the unit of load_s"
     );
     if out.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         let spans: Vec<serde_json::Value> = line
@@ -106,8 +86,7 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
             .collect();
         let all = json!({
             "method": options.method.name(), "nodes": speeds, "makespan_s": line.makespan,
-            "lower_bound_s": lower_bound(&expected, speeds)?,
-            "eta_s": { "p5": low, "p50": middle, "p95": high }, "tasks": spans,
+            "lower_bound_s": bound, "tasks": spans,
         });
         write_json(out, &all)?;
     } else {
@@ -125,11 +104,10 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
         write_whole(out, &csv.into_inner()?)?;
     }
     println!(
-        "{} tasks on {} nodes: expected end after {:.3} s, 90 % interval {low:.3} to {high:.3} s; no \
-         schedule is expected to end before {bound:.3} s",
+        "{} tasks on {} nodes: expected end after {:.3} s; no schedule ends before {bound:.3} s",
         tasks.len(),
         speeds.len(),
-        middle
+        line.makespan
     );
     println!("{}", out.display());
     Ok(())

@@ -13,23 +13,10 @@ use anyhow::{Context, Result, ensure};
 use entire_io::files::{decode_text, read_bytes};
 use entire_steer::schedule::{Assignment, assign_longest_first, longest_first};
 use exchange::exchange;
-use queue::simulate_affinity;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use queue::run;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::Path;
-
-/// The nodes of a farm.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Farm {
-    /// Speed of each node; a node of speed 2 takes half of a task's seconds.
-    pub speeds: Vec<f64>,
-    /// Time that each dispatch from a queue costs its node, seconds.
-    pub dispatch: f64,
-    /// Number of queue entries that a node searches for a task on its loaded volume.
-    pub window: usize,
-}
 
 /// Method of assigning tasks to nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -44,8 +31,6 @@ pub enum Method {
     Queue,
     /// A queue in the order of the list.
     Arrival,
-    /// A queue, longest first, in which a node prefers tasks on its loaded volume.
-    Affinity,
 }
 
 entire_core::names! { Method:
@@ -53,7 +38,6 @@ entire_core::names! { Method:
     Longest "longest",
     Queue "queue",
     Arrival "arrival",
-    Affinity "affinity",
 }
 
 /// Task times that a schedule uses.
@@ -183,34 +167,19 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
         .collect()
 }
 
-/// Simulates a plan with the true times `seconds`; a node also spends a task's loading time if its previous task was
-/// on another volume. Returns node, start and end of every task.
+/// Simulates a plan with the true times `seconds` on nodes of the given speeds; a node also spends a task's
+/// loading time if its previous task was on another volume. Returns node, start and end of every task.
 ///
 /// # Errors
 /// For a plan of a queue, when a time is negative or not finite, or a speed is not finite and positive.
-pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result<Timeline> {
-    let speeds = &farm.speeds;
-    let volumes = volume_numbers(tasks);
-    let loads: Vec<f64> = tasks.iter().map(|t| t.load_s).collect();
-    let work = (seconds, volumes.as_slice(), loads.as_slice());
+pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], speeds: &[f64]) -> Result<Timeline> {
+    let loads: Vec<(usize, f64)> =
+        volume_numbers(tasks).into_iter().zip(tasks.iter().map(|t| t.load_s)).collect();
     match plan {
         Plan::Assigned(assignment, order) => {
-            let mut free = vec![0.0; speeds.len()];
-            let mut held = vec![None; speeds.len()];
-            let mut spans = Vec::with_capacity(order.len());
-            for &task in order {
-                let node = assignment.node_of[task];
-                let start = free[node];
-                let loads = held[node].replace(volumes[task]) != Some(volumes[task]);
-                let end = start + if loads { tasks[task].load_s } else { 0.0 } + seconds[task] / speeds[node];
-                free[node] = end;
-                spans.push(Span { task, node, start, end });
-            }
-            Ok(Timeline { spans, makespan: free.into_iter().fold(0.0, f64::max) })
+            Ok(run(order, seconds, &loads, speeds, |_, task| assignment.node_of[task]))
         }
-        // With a window of one task, nodes take the tasks in order.
-        Plan::Queued(order) => simulate_affinity(order, work, speeds, 1, farm.dispatch),
-        Plan::Near(order) => simulate_affinity(order, work, speeds, farm.window, farm.dispatch),
+        Plan::Queued(order) => simulate_queue(order, seconds, &loads, speeds),
     }
 }
 
@@ -221,9 +190,6 @@ pub enum Plan {
     Assigned(Assignment, Vec<usize>),
     /// An order from which a free node takes the next task.
     Queued(Vec<usize>),
-    /// An order from which a free node takes the first task on its loaded volume among the next
-    /// [`Farm::window`] tasks, else the next task.
-    Near(Vec<usize>),
 }
 
 /// Schedules tasks by the expected seconds `deciding`.
@@ -241,45 +207,5 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
         }
         Method::Queue => Plan::Queued(order),
         Method::Arrival => Plan::Queued((0..deciding.len()).collect()),
-        Method::Affinity => Plan::Near(order),
     })
-}
-
-/// Returns the quantiles 0.05, 0.5 and 0.95 of the end, and the median of its lower bound, seconds, from 400
-/// random draws of the errors of `expected`. Errors are drawn from the tasks' own ln(measured / predicted) if
-/// all tasks have both times. Otherwise they are drawn from a normal distribution of ln seconds with standard
-/// deviation 0.15.
-///
-/// # Errors
-/// When a time is negative or not finite, or a speed is not finite and positive.
-pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm) -> Result<([f64; 3], f64)> {
-    const LOG_SD: f64 = 0.15;
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
-    let own: Vec<f64> = tasks
-        .iter()
-        .filter_map(|t| Some((t.measured_s.filter(|m| *m > 0.0)? / t.predicted_s.filter(|p| *p > 0.0)?).ln()))
-        .collect();
-    const DRAWS: usize = 400;
-    let (mut ends, mut bounds) = (Vec::with_capacity(DRAWS), Vec::with_capacity(DRAWS));
-    for _ in 0..DRAWS {
-        let drawn: Vec<f64> = expected
-            .iter()
-            .map(|t| {
-                let error = if own.len() == tasks.len() {
-                    own[((unit() * own.len() as f64) as usize).min(own.len() - 1)]
-                } else {
-                    LOG_SD * (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
-                };
-                t * error.exp()
-            })
-            .collect();
-        let end = play(plan, &drawn, tasks, farm)?.makespan;
-        // The two numbers may be rounded differently.
-        bounds.push(if end.is_finite() { lower_bound(&drawn, &farm.speeds)?.min(end) } else { end });
-        ends.push(end);
-    }
-    ends.sort_by(f64::total_cmp);
-    bounds.sort_by(f64::total_cmp);
-    Ok(([ends[DRAWS / 20], ends[DRAWS / 2], ends[DRAWS - 1 - DRAWS / 20]], bounds[DRAWS / 2]))
 }

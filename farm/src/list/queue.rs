@@ -1,8 +1,7 @@
-//! Dynamic queues: a free node takes the next task, or one that needs its loaded volume.
+//! Dynamic queues: a free node takes the next task.
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, bail};
 use entire_steer::schedule::{assign_longest_first, longest_first};
-use std::collections::VecDeque;
 
 /// Time span and node of a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,68 +16,59 @@ pub struct Span {
     pub end: f64,
 }
 
-/// Result of a queue.
+/// Result of a schedule.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timeline {
-    /// Every task in the order of dispatch.
+    /// Every task, in the order of the schedule.
     pub spans: Vec<Span>,
     /// End of the last task.
     pub makespan: f64,
 }
 
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
-/// `times` are the true times; predictions determine only the order. Arrival order is `0..n`;
-/// [`longest_first`] returns the order of predicted times, longest first. Every dispatch costs `dispatch`
-/// seconds of the node.
+/// `times` are the true times on a node of speed 1, without loading; predictions determine only the order.
+/// Arrival order is `0..n`; [`longest_first`] returns the order of predicted times, longest first. `loads`
+/// has the volume of each task, and the seconds to load it on a node whose previous task was on another
+/// volume; they do not depend on the node's speed. `loads` is empty if no task loads a volume.
 ///
 /// # Errors
-/// For unusable times, speeds or dispatch cost, or an order that is not a permutation of the tasks.
-pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: f64) -> Result<Timeline> {
-    let n = times.len();
-    simulate_affinity(order, (times, &vec![0; n], &vec![0.0; n]), speeds, 1, dispatch)
-}
-
-/// Simulates a queue in which a node keeps its last volume. The node takes the first task on this volume
-/// among the next `window` tasks of the order, or the next task if there is none. Every dispatch costs
-/// `dispatch` seconds of the node. The tasks are given by their seconds on a node of speed 1 without loading,
-/// their volumes, and the seconds to load each task's volume on a node that does not hold it, which do not
-/// depend on the node's speed.
-///
-/// # Errors
-/// For unusable times, speeds or dispatch cost, a window of 0, or an order that is not a permutation of the
-/// tasks.
-pub(super) fn simulate_affinity(
+/// For unusable times or speeds, or an order that is not a permutation of the tasks.
+pub fn simulate_queue(
     order: &[usize],
-    (times, volumes, loads): (&[f64], &[usize], &[f64]),
+    times: &[f64],
+    loads: &[(usize, f64)],
     speeds: &[f64],
-    window: usize,
-    dispatch: f64,
 ) -> Result<Timeline> {
     check(times, speeds)?;
-    check(loads, speeds)?;
+    let loading: Vec<f64> = loads.iter().map(|l| l.1).collect();
+    check(&loading, speeds)?;
     check_order(order, times.len())?;
-    ensure!(
-        dispatch.is_finite() && dispatch >= 0.0,
-        "the dispatch cost is {dispatch} seconds; it must be finite and not negative"
-    );
-    ensure!(window > 0, "the window is 0 tasks; it must be at least 1");
+    Ok(run(order, times, loads, speeds, |free, _| first_free(free, speeds)))
+}
+
+/// Returns the timeline of tasks that start in `order`. `node_of` returns the node of a task from the times,
+/// in seconds, at which the nodes are free. The other arguments are those of [`simulate_queue`].
+pub(super) fn run(
+    order: &[usize],
+    times: &[f64],
+    loads: &[(usize, f64)],
+    speeds: &[f64],
+    node_of: impl Fn(&[f64], usize) -> usize,
+) -> Timeline {
     let mut free = vec![0.0f64; speeds.len()];
     let mut holds: Vec<Option<usize>> = vec![None; speeds.len()];
-    let mut waiting: VecDeque<usize> = order.iter().copied().collect();
     let mut spans = Vec::with_capacity(order.len());
-    while !waiting.is_empty() {
-        let node = first_free(&free, speeds);
-        let near = waiting.iter().take(window).position(|&t| holds[node] == Some(volumes[t]));
-        let Some(task) = waiting.remove(near.unwrap_or(0)) else { break };
-        let holding = holds[node].replace(volumes[task]) == Some(volumes[task]);
-        let loading = if holding { 0.0 } else { loads[task] };
+    for &task in order {
+        let node = node_of(&free, task);
+        let missing = loads.get(task).filter(|&&(volume, _)| holds[node].replace(volume) != Some(volume));
+        let loading = missing.map_or(0.0, |&(_, seconds)| seconds);
         let start = free[node];
-        let end = start + dispatch + loading + times[task] / speeds[node];
+        let end = start + loading + times[task] / speeds[node];
         free[node] = end;
         spans.push(Span { task, node, start, end });
     }
     let makespan = free.into_iter().fold(0.0, f64::max);
-    Ok(Timeline { spans, makespan })
+    Timeline { spans, makespan }
 }
 
 /// Checks that times are finite and not negative, and speeds finite and positive.

@@ -76,43 +76,20 @@ fn a_queue_is_as_long_as_its_longest_task_where_that_goes_first() {
     let mut times = vec![1.0; 20];
     times[19] = 100.0;
     let arrival: Vec<usize> = (0..20).collect();
-    assert!(simulate_queue(&arrival, &times, &ones(8), 0.0).unwrap().makespan > 100.0);
+    assert!(simulate_queue(&arrival, &times, &[], &ones(8)).unwrap().makespan > 100.0);
     let order = longest_first(&times).unwrap();
-    assert_eq!(simulate_queue(&order, &times, &ones(8), 0.0).unwrap().makespan, 100.0);
-}
-
-#[test]
-fn affinity_saves_loads() {
-    let volumes: Vec<usize> = (0..24).map(|i| i % 3).collect();
-    let order: Vec<usize> = (0..24).collect();
-    let tasks = (&[1.0; 24][..], &volumes[..], &[10.0; 24][..]);
-    let plain = simulate_affinity(&order, tasks, &ones(3), 1, 0.0).unwrap().makespan;
-    let near = simulate_affinity(&order, tasks, &ones(3), 24, 0.0).unwrap().makespan;
-    assert!(near <= 18.0 && plain >= near, "{plain} {near}");
-    assert_eq!(simulate_affinity(&[0], (&[2.0], &[0], &[5.0]), &[2.0], 1, 0.0).unwrap().makespan, 6.0);
+    assert_eq!(simulate_queue(&order, &times, &[], &ones(8)).unwrap().makespan, 100.0);
 }
 
 #[test]
 fn nonsense_is_refused() {
     for order in [&[0, 0][..], &[0][..], &[0, 2][..]] {
-        assert!(simulate_queue(order, &[1.0, 2.0], &[1.0], 0.0).is_err(), "{order:?}");
+        assert!(simulate_queue(order, &[1.0, 2.0], &[], &[1.0]).is_err(), "{order:?}");
     }
-    assert!(simulate_queue(&[0], &[1.0], &[1.0], f64::NAN).is_err());
-    assert!(simulate_affinity(&[0], (&[1.0], &[0], &[f64::INFINITY]), &[1.0], 1, 0.0).is_err());
-    assert!(simulate_affinity(&[0], (&[1.0], &[0], &[0.0]), &[1.0], 0, 0.0).is_err());
+    assert!(simulate_queue(&[0], &[1.0], &[(0, f64::INFINITY)], &[1.0]).is_err());
     for (times, speeds) in [(&[f64::NAN][..], &[1.0][..]), (&[-1.0], &[1.0]), (&[1.0], &[0.0]), (&[1.0], &[])]
     {
-        assert!(simulate_queue(&[0], times, speeds, 0.0).is_err(), "{times:?} {speeds:?}");
-    }
-}
-
-#[test]
-fn a_dispatch_takes_as_long_on_a_fast_node() {
-    let tasks = [Task { predicted_s: Some(8.0), ..Task::default() }];
-    let farm = Farm { speeds: vec![4.0], dispatch: 1.0, window: 1 };
-    for method in [Method::Queue, Method::Affinity] {
-        let plan = plan(method, &[8.0], &farm.speeds).unwrap();
-        assert_eq!(play(&plan, &[8.0], &tasks, &farm).unwrap().makespan, 3.0, "{}", method.name());
+        assert!(simulate_queue(&[0], times, &[], speeds).is_err(), "{times:?} {speeds:?}");
     }
 }
 
@@ -150,17 +127,16 @@ proptest! {
         times in prop::collection::vec(0.0f64..10.0, 0..60),
         guesses in prop::collection::vec(0.0f64..10.0, 60),
         speeds in prop::collection::vec(0.2f64..4.0, 1..8),
-        dispatch in 0.0f64..0.5,
     ) {
         let order = longest_first(&guesses[..times.len()]).unwrap();
-        let line = simulate_queue(&order, &times, &speeds, dispatch).unwrap();
+        let line = simulate_queue(&order, &times, &[], &speeds).unwrap();
         let bound = lower_bound(&times, &speeds).unwrap();
         prop_assert!(line.makespan >= bound * (1.0 - 1e-12));
         // Every task runs once. No node runs two tasks at once, or is idle before its last task.
         let mut seen = vec![false; times.len()];
         for s in &line.spans {
             prop_assert!(!std::mem::replace(&mut seen[s.task], true));
-            prop_assert!((s.end - s.start - dispatch - times[s.task] / speeds[s.node]).abs() < 1e-9);
+            prop_assert!((s.end - s.start - times[s.task] / speeds[s.node]).abs() < 1e-9);
         }
         for node in 0..speeds.len() {
             let mut at = 0.0;
@@ -172,14 +148,14 @@ proptest! {
         // Twice the tasks never take less time.
         let doubled: Vec<f64> = times.iter().chain(&times).copied().collect();
         let twice: Vec<usize> = order.iter().copied().chain(order.iter().map(|t| t + times.len())).collect();
-        prop_assert!(simulate_queue(&twice, &doubled, &speeds, dispatch).unwrap().makespan >= line.makespan);
+        prop_assert!(simulate_queue(&twice, &doubled, &[], &speeds).unwrap().makespan >= line.makespan);
     }
 
     #[test]
     fn more_equal_nodes_never_take_longer(times in prop::collection::vec(0.0f64..10.0, 1..60), nodes in 1usize..12) {
         let order = longest_first(&times).unwrap();
-        let few = simulate_queue(&order, &times, &ones(nodes), 0.0).unwrap().makespan;
-        let more = simulate_queue(&order, &times, &ones(nodes + 1), 0.0).unwrap().makespan;
+        let few = simulate_queue(&order, &times, &[], &ones(nodes)).unwrap().makespan;
+        let more = simulate_queue(&order, &times, &[], &ones(nodes + 1)).unwrap().makespan;
         prop_assert!(more <= few * (1.0 + 1e-12));
     }
 
@@ -212,28 +188,12 @@ proptest! {
 fn every_plan_counts_the_loading_times() {
     let text = "task,predicted_s,volume,load_s\na,1,v,10\nb,1,v,10\nc,1,w,10\n";
     let tasks = list(text, "t.csv").unwrap();
-    let farm = Farm { speeds: ones(1), dispatch: 0.0, window: 16 };
     let seconds = times(&tasks, By::Predicted).unwrap();
-    for method in [Method::Longest, Method::Queue, Method::Affinity] {
-        let plan = plan(method, &seconds, &farm.speeds).unwrap();
+    for method in [Method::Longest, Method::Queue] {
+        let plan = plan(method, &seconds, &ones(1)).unwrap();
         // Both tasks on v come first, since order follows the list where times are equal.
-        assert_eq!(play(&plan, &seconds, &tasks, &farm).unwrap().makespan, 23.0, "{method:?}");
+        assert_eq!(play(&plan, &seconds, &tasks, &ones(1)).unwrap().makespan, 23.0, "{method:?}");
     }
-}
-
-#[test]
-fn the_expected_end_is_not_below_the_bound() {
-    // Without measured times errors are random; with them, every task takes half of its predicted time.
-    let farm = Farm { speeds: ones(2), dispatch: 0.0, window: 16 };
-    let half = "task,predicted_s,measured_s\na,2,1\nb,4,2\nc,4,2\n";
-    for (text, expected) in [("task,predicted_s\na,2\n", None), (half, Some(2.5))] {
-        let tasks = list(text, "t.csv").unwrap();
-        let seconds = times(&tasks, By::Predicted).unwrap();
-        for method in Method::ALL {
-            let plan = plan(method, &seconds, &farm.speeds).unwrap();
-            let ([low, middle, high], bound) = eta(&plan, &seconds, &tasks, &farm).unwrap();
-            assert!(bound <= middle && low <= middle && middle <= high, "{method}: {bound} {low} {middle}");
-            assert!(expected.is_none_or(|b: f64| (bound - b).abs() < 1e-9), "{method}: {bound}");
-        }
-    }
+    // Loading takes as long on a fast node.
+    assert_eq!(simulate_queue(&[0], &[2.0], &[(0, 5.0)], &[2.0]).unwrap().makespan, 6.0);
 }

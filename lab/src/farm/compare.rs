@@ -5,7 +5,7 @@ use crate::bars::Bar;
 use crate::trace::Trace;
 use anyhow::{Context, Result};
 use entire_farm::list::lower_bound;
-use entire_farm::{By, Farm, Method, Task, plan, play, simulate_queue, times};
+use entire_farm::{By, Method, Task, plan, play, simulate_queue, times};
 use entire_io::files::make_folder;
 use entire_io::machine::Provenance;
 use entire_io::metrics::median;
@@ -51,19 +51,16 @@ const COMPARED: [(&str, Method, By); 6] = [
     ("static with exchanges, predicted", Method::Static, By::Predicted),
 ];
 
-/// Number of queue entries among which a node searches for a task on its loaded volume.
-const WINDOW: usize = 64;
-
 /// Number of random orders over which the makespan of a queue is averaged.
 const RANDOM_ORDERS: u64 = 200;
 
 /// Mean makespan of a queue over [`RANDOM_ORDERS`] seeded random orders.
-fn any_order(measured: &[f64], farm: &Farm) -> Result<f64> {
+fn any_order(measured: &[f64], speeds: &[f64]) -> Result<f64> {
     let mut sum = 0.0;
     for seed in 0..RANDOM_ORDERS {
         let mut order: Vec<usize> = (0..measured.len()).collect();
         order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
-        sum += simulate_queue(&order, measured, &farm.speeds, farm.dispatch)?.makespan;
+        sum += simulate_queue(&order, measured, &[], speeds)?.makespan;
     }
     Ok(sum / RANDOM_ORDERS as f64)
 }
@@ -82,11 +79,11 @@ pub(crate) fn compare(
     let mut makespans = vec![Vec::new(); COMPARED.len()];
     let (mut bounds, mut random) = (Vec::new(), Vec::new());
     for nodes in 2..=64usize {
-        let farm = Farm { speeds: vec![1.0; nodes], dispatch: 0.0, window: WINDOW };
-        bounds.push(lower_bound(&measured, &farm.speeds)?);
-        random.push(any_order(&measured, &farm)?);
+        let speeds = vec![1.0; nodes];
+        bounds.push(lower_bound(&measured, &speeds)?);
+        random.push(any_order(&measured, &speeds)?);
         for (k, (_, method, by)) in COMPARED.into_iter().enumerate() {
-            let line = play(&plan(method, &times(tasks, by)?, &farm.speeds)?, &measured, tasks, &farm)?;
+            let line = play(&plan(method, &times(tasks, by)?, &speeds)?, &measured, tasks, &speeds)?;
             makespans[k].push(line.makespan);
         }
     }
@@ -154,10 +151,9 @@ mod tests {
     #[test]
     fn a_queue_in_any_order_ends_when_its_orders_do_on_average() {
         // Two nodes. The task of 2 s comes last in a third of the orders: the end is 3 s then, 2 s otherwise.
-        let farm = Farm { speeds: vec![1.0; 2], dispatch: 0.0, window: 1 };
-        let end = any_order(&[1.0, 1.0, 2.0], &farm).unwrap();
+        let end = any_order(&[1.0, 1.0, 2.0], &[1.0; 2]).unwrap();
         assert!((end - 7.0 / 3.0).abs() < 0.1, "{end}");
-        assert_eq!(end, any_order(&[1.0, 1.0, 2.0], &farm).unwrap());
-        assert_eq!(any_order(&[1.0, 1.0], &farm).unwrap(), 1.0);
+        assert_eq!(end, any_order(&[1.0, 1.0, 2.0], &[1.0; 2]).unwrap());
+        assert_eq!(any_order(&[1.0, 1.0], &[1.0; 2]).unwrap(), 1.0);
     }
 }
