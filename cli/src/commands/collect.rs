@@ -41,7 +41,7 @@ pub(crate) struct Options {
     /// to the working folder.
     #[arg(long, value_name = "TABLE", conflicts_with_all = [
         "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",
-        "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy", "array", "fill", "range",
+        "min_size", "max_size", "radii", "steps", "enlarge", "proxy", "array", "fill", "range",
     ])]
     pub(crate) like: Option<PathBuf>,
     /// Frames per volume.
@@ -83,15 +83,9 @@ pub(crate) struct Options {
     /// Radii of the semi-spheres on which cameras lie, in bounding-sphere radii.
     #[arg(long, value_delimiter = ',', default_values_t = DEFAULT_RADII, value_name = "R,…")]
     pub(crate) radii: Vec<f32>,
-    /// Gaussian lobes per transfer function: a number, or a range such as `2-4`.
-    #[arg(long, default_value = "3", value_name = "N[-M]", value_parser = parse_lobe_range)]
-    pub(crate) lobes: (u32, u32),
     /// Ray steps, in reference steps; each frame gets one of them at random.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
     pub(crate) steps: Vec<f32>,
-    /// Ensemble member of the volumes: one for all, or one for each. Default: the folder's name.
-    #[arg(long, num_args = 1.., value_name = "NAME")]
-    pub(crate) member: Vec<String>,
     /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost as much as large
     /// ones.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
@@ -102,14 +96,6 @@ pub(crate) struct Options {
     /// Continue an interrupted table. Settings, machine and volume files must be those of its manifest.
     #[arg(long)]
     pub(crate) resume: bool,
-}
-
-fn parse_lobe_range(text: &str) -> std::result::Result<(u32, u32), String> {
-    let (least, most) = text.split_once('-').unwrap_or((text, text));
-    match (least.trim().parse(), most.trim().parse()) {
-        (Ok(least), Ok(most)) => Ok((least, most)),
-        _ => Err(format!("{text:?} is neither a number nor two numbers like 2-4")),
-    }
 }
 
 /// Protocol from the options.
@@ -123,10 +109,10 @@ fn protocol(options: &Options) -> Protocol {
         seed: options.seed,
         scenes: SceneDistribution {
             radii: options.radii.clone(),
-            lobes: options.lobes,
             min_size: options.min_size,
             max_size: options.max_size,
             steps: options.steps.clone(),
+            ..SceneDistribution::default()
         },
         shading: options.render.shade,
         skipping: options.render.skip,
@@ -138,17 +124,7 @@ fn protocol(options: &Options) -> Protocol {
 }
 
 fn jobs(options: &Options) -> Result<Vec<Job>> {
-    let mut jobs: Vec<Job> = options.volumes.iter().map(|p| Job::from_path(p)).collect();
-    match options.member.len() {
-        0 => {}
-        1 => jobs.iter_mut().for_each(|j| j.member.clone_from(&options.member[0])),
-        n if n == jobs.len() => {
-            for (job, member) in jobs.iter_mut().zip(&options.member) {
-                job.member.clone_from(member);
-            }
-        }
-        n => bail!("--member names {n} members for {} volumes; give one for all or one for each", jobs.len()),
-    }
+    let jobs: Vec<Job> = options.volumes.iter().map(|p| Job::from_path(p)).collect();
     check(&jobs, "give volume files")?;
     Ok(jobs)
 }
@@ -341,20 +317,4 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     );
     said.iter().for_each(|line| println!("{line}"));
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lobe_numbers_are_one_or_two_numbers() {
-        assert_eq!(parse_lobe_range("3"), Ok((3, 3)));
-        assert_eq!(parse_lobe_range("2-4"), Ok((2, 4)));
-        assert!(
-            parse_lobe_range("two").is_err()
-                && parse_lobe_range("2-").is_err()
-                && parse_lobe_range("").is_err()
-        );
-    }
 }
