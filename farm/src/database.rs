@@ -8,7 +8,7 @@ use super::learn::{CONSTANT_SD_WITH_MODEL, Shape};
 use super::load::Loads;
 use super::options::Options;
 use super::planner::{Planner, Setting};
-use super::record::{Answer, BARE_JOURNAL_FORMAT, Entry, JOURNAL_FORMAT, Line, Order, parse_id, run_number};
+use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, Order, parse_id, run_number};
 use super::spool;
 use anyhow::{Context, Result, ensure};
 use entire_io::files::{make_folder, note, write_whole};
@@ -44,18 +44,18 @@ impl<'a> Database<'a> {
             "two different tasks have the same id, a hash of 64 bits; split the job into two"
         );
         let (mut done, mut quarantined) = (HashMap::new(), HashMap::new());
-        let (mut begun, mut inputs, mut gone) = (false, None, HashSet::new());
+        let (mut begun, mut inputs, mut gone) = (false, BTreeMap::new(), HashSet::new());
         let number = |task: &str| parse_id(task).and_then(|id| numbers.get(&id).copied());
         let journal = Journal::open(&state, |entry| {
             match entry {
                 Entry::Run { format, .. } => {
                     begun = true;
                     ensure!(
-                        format == JOURNAL_FORMAT || format == BARE_JOURNAL_FORMAT,
+                        format == JOURNAL_FORMAT,
                         "its format is {format:?}; this version reads {JOURNAL_FORMAT:?}"
                     );
                 }
-                Entry::Inputs { files } => inputs = Some(files),
+                Entry::Inputs { files } => inputs = files,
                 Entry::Done { answer, .. } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
@@ -89,7 +89,7 @@ impl<'a> Database<'a> {
             quarantined.clear();
         }
         let mut new = Self { job, journal, numbers, done, quarantined, run };
-        new.compare_inputs(inputs, gone)?;
+        new.compare_inputs(&inputs, gone)?;
         new.take_over()?;
         new.check_images(options.verify)?;
         if begun {
@@ -104,19 +104,18 @@ impl<'a> Database<'a> {
     /// journal that belong to no task of the job.
     fn compare_inputs(
         &mut self,
-        then: Option<BTreeMap<String, Vec<Identity>>>,
+        then: &BTreeMap<String, Vec<Identity>>,
         mut gone: HashSet<u64>,
     ) -> Result<()> {
         let job = self.job;
         gone.retain(|id| job.output.join(job.image(*id)).exists());
         let volumes = 0..job.volumes.len();
-        let now = volumes.clone().map(|i| (job.shown(i), job.volumes[i].files.clone())).collect();
-        if then.as_ref() == Some(&now) && gone.is_empty() {
+        let now: BTreeMap<String, Vec<Identity>> =
+            volumes.clone().map(|i| (job.shown(i), job.volumes[i].files.clone())).collect();
+        if *then == now && gone.is_empty() {
             return Ok(());
         }
-        let known = then.is_some();
-        let then = then.unwrap_or_default();
-        let ids_then = job.ids_then(&then);
+        let ids_then = job.ids_then(then);
         let (mut files, mut count) = (Vec::new(), 0);
         for i in volumes {
             let shown = job.shown(i);
@@ -142,12 +141,11 @@ impl<'a> Database<'a> {
             ));
         }
         if !gone.is_empty() {
-            let why = if known {
-                "belong to no task of the job; they are left out of the table"
-            } else {
-                "have no record of their inputs; they are left out of the table, and their tasks are rendered again"
-            };
-            note(&format!("{} pictures in {} {why}", gone.len(), job.output.join("image").display()));
+            note(&format!(
+                "{} pictures in {} belong to no task of the job; they are left out of the table",
+                gone.len(),
+                job.output.join("image").display()
+            ));
         }
         self.journal.add(&Entry::Inputs { files: now });
         self.journal.flush()

@@ -191,9 +191,6 @@ pub(crate) enum Entry {
 /// The journal's format.
 pub(crate) const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
 
-/// The format of journals that do not record the input files of pictures.
-pub(crate) const BARE_JOURNAL_FORMAT: &str = "entire-farm-journal-1";
-
 /// Seconds since 1970.
 pub(crate) fn unix_now() -> f64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())

@@ -45,8 +45,7 @@ SITUATIONS = {
 KEPT = {
     "farm": ["a_resumed_database_shows_what_its_files_are_now", "a_resumed_database_follows_the_settings",
              "data_files_of_headers_count_too", "programs_that_are_told_times_draw_them_anew",
-             "a_file_that_changes_while_it_is_drawn_gives_no_picture",
-             "a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew"],
+             "a_file_that_changes_while_it_is_drawn_gives_no_picture"],
     "collect": ["a_table_is_not_gone_on_with_after_its_volume_was_written_anew", "tables_keep_how_volumes_are_read"],
     "features": ["a_table_is_not_gone_on_with_after_its_volume_was_written_anew"],
     "record": ["a_recording_is_not_gone_on_with_after_a_volume_was_written_anew"],

@@ -62,6 +62,8 @@ RENAMED = {
     "a_dispatch_takes_as_long_on_a_fast_node": "every_plan_counts_the_loading_times",
     "the_expected_end_is_not_below_the_bound": "queues_keep_their_promises",
     "lobe_numbers_are_one_or_two_numbers": "wrong_ranges_are_named",
+    "a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew":
+        "a_resumed_database_shows_what_its_files_are_now",
     "the_page_holds_every_chart_and_fetches_nothing": "a_page_fetches_nothing",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.

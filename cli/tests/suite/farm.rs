@@ -520,37 +520,6 @@ fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
 }
 
 #[test]
-fn a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew() {
-    let dir = steps(RENDERER);
-    succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
-    // A database of format farm-journal-1: its journal records no input files, and its task ids are made of
-    // names and positions.
-    std::fs::remove_dir_all(dir.path().join("db.cdb/.farm/spool")).unwrap();
-    let text = journal(dir.path());
-    let old: Vec<String> = text
-        .lines()
-        .filter(|l| !l.contains("{\"inputs\""))
-        .map(|l| l.replace("farm-journal-2", "farm-journal-1").replace("\"task\":\"", "\"task\":\"0"))
-        .map(|l| match l.split_once("\"task\":\"0") {
-            Some((a, b)) => {
-                let id = format!("0{}", &b[..15]);
-                let folder = dir.path().join("db.cdb/image").join(&id[..2]);
-                std::fs::create_dir_all(&folder).unwrap();
-                let picture = dir.path().join("db.cdb/image").join(&b[..2]).join(format!("{}.png", &b[..16]));
-                std::fs::copy(picture, folder.join(format!("{id}.png"))).unwrap();
-                format!("{a}\"task\":\"{id}{}", &b[16..])
-            }
-            None => l,
-        })
-        .collect();
-    assert!(old.len() < text.lines().count());
-    std::fs::write(dir.path().join("db.cdb/.farm/journal.jsonl"), old.join("\n") + "\n").unwrap();
-    let (said, notes) = resumed_is_fresh(dir.path(), "old");
-    assert!(said.contains("4 of 4 images, 4 of them"), "{said}");
-    assert!(notes.contains("4 pictures") && notes.contains("rendered again"), "{notes}");
-}
-
-#[test]
 fn the_order_of_volumes_is_listed_and_nothing_is_rendered() {
     let dir = steps(RENDERER);
     for name in ["step0.5", "step0.25", "step9", "step1e2"] {
