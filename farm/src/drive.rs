@@ -4,7 +4,7 @@ use super::database::{Database, planner};
 use super::engine::{self, Bundle, Engine, Event, STILLBORN};
 use super::job::Job;
 use super::options::Options;
-use super::planner::{Planner, Setting, State, Straggler};
+use super::planner::{Planner, Setting, State};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, unix_now};
 use super::show::{Show, View};
 use super::spool;
@@ -480,11 +480,6 @@ impl Drive<'_, '_> {
 
     fn view(&self, eta: [f64; 3], elapsed: f64) -> View {
         let (done, all) = self.planner.progress();
-        let shown = |s: Straggler| {
-            let slot = s.slot.map_or(String::new(), |s| format!(" on slot {s}"));
-            format!("{}{slot}: {:.1} s so far, {:.1} s expected", self.id(s.task), s.elapsed_s, s.expected_s)
-        };
-        let stragglers = self.planner.stragglers(unix_now()).into_iter().take(3).map(shown).collect();
         View {
             done,
             all,
@@ -493,7 +488,6 @@ impl Drive<'_, '_> {
             elapsed,
             eta,
             nodes: self.engine.nodes(),
-            stragglers,
         }
     }
 }

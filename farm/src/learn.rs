@@ -203,6 +203,7 @@ pub struct Learner {
     precisions: Vec<f64>,
     /// Weighted sum of the features x over each volume's observations.
     sums: Vec<Vec<f64>>,
+    /// Variance of ln(measured / expected) of a task.
     sigma2: f64,
     tau2: f64,
     drift: f64,
@@ -255,11 +256,6 @@ impl Learner {
     /// Number of observed times.
     pub(crate) fn observed(&self) -> usize {
         self.seen.len()
-    }
-
-    /// Standard deviation of ln(measured / expected) of a task.
-    pub(crate) fn log_sd(&self) -> f64 {
-        self.sigma2.sqrt()
     }
 
     /// Speed of a node; 1 if it is unknown.

@@ -32,7 +32,7 @@ fn scale_volumes_and_scatter_are_found() {
         (0..1200).filter(|t| t % 7 != 0).map(|t| (truth[t] / learner.seconds(t)).ln()).collect();
     let sd = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
     assert!(sd < 0.12, "{sd}");
-    assert!((learner.log_sd() - 0.1).abs() < 0.02, "{}", learner.log_sd());
+    assert!((learner.sigma2.sqrt() - 0.1).abs() < 0.02, "{}", learner.sigma2);
     // Sums are unbiased: expected seconds are means, not medians.
     let (sum, expected) = (truth.iter().sum::<f64>(), (0..1200).map(|t| learner.seconds(t)).sum::<f64>());
     assert!((sum / expected - 1.0).abs() < 0.02, "{sum} {expected}");
@@ -70,7 +70,7 @@ fn slow_nodes_are_told_from_long_tasks_and_a_hung_task_spoils_nothing() {
         (700..800).map(|t| truth[t]).sum::<f64>() / (700..800).map(|t| learner.seconds(t)).sum::<f64>();
     // Volume 7 has no observation, so the ratio of its true to its expected seconds may be up to e^0.7.
     assert!(error.ln().abs() < 0.7, "{error}");
-    assert!(learner.log_sd() < 0.12, "{}", learner.log_sd());
+    assert!(learner.sigma2.sqrt() < 0.12, "{}", learner.sigma2);
 }
 
 #[test]

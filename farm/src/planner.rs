@@ -104,19 +104,6 @@ pub struct Planner {
     stale: bool,
 }
 
-/// A bundle that is slower than expected.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Straggler {
-    /// The task that probably runs: the first unfinished task of the bundle.
-    pub(crate) task: u32,
-    /// The slot of the bundle, if known.
-    pub(crate) slot: Option<usize>,
-    /// Seconds since the bundle's first task began, or, if that is not known, since the bundle was sent.
-    pub(crate) elapsed_s: f64,
-    /// Expected seconds of the bundle.
-    pub(crate) expected_s: f64,
-}
-
 impl Planner {
     /// Returns a plan for tasks with the base seconds of `shape`.
     pub fn new(shape: Shape, loads: Loads, setting: Setting) -> Self {
@@ -367,29 +354,5 @@ impl Planner {
     /// The slot of a bundle.
     pub(crate) fn slot_of(&self, bundle: u64) -> Option<usize> {
         self.running.get(&bundle).and_then(|r| r.sent.slot)
-    }
-
-    /// Bundles that take more than one second longer than the 99.9 % quantile of their expected time, sorted
-    /// by their time so far, the longest first.
-    pub(crate) fn stragglers(&self, now: f64) -> Vec<Straggler> {
-        let spread = 3.0 * self.learner.log_sd().hypot(0.05);
-        let mut out: Vec<Straggler> = self
-            .running
-            .values()
-            .filter(|r| self.setting.bound || r.begun.is_some())
-            .filter_map(|r| {
-                let elapsed = now - r.begun.unwrap_or(r.at);
-                let expected = r.sent.expected_s;
-                let late = elapsed > expected * spread.exp() + 1.0 && self.learner.observed() >= 10;
-                late.then(|| Straggler {
-                    task: r.open.first().copied().unwrap_or(r.sent.tasks[0]),
-                    slot: r.sent.slot,
-                    elapsed_s: elapsed,
-                    expected_s: expected,
-                })
-            })
-            .collect();
-        out.sort_by(|a, b| b.elapsed_s.total_cmp(&a.elapsed_s));
-        out
     }
 }

@@ -28,8 +28,6 @@ pub(crate) struct View {
     pub(crate) eta: [f64; 3],
     /// Activity of the nodes.
     pub(crate) nodes: Vec<String>,
-    /// Bundles that are slower than expected.
-    pub(crate) stragglers: Vec<String>,
 }
 
 /// The display.
@@ -37,7 +35,6 @@ pub(crate) struct Show {
     bar: ProgressBar,
     lines: bool,
     line_at: Instant,
-    named: Vec<String>,
     /// Time that it takes to compute the contents of the display. It limits the update rate.
     pub(crate) cost: Duration,
 }
@@ -50,7 +47,6 @@ impl Show {
             bar: templated_bar("[{bar:28}] {pos}/{len} {wide_msg}"),
             lines: !is_quiet() && !terminal,
             line_at: Instant::now(),
-            named: Vec::new(),
             cost: Duration::ZERO,
         }
     }
@@ -66,13 +62,6 @@ impl Show {
             format!(" | {}", view.nodes.join(", "))
         };
         self.bar.set_message(format!("{text}{nodes}"));
-        for straggler in &view.stragglers {
-            let task = straggler.split(':').next().unwrap_or_default().to_owned();
-            if !self.named.contains(&task) {
-                self.named.push(task);
-                self.note(&format!("slower than expected: task {straggler}"));
-            }
-        }
         if self.lines && self.line_at.elapsed() >= LINE_EVERY {
             self.line_at = Instant::now();
             eprintln!("{}/{} {text}", view.done, view.all);
