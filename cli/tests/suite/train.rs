@@ -64,12 +64,7 @@ proptest! {
         hidden in prop::collection::vec(1usize..7, 0..4),
         inputs in 1usize..5,
         rows in prop::sample::select(vec![1usize, 3, 150]),
-        loss in prop::sample::select(vec![
-            Loss::SquaredError,
-            Loss::Relative,
-            Loss::Huber { delta: 0.7 },
-            Loss::Pinball { quantile: 0.95 },
-        ]),
+        loss in prop::sample::select(vec![Loss::SquaredError, Loss::Huber { delta: 0.7 }]),
     ) {
         let mut widths = vec![inputs];
         widths.extend(hidden);
@@ -77,13 +72,12 @@ proptest! {
         let network = Network::<f64>::random(&widths, seed).unwrap();
         let x = noise(rows * inputs, seed + 1);
         let y = noise(rows, seed + 2);
-        let w: Vec<f64> = noise(rows, seed + 3).iter().map(|v| v + 1.5).collect();
         let pool = pool(1);
         let loss_of = |network: &Network<f64>| {
-            Trainer::new(network.clone(), loss, f64::INFINITY).unwrap().evaluate(&pool, &x, &y, &w).unwrap().loss
+            Trainer::new(network.clone(), loss, f64::INFINITY).unwrap().evaluate(&pool, &x, &y).unwrap().loss
         };
         let mut trainer = Trainer::new(network.clone(), loss, f64::INFINITY).unwrap();
-        let step = trainer.evaluate(&pool, &x, &y, &w).unwrap();
+        let step = trainer.evaluate(&pool, &x, &y).unwrap();
         let norm = trainer.gradient().iter().map(|g| g * g).sum::<f64>().sqrt();
         prop_assert!((norm - step.gradient_norm).abs() <= 1e-12 * norm.max(1.0));
         let shifted = |at: usize, by: f64| {
@@ -106,8 +100,7 @@ proptest! {
         let scale = norm.max(1e-3);
         let mut beyond = 0;
         for (at, g) in trainer.gradient().iter().enumerate() {
-            // SELU, Huber and pinball have kinks: a kink within the longer step may be outside the shorter
-            // one.
+            // SELU and Huber have kinks: a kink within the longer step may be outside the shorter one.
             let differs = |h: f64| {
                 let slope = (loss_of(&shifted(at, h)) - loss_of(&shifted(at, -h))) / (2.0 * h);
                 (slope - g).abs() > FINITE_DIFFERENCE_TOLERANCE * scale
@@ -177,8 +170,7 @@ fn steps_are_those_of_pytorch() {
         let rate =
             cosine_learning_rate(golden.learning_rate, golden.final_learning_rate, i as u64, golden.steps);
         close(&[rate], &[b.learning_rate], 1e-12, "learning rate");
-        let ones = vec![1.0; b.targets.len()];
-        let step = double.step(&pool, &b.inputs, &b.targets, &ones, rate).unwrap();
+        let step = double.step(&pool, &b.inputs, &b.targets, rate).unwrap();
         close(&[step.loss], &[b.loss], TORCH_F64_TOLERANCE, "loss");
         close(&[step.gradient_norm], &[b.gradient_norm], TORCH_F64_TOLERANCE, "gradient norm");
         close(double.gradient(), &b.gradient, TORCH_F64_TOLERANCE, "gradient");
@@ -186,7 +178,7 @@ fn steps_are_those_of_pytorch() {
 
         let narrow = |v: &[f64]| v.iter().map(|x| *x as f32).collect::<Vec<_>>();
         let wide = |v: &[f32]| v.iter().map(|x| f64::from(*x)).collect::<Vec<_>>();
-        let step = single.step(&pool, &narrow(&b.inputs), &narrow(&b.targets), &narrow(&ones), rate).unwrap();
+        let step = single.step(&pool, &narrow(&b.inputs), &narrow(&b.targets), rate).unwrap();
         close(&[step.loss], &[b.loss], TORCH_F32_TOLERANCE, "single loss");
         close(&wide(single.gradient()), &b.gradient, TORCH_F32_TOLERANCE, "single gradient");
         close(&wide(single.network().parameters()), &b.parameters, TORCH_F32_TOLERANCE, "single parameters");
@@ -239,9 +231,7 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
     for (target, loss, limit) in [
         (Target::LogSeconds, Loss::SquaredError, 0.03),
         (Target::LogSeconds, Loss::Huber { delta: 1.0 }, 0.03),
-        (Target::LogSeconds, Loss::Pinball { quantile: 0.5 }, 0.05),
         (Target::Seconds, Loss::SquaredError, 0.2),
-        (Target::Seconds, Loss::Relative, 0.1),
     ] {
         let (learning_rate, final_learning_rate) = (1e-2, 1e-4);
         let rest = Settings { learning_rate, final_learning_rate, ..Settings::default() };
@@ -264,18 +254,6 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
             );
         }
     }
-}
-
-#[test]
-fn a_high_quantile_lies_above_that_share_of_frames() {
-    let (x, _) = frames(4000, 5);
-    let t: Vec<f64> = noise(4000, 6).iter().map(|u| 1.0 + 0.5 * u).collect();
-    let loss = Loss::Pinball { quantile: 0.9 };
-    let settings = Settings { epochs: 40, learning_rate: 1e-2, loss, ..Settings::default() };
-    let trained = trained(2, &[2, 8, 1], Samples { inputs: &x, seconds: &t }, NONE, &settings).unwrap();
-    let p = trained.predict(&pool(1), &x).unwrap();
-    let covered = p.iter().zip(&t).filter(|(p, t)| t <= p).count() as f64 / 4000.0;
-    assert!((covered - 0.9).abs() < 0.03, "{covered}");
 }
 
 #[test]
@@ -409,7 +387,7 @@ fn bad_input_is_refused_with_a_reason() {
     let nan: Vec<f32> = x.iter().enumerate().map(|(i, v)| if i == 5 { f32::NAN } else { *v }).collect();
     let zero: Vec<f64> = t.iter().enumerate().map(|(i, v)| if i == 3 { 0.0 } else { *v }).collect();
     type Case<'a> = (Samples<'a>, Samples<'a>, fn(&mut Settings), &'a str);
-    let cases: [Case<'_>; 15] = [
+    let cases: [Case<'_>; 12] = [
         (NONE, good, |_| (), "no training frames"),
         (Samples { inputs: &x[..19], ..good }, NONE, |_| (), "19 inputs for 10 frames"),
         (Samples { inputs: &nan, ..good }, NONE, |_| (), "input 1 of frame 2 is NaN"),
@@ -422,14 +400,6 @@ fn bad_input_is_refused_with_a_reason() {
         (good, NONE, |s| s.clip_norm = 0.0, "clipping norm"),
         (good, NONE, |s| s.loss = Loss::Huber { delta: -1.0 }, "Huber delta"),
         (good, NONE, |s| s.loss = Loss::Huber { delta: 1e-50 }, "Huber delta"),
-        (good, NONE, |s| s.loss = Loss::Pinball { quantile: 1.0 }, "pinball quantile"),
-        (good, NONE, |s| s.loss = Loss::Pinball { quantile: 1.0 - 1e-12 }, "pinball quantile"),
-        (
-            good,
-            NONE,
-            |s| (s.loss, s.target) = (Loss::Relative, Target::LogSeconds),
-            "relative loss needs the target seconds",
-        ),
     ];
     for (training, validation, change, expected) in cases {
         let error = attempt(training, validation, change);
@@ -444,6 +414,6 @@ fn bad_input_is_refused_with_a_reason() {
     assert!(Network::from_layers(1, &[(&[f32::NAN][..], &[0.0][..])]).is_err());
     let mut trainer =
         Trainer::new(Network::<f32>::random(&[2, 1], 1).unwrap(), Loss::SquaredError, 1.0).unwrap();
-    assert!(trainer.step(&pool(1), &[1.0; 3], &[1.0], &[1.0], 0.1).is_err());
-    assert!(trainer.step(&pool(1), &[], &[], &[], 0.1).is_err());
+    assert!(trainer.step(&pool(1), &[1.0; 3], &[1.0], 0.1).is_err());
+    assert!(trainer.step(&pool(1), &[], &[], 0.1).is_err());
 }

@@ -122,8 +122,7 @@ pub struct Recipe {
     /// Output quantity of the network.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// Loss function: mse, relative (with --target seconds), huber, huber:delta or pinball:quantile, which
-    /// gives an upper bound.
+    /// Loss function: mse, huber or huber:delta.
     #[arg(long, default_value = "mse", value_parser = checked_loss)]
     pub loss: String,
     /// Maximum number of passes over the training frames.
@@ -196,7 +195,7 @@ impl Default for Recipe {
     }
 }
 
-/// Reads a loss: `mse`, `relative`, `huber`, `huber:DELTA`, `pinball:QUANTILE`.
+/// Reads a loss: `mse`, `huber`, `huber:DELTA`.
 ///
 /// # Errors
 /// When the text is no such loss.
@@ -210,10 +209,8 @@ fn parse_loss(text: &str) -> Result<Loss> {
     };
     match (name, value) {
         ("mse", None) => Ok(Loss::SquaredError),
-        ("relative", None) => Ok(Loss::Relative),
         ("huber", delta) => Ok(Loss::Huber { delta: delta.unwrap_or(1.0) }),
-        ("pinball", Some(quantile)) => Ok(Loss::Pinball { quantile }),
-        _ => bail!("loss {text:?}; mse, relative, huber, huber:DELTA or pinball:QUANTILE is expected"),
+        _ => bail!("loss {text:?}; mse, huber or huber:DELTA is expected"),
     }
 }
 

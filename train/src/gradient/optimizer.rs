@@ -88,24 +88,16 @@ impl<T: Real> Trainer<T> {
     }
 
     /// Computes loss and gradient over a batch, without a step. `inputs`: [rows, width] by rows, with one
-    /// target and one weight per row. The result has the same bits for any number of threads.
+    /// target per row. The result has the same bits for any number of threads.
     ///
     /// # Errors
-    /// When the numbers of inputs, targets and weights do not fit together, or are 0.
-    pub fn evaluate(
-        &mut self,
-        pool: &ThreadPool,
-        inputs: &[T],
-        targets: &[T],
-        weights: &[T],
-    ) -> Result<Step> {
+    /// When the numbers of inputs and targets do not fit together, or are 0.
+    pub fn evaluate(&mut self, pool: &ThreadPool, inputs: &[T], targets: &[T]) -> Result<Step> {
         let (width, rows) = (self.network.widths()[0], targets.len());
         ensure!(
-            rows > 0 && inputs.len() == rows * width && weights.len() == rows,
-            "batch of {} inputs, {rows} targets and {} weights; {width} inputs, 1 target and 1 weight \
-                 per row are needed",
-            inputs.len(),
-            weights.len()
+            rows > 0 && inputs.len() == rows * width,
+            "batch of {} inputs and {rows} targets; {width} inputs and 1 target per row are needed",
+            inputs.len()
         );
         let count = (rows / ROWS_PER_TASK).clamp(1, MAX_TASKS);
         let bounds = |task: usize| task * rows / count..(task + 1) * rows / count;
@@ -129,10 +121,9 @@ impl<T: Real> Trainer<T> {
                     let delta: Vec<T> = pass
                         .output()
                         .iter()
-                        .zip(&targets[range.clone()])
-                        .zip(&weights[range])
-                        .map(|((&y, &t), &w)| {
-                            let (value, slope) = loss.value_and_slope(y, t, w);
+                        .zip(&targets[range])
+                        .map(|(&y, &t)| {
+                            let (value, slope) = loss.value_and_slope(y, t);
                             total += value.wide();
                             slope * share
                         })
@@ -170,16 +161,15 @@ impl<T: Real> Trainer<T> {
     /// finite.
     ///
     /// # Errors
-    /// When the numbers of inputs, targets and weights do not fit together, or are 0.
+    /// When the numbers of inputs and targets do not fit together, or are 0.
     pub fn step(
         &mut self,
         pool: &ThreadPool,
         inputs: &[T],
         targets: &[T],
-        weights: &[T],
         learning_rate: f64,
     ) -> Result<Step> {
-        let step = self.evaluate(pool, inputs, targets, weights)?;
+        let step = self.evaluate(pool, inputs, targets)?;
         if !step.gradient_norm.is_finite() {
             return Ok(step);
         }
@@ -213,16 +203,12 @@ impl<T: Real> Trainer<T> {
     }
 
     /// Returns the mean loss over rows, without gradients.
-    pub(crate) fn validate(&self, pool: &ThreadPool, inputs: &[T], targets: &[T], weights: &[T]) -> f64 {
+    pub(crate) fn validate(&self, pool: &ThreadPool, inputs: &[T], targets: &[T]) -> f64 {
         let rows = targets.len();
         let outputs = predict(pool, &self.network, inputs);
         let loss = self.loss;
-        let total: f64 = outputs
-            .iter()
-            .zip(targets)
-            .zip(weights)
-            .map(|((&y, &t), &w)| loss.value_and_slope(y, t, w).0.wide())
-            .sum();
+        let total: f64 =
+            outputs.iter().zip(targets).map(|(&y, &t)| loss.value_and_slope(y, t).0.wide()).sum();
         total / rows as f64
     }
 }

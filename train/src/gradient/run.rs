@@ -115,11 +115,6 @@ impl Settings {
             "learning rate goes from {first} to {last}; both must be finite, the first positive, the \
                  last not negative"
         );
-        ensure!(
-            self.loss != Loss::Relative || self.target != Target::LogSeconds,
-            "the relative loss needs the target seconds; with log_seconds the squared error is relative \
-                 already"
-        );
         self.loss.check()
     }
 }
@@ -245,8 +240,7 @@ pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
     Ok(widths)
 }
 
-/// Losses of one epoch. The quantile loss is in standard deviations of the target, all other losses are in
-/// squared standard deviations.
+/// Losses of one epoch, in squared standard deviations of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EpochRecord {
     /// Number of the epoch, from 1.
@@ -345,22 +339,12 @@ impl<T: Real> Trained<T> {
 struct Prepared<T> {
     inputs: Vec<T>,
     targets: Vec<T>,
-    weights: Vec<T>,
 }
 
 fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settings) -> Prepared<T> {
-    let weights: Vec<f64> = match settings.loss {
-        Loss::Relative => {
-            let raw: Vec<f64> = samples.seconds.iter().map(|t| 1.0 / (t * t)).collect();
-            let mean = raw.iter().sum::<f64>() / raw.len().max(1) as f64;
-            raw.iter().map(|w| w / mean).collect()
-        }
-        _ => vec![1.0; samples.seconds.len()],
-    };
     Prepared {
         inputs: s.inputs(samples.inputs),
         targets: samples.seconds.iter().map(|&t| T::of(s.output(target_of(settings.target, t)))).collect(),
-        weights: weights.into_iter().map(T::of).collect(),
     }
 }
 
@@ -406,7 +390,7 @@ pub fn train<T: Real>(
     let mut order: Vec<usize> = (0..frames).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(settings.seed ^ 0x5348_5546_464c_4521);
     let mut inputs: Vec<T> = Vec::with_capacity(batch * width);
-    let (mut targets, mut weights) = (Vec::with_capacity(batch), Vec::with_capacity(batch));
+    let mut targets: Vec<T> = Vec::with_capacity(batch);
 
     let mut best = trainer.network().clone();
     let (mut best_loss, mut best_epoch) = (f64::INFINITY, 0);
@@ -419,15 +403,13 @@ pub fn train<T: Real>(
         for (at, chosen) in order.chunks(batch).enumerate() {
             inputs.clear();
             targets.clear();
-            weights.clear();
             for &i in chosen {
                 inputs.extend_from_slice(&data.inputs[i * width..(i + 1) * width]);
                 targets.push(data.targets[i]);
-                weights.push(data.weights[i]);
             }
             let (first, last) = (settings.learning_rate, settings.final_learning_rate);
             let rate = cosine_learning_rate(first, last, steps, total_steps);
-            let step = trainer.step(pool, &inputs, &targets, &weights, rate)?;
+            let step = trainer.step(pool, &inputs, &targets, rate)?;
             steps += 1;
             total += step.loss * chosen.len() as f64;
             if !(step.loss.is_finite() && step.gradient_norm.is_finite()) {
@@ -480,8 +462,7 @@ pub fn train<T: Real>(
 }
 
 fn validate<T: Real>(pool: &ThreadPool, trainer: &Trainer<T>, judged: &Prepared<T>) -> Option<f64> {
-    (!judged.targets.is_empty())
-        .then(|| trainer.validate(pool, &judged.inputs, &judged.targets, &judged.weights))
+    (!judged.targets.is_empty()).then(|| trainer.validate(pool, &judged.inputs, &judged.targets))
 }
 
 /// Shuffles by the Fisher–Yates algorithm.
