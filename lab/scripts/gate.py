@@ -55,6 +55,7 @@ RENAMED = {
     "closed_loop_table": "ours_passes_every_scene",
     "prediction_with_feedback_beats_reaction_at_switches_and_in_calm": "ours_passes_every_scene",
     "an_unreachable_target_leaves_the_step_alone": "ours_passes_every_scene",
+    "files_of_other_writers_come_back_voxel_for_voxel": "every_fixture_is_read_as_independent_readers_read_it",
     "blocks_of_any_edge_draw_the_same_picture_with_other_work":
         "render_skips_without_changing_the_picture_and_range_changes_it",
     "edges_are_checked_and_followed": "blocks_hold_their_voxels_and_one_layer_more",

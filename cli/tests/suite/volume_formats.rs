@@ -26,56 +26,6 @@ fn expected(kind: &str) -> VolumeData {
 }
 
 #[test]
-fn files_of_other_writers_come_back_voxel_for_voxel() {
-    let mut read = std::collections::BTreeMap::<String, usize>::new();
-    let mut kinds = std::collections::BTreeSet::new();
-    for entry in std::fs::read_dir(fixture("")).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
-        let (stem, ending) = name.split_once('.').unwrap();
-        let words: Vec<&str> = stem.split('_').collect();
-        // Voxel files of detached headers, and files that have a test of their own, are skipped.
-        if words.len() != 4 || ending == "zraw" || (ending.starts_with("raw") && words[0] != "raw") {
-            continue;
-        }
-        let (kind, endian) = (words[2], words[3]);
-        let volume = Volume::open(&path).unwrap_or_else(|error| panic!("{error:#}"));
-        assert_eq!(volume.dims(), [5, 7, 11], "{name}");
-        assert_eq!(volume.spacing(), [0.5, 1.25, 3.0], "{name}");
-        assert_eq!(volume.data(), &expected(kind), "{name}");
-        assert_eq!(volume.source(), path);
-        *read.entry(ending.to_owned()).or_default() += 1;
-        kinds.insert((ending.to_owned(), kind.to_owned(), endian.to_owned()));
-    }
-    for (ending, at_least) in [
-        ("nrrd", 20),
-        ("nhdr", 2),
-        ("mha", 20),
-        ("mhd", 2),
-        ("nii", 21),
-        ("nii.gz", 1),
-        ("vti", 30),
-        ("json", 20),
-        ("raw", 20),
-    ] {
-        assert!(read.get(ending).is_some_and(|n| *n >= at_least), "{ending}: {read:?}");
-    }
-    // Each type in each byte order, if byte order matters.
-    for ending in ["nrrd", "mha", "nii", "vti", "raw"] {
-        for kind in ["uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"] {
-            for endian in ["little", "big"] {
-                assert!(
-                    kinds.contains(&(ending.into(), kind.into(), endian.into())),
-                    "{ending} {kind} {endian}"
-                );
-            }
-        }
-        assert!(kinds.contains(&(ending.into(), "int8".into(), "little".into())), "{ending}");
-        assert!(kinds.contains(&(ending.into(), "uint8".into(), "little".into())), "{ending}");
-    }
-}
-
-#[test]
 fn slopes_names_and_descriptions_are_used() {
     let volume = Volume::open(fixture("scaled.nii")).unwrap();
     let VolumeData::I16(stored) = expected("int16") else { unreachable!() };
