@@ -754,17 +754,15 @@ entire_result entire_transfer_function_last_error(const entire_transfer_function
  * uniform random sample of `frame_count` frames (8 to 65536). Earlier recordings are discarded. Planning and
  * observing still do not allocate.
  *
- * `prior` is the model to start from, fitted on another machine or renderer: unit costs, such as the
- * models in models/, or unit costs times a learned factor with the session's probe. NULL starts from the unit
- * costs of a software renderer. Unusual and cancelled observations, the first frame of the session, and the
- * first frame of a volume are not recorded.
+ * `prior` is the model to start from: unit costs that were fitted on another machine or renderer, such as
+ * models/unshaded-selected.safetensors. NULL starts from the unit costs of a software renderer. Unusual and
+ * cancelled observations, the first frame of the session, and the first frame of a volume are not recorded.
  *
  * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
  * plan every frame as it was drawn, and observe its time.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536, a prior with another probe than the
- * session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
- * handle that is unusable), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536), ENTIRE_UNSUPPORTED (a prior of
+ * another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_record(entire_session *session, const entire_model *prior, size_t frame_count);
 

@@ -42,7 +42,7 @@ pub(crate) fn ship(
                 continue;
             };
             let (mut file, model) = read_model_file(&made.2)?;
-            // A calibration starts from several analytic models, but from one model with a learned factor.
+            // Models of further machines are priors of a calibration, which starts from analytic models.
             let is_first = study.group(set).next().is_some_and(|first| first.name == set.name);
             if !is_first && AnalyticModel::from_model(&model)?.is_none() {
                 continue;

@@ -1,9 +1,8 @@
 //! Choice of the most informative frames: greedy D-optimal design over the candidates' features.
 //!
-//! The feature vector of a frame holds the constant 1, the standardized inputs of the prior's learned factor
-//! (if the prior has a learned factor), and the share of each kind of work in the expected time. The next
-//! frame is the one with the largest ratio of its information gain (increase of ln det of the information
-//! matrix) to a power of its expected seconds. No candidate needs to be rendered for this choice.
+//! The feature vector of a frame holds the constant 1 and the share of each kind of work in the expected time.
+//! The next frame is the one with the largest ratio of its information gain (increase of ln det of the
+//! information matrix) to a power of its expected seconds. No candidate needs to be rendered for this choice.
 
 use super::pool::Pool;
 use entire_steer::numeric::dot;
@@ -113,28 +112,12 @@ fn random_order(pool: &Pool) -> Vec<usize> {
 }
 
 fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
-    let n = pool.candidates.len() as f64;
-    let width = pool.candidates.first().map_or(0, |c| c.row.len());
-    let mut moments = vec![(0.0, 0.0); width];
-    for c in &pool.candidates {
-        for (m, &x) in moments.iter_mut().zip(&c.row) {
-            m.0 += f64::from(x) / n;
-            m.1 += f64::from(x).powi(2) / n;
-        }
-    }
     pool.candidates
         .iter()
         .map(|c| {
-            let mut v = vec![1.0];
-            v.extend(c.row.iter().zip(&moments).map(|(&x, (mean, square))| {
-                let deviation = (square - mean * mean).max(0.0).sqrt();
-                if deviation > 1e-6 { (f64::from(x) - mean) / deviation } else { 0.0 }
-            }));
             let total: f64 = dot(costs, &c.work);
-            v.extend(
-                costs.iter().zip(&c.work).map(|(cost, w)| if total > 0.0 { cost * w / total } else { 0.0 }),
-            );
-            v
+            let share = |(cost, w): (&f64, &f64)| if total > 0.0 { cost * w / total } else { 0.0 };
+            std::iter::once(1.0).chain(costs.iter().zip(&c.work).map(share)).collect()
         })
         .collect()
 }
@@ -165,28 +148,27 @@ mod tests {
     use entire_steer::calibrate::PriorModel;
     use entire_steer::predict::COSTS;
 
-    fn pool(rows: &[[f32; 2]]) -> Pool {
-        let candidate = |row: &[f32; 2]| Candidate {
-            volume: 0,
-            factor: 1,
-            scene: TimedFrame::of_no_volume("v", "").scene,
-            row: row.to_vec(),
-            work: [1.0; COSTS],
-            random: false,
+    /// Returns candidates with the work of two kinds in `amounts`; of any other kind, their work is 1.
+    fn pool(amounts: &[[f64; 2]]) -> Pool {
+        let candidate = |amounts: &[f64; 2]| {
+            let mut work = [1.0; COSTS];
+            work[..2].copy_from_slice(amounts);
+            let scene = TimedFrame::of_no_volume("v", "").scene;
+            Candidate { volume: 0, factor: 1, scene, work, random: false }
         };
         Pool {
             volumes: Vec::new(),
             files: Vec::new(),
             reading: Default::default(),
-            candidates: rows.iter().map(candidate).collect(),
+            candidates: amounts.iter().map(candidate).collect(),
             prior: PriorModel::default(),
-            expected: vec![1.0; rows.len()],
+            expected: vec![1.0; amounts.len()],
         }
     }
 
     #[test]
     fn greedy_choice_adds_the_most_information() {
-        let rows: Vec<[f32; 2]> = (0..40).map(|i| [(i * 7 % 11) as f32, (i * i % 13) as f32]).collect();
+        let rows: Vec<[f64; 2]> = (0..40).map(|i| [(i * 7 % 11) as f64, (i * i % 13) as f64]).collect();
         let pool = pool(&rows);
         let costs = [1.0; COSTS];
         let seconds = vec![1.0; rows.len()];
@@ -210,8 +192,8 @@ mod tests {
     #[test]
     fn seconds_count_only_where_they_are_the_limit() {
         // The last candidate is the most informative and takes longest.
-        let rows: Vec<[f32; 2]> =
-            (0..200).map(|i| if i == 199 { [9.0, -9.0] } else { [(i % 3) as f32, (i % 4) as f32] }).collect();
+        let rows: Vec<[f64; 2]> =
+            (0..200).map(|i| if i == 199 { [90.0, 0.0] } else { [(i % 3) as f64, (i % 4) as f64] }).collect();
         let pool = pool(&rows);
         let mut seconds = vec![0.2; rows.len()];
         seconds[199] = 2.0;
@@ -223,7 +205,7 @@ mod tests {
 
     #[test]
     fn frames_that_cost_too_much_and_budgets_are_kept() {
-        let rows: Vec<[f32; 2]> = (0..30).map(|i| [(i % 5) as f32, (i % 7) as f32]).collect();
+        let rows: Vec<[f64; 2]> = (0..30).map(|i| [(i % 5) as f64, (i % 7) as f64]).collect();
         let pool = pool(&rows);
         let mut seconds = vec![0.05; rows.len()];
         seconds[3] = 0.9;

@@ -25,7 +25,7 @@ use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_q
 use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::UnitCosts;
 use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
-use entire_train::inputs::{Layout, work_of};
+use entire_train::inputs::work_of;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use measuring::{Measured, Measuring, PictureError};
@@ -190,8 +190,7 @@ pub(crate) fn calibrate(
                     settings.clock.name()
                 )
             })?;
-            let (row, group) = (candidate.row.clone(), groups.number(&f.scene.volume));
-            Ok(Observed { row, work: candidate.work, seconds, group })
+            Ok(Observed { work: candidate.work, seconds, group: groups.number(&f.scene.volume) })
         })
         .collect::<Result<_>>()?;
     // Frames chosen by design are extreme; random frames represent users' frames. So the error is measured on
@@ -226,28 +225,18 @@ fn fit_to_frames(
     let renderer = expected_costs(context, part);
     let prior = PriorModel::new(priors, &renderer)?;
     let unknown = UnitCosts::OF_UNKNOWN;
-    let (rows, width, side) = match prior.layout() {
-        None => (Vec::new(), 0, PROBE_SIDE),
-        Some(_) => {
-            let layout = Layout::of_model(&priors[0].to_model()?)?;
-            let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
-            (rows, layout.width(), layout.probe_side())
-        }
-    };
     // The longest rays of a renderer that may run on a GPU are counted in the volumes, which may be missing.
-    let longest = || counts(context, part, &unknown[1], side).ok();
+    let longest = || counts(context, part, &unknown[1], PROBE_SIDE).ok();
     let (renderers, work) = match (renderer == unknown[0]).then(longest).flatten() {
         Some(work) => (&unknown[..], work),
-        None => (std::slice::from_ref(&renderer), counts(context, part, &renderer, side)?),
+        None => (std::slice::from_ref(&renderer), counts(context, part, &renderer, PROBE_SIDE)?),
     };
     let observed: Vec<Observed> = part
         .frames
         .iter()
         .zip(work)
         .zip(part.seconds)
-        .enumerate()
-        .map(|(i, ((frame, counted), &seconds))| Observed {
-            row: rows[i * width..(i + 1) * width].to_vec(),
+        .map(|((frame, counted), &seconds)| Observed {
             work: work_of(counted),
             seconds,
             group: groups.number(&frame.scene.volume),

@@ -12,7 +12,7 @@ use entire_io::volume::Reading;
 use entire_steer::calibrate::PriorModel;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_steer::predict::{COST_QUANTITIES, COSTS, UnitCosts};
-use entire_train::inputs::{Layout, measure, work_of};
+use entire_train::inputs::{measure, work_of};
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -57,8 +57,6 @@ pub(crate) struct Candidate {
     pub(crate) factor: usize,
     /// Scene of the frame.
     pub(crate) scene: Scene,
-    /// Inputs of the prior's learned factor, in the factor's order; empty if the prior has no factor.
-    pub(crate) row: Vec<f32>,
     /// Estimated work: 1, then the values of [`COST_QUANTITIES`].
     pub(crate) work: [f64; COSTS],
     /// True for random candidates (every [`RANDOM_EVERY`]-th one), which represent typical frames.
@@ -134,40 +132,23 @@ impl Pool {
             }
         }
         let prior = PriorModel::new(priors, typical)?;
-        let factor = match prior.layout() {
-            Some(_) => Some(priors[0].to_model()?),
-            None => None,
-        };
-        let layout = factor.as_ref().map(Layout::of_model).transpose()?;
-        let probe_side = layout.as_ref().map_or(PROBE_SIDE, Layout::probe_side);
         let tables = [Table::default()];
         let refs: Vec<&TimedFrame> = frames.iter().collect();
         let bar = ProgressBar::hidden();
-        let known = measure(&tables, &refs, Some(probe_side), None, threads, &bar, |_, inputs| {
-            let mut row = Vec::new();
-            if let Some(layout) = &layout {
-                row.resize(layout.width(), 0.0);
-                layout.write(inputs, &mut row)?;
-            }
+        let known = measure(&tables, &refs, Some(PROBE_SIDE), None, threads, &bar, |_, inputs| {
             let of = inputs.features.quantities(inputs.setting);
-            Ok((row, COST_QUANTITIES.map(|q| of(q) as f32)))
+            Ok(COST_QUANTITIES.map(|q| of(q) as f32))
         })?;
         let candidates: Vec<Candidate> = frames
             .iter()
             .zip(known)
             .zip(places)
-            .map(|((frame, (row, counted)), (volume, factor, random))| {
+            .map(|((frame, counted), (volume, factor, random))| {
                 let work = work_of(counted);
-                Candidate { volume, factor, scene: frame.scene.clone(), row, work, random }
+                Candidate { volume, factor, scene: frame.scene.clone(), work, random }
             })
             .collect();
-        let expected = match (&factor, &layout) {
-            (Some(model), Some(layout)) => {
-                let rows: Vec<f32> = candidates.iter().flat_map(|c| c.row.iter().copied()).collect();
-                entire_train::fit::predict_rows(model, &rows, layout.width())?
-            }
-            _ => candidates.iter().map(|c| prior.costs().time(&c.work)).collect(),
-        };
+        let expected = candidates.iter().map(|c| prior.costs().time(&c.work)).collect();
         let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
         Ok(Self { volumes, files, reading, candidates, prior, expected })
     }

@@ -214,10 +214,10 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     assert!(text_of(&data, "costs.md").contains(adapt), "{}", text_of(&data, "costs.md"));
     let tune = "train --quiet --data t.csv --out tuned.safetensors --fine-tune costs.safetensors";
     fails(&data, tune, 1, "--prior costs.safetensors");
-    // A learned factor on unit costs is adapted like unit costs.
+    // A learned factor on unit costs is trained further, like any network.
     let factor = "train --quiet --data t.csv --out factor.safetensors --model-kind residual --shade none";
     works(&data, &format!("{factor} --layers 4 --epochs 2"));
-    let adapt = "entire calibrate --data FRAMES.csv --shade none --prior factor.safetensors";
+    let adapt = "entire train --data FRAMES.csv --fine-tune factor.safetensors";
     assert!(text_of(&data, "factor.md").contains(adapt), "{}", text_of(&data, "factor.md"));
     assert_eq!(m.scene_features.len(), net.layers[0].inputs);
     let shown = works(&data, "evaluate --quiet --model costs.safetensors --data t.csv --by volume");

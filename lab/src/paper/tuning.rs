@@ -1,12 +1,12 @@
 //! Fine-tuning: the network is pre-trained on all data sets together and adapted to other renderers, machines and kinds
-//! of volumes with few frames. It is compared with networks trained from scratch and with our predictor, which is
-//! calibrated to the same frames.
+//! of volumes with few frames. It is compared with networks trained from scratch and with unit costs,
+//! which are calibrated to the same frames.
 
 use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::Panel;
 use super::frames::{Loaded, identity};
-use super::judge::{NETWORK, OURS};
+use super::judge::NETWORK;
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::volumes::{Selection, places, roots};
 use crate::study::{Bounds, Low, Runner};
@@ -45,7 +45,7 @@ struct Found {
     set: &'static str,
 }
 
-/// The network and our predictor, pre-trained.
+/// The network and unit costs, pre-trained.
 struct Pretrained<'a> {
     work: &'a Work<'a>,
     runner: &'a Runner<'a>,
@@ -54,7 +54,7 @@ struct Pretrained<'a> {
     recipe: &'a Recipe,
     /// The network's file.
     network: PathBuf,
-    ours: ModelFile,
+    costs: ModelFile,
 }
 
 /// Maximum number of frames in a chart with a point per frame.
@@ -180,9 +180,9 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     let parts = (&training, &validation);
     let bounds = Bounds::Frames(&none);
     let (_, made) = runner.made("all-pretrained-network", &network, &context, parts, &bounds)?;
-    let ours = paper.ours_for(mode)?;
-    let (ours, _) = runner.made("all-pretrained-ours", ours, &context, parts, &bounds)?;
-    let pretrained = Pretrained { work, runner, context: &context, recipe: &network, network: made, ours };
+    let costs = Recipe { kind: entire_train::fit::Kind::Analytic, ..Recipe::default() };
+    let (costs, _) = runner.made("all-pretrained-costs", &costs, &context, parts, &bounds)?;
+    let pretrained = Pretrained { work, runner, context: &context, recipe: &network, network: made, costs };
     for set in todo {
         let mut results = Results::new(Panel::Tuning, set, mode, mark.clone());
         results.frames.insert("pre-training".into(), [training.frames.len(), validation.frames.len(), 0]);
@@ -190,7 +190,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             pretrained.take(target, &mut results)?;
         }
         results.encoder =
-            format!("as shipped; {NETWORK} and {OURS} are pre-trained on all data sets together");
+            format!("as shipped; {NETWORK} and unit costs are pre-trained on all data sets together");
         results.measured_as(&tables[0]);
         write(work.out, &results)?;
     }
@@ -201,7 +201,7 @@ impl Pretrained<'_> {
     /// Adapts both predictors to a target with increasing numbers of frames. Measures the errors on
     /// the target's test frames.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
-        let Self { work, runner, context, recipe, network, ours } = self;
+        let Self { work, runner, context, recipe, network, costs } = self;
         let none = TimedFrames::default();
         let bounds = Bounds::Frames(&none);
         let mut curves: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
@@ -229,11 +229,11 @@ impl Pretrained<'_> {
                 };
                 let alone = Recipe { epochs: work.paper.tuning.epochs, seed, ..(*recipe).clone() };
                 let parts = (&few, &none);
-                let moved = calibrate_to_frames(std::slice::from_ref(ours), context, few.timed())?;
+                let moved = calibrate_to_frames(std::slice::from_ref(costs), context, few.timed())?;
                 let made = [
                     ("fine-tuned", runner.made(&key("tuned"), &tuned, context, parts, &bounds)?.0),
                     ("from nothing", runner.made(&key("alone"), &alone, context, parts, &bounds)?.0),
-                    ("ours, calibrated", moved),
+                    ("unit costs, calibrated", moved),
                 ];
                 for &(how, ref file) in &made {
                     found.entry(how).or_default().push(rmse(file)?);
@@ -264,7 +264,7 @@ impl Pretrained<'_> {
         let mut values = BTreeMap::from([
             ("learned from at most".to_owned(), target.learned.frames.len() as f64),
             ("judged on".to_owned(), target.judged.frames.len() as f64),
-            ("ours, as it was".to_owned(), rmse(ours)?),
+            ("unit costs, as they were".to_owned(), rmse(costs)?),
         ]);
         values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
         values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));

@@ -571,7 +571,7 @@ impl Session {
         let predictor = model.0.predictor()?;
         let mut kept = self.model.lock(py)?;
         let mut state = self.state(py)?;
-        state.core.set_predictor(predictor, self.options).map_err(raise)?;
+        state.core.set_predictor(predictor, self.options);
         state.history.clear();
         *kept = Some(model.0.clone());
         Ok(())

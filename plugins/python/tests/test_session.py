@@ -468,7 +468,7 @@ def test_a_session_learns_its_renderer_without_being_left(voxels, tf):
     assert expected == pytest.approx(renderer((333, 222)), rel=0.1)
     again = entire.Session(entire.Volume(voxels), model=made.model.to_bytes())
     assert again.predict(CAMERA, tf, (333, 222)).seconds == expected
-    with pytest.raises(entire.ModelError, match="residual"):
+    with pytest.raises(entire.ModelError, match="analytic"):
         session.record(model="volumenet-64f2")
 
 

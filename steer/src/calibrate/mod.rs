@@ -12,18 +12,16 @@ pub(crate) mod tests;
 pub use pictures::{FittedQuality, Picture, fit_quality};
 pub use posterior::{Chosen, Observed, PriorModel};
 
-use crate::features::{
-    Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary,
-};
+use crate::features::{FrameFeatures, Setting, TransferSummary, UnitCosts, VolumeSummary};
 use crate::memory::mixed;
-use crate::predict::{COSTS, Inputs, LONGEST_FRAME, UpperBound};
+use crate::predict::{COSTS, LONGEST_FRAME, UpperBound};
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use core::ops::RangeInclusive;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::kernels::Executor;
-use entire_core::memory::{filled, reserve, room};
+use entire_core::memory::{reserve, room};
 use entire_core::model::{Key, ModelFile};
 use entire_core::names;
 use entire_core::scene::{Frame, TransferTable};
@@ -108,11 +106,7 @@ pub struct Calibrated {
 #[derive(Clone, Debug)]
 pub struct Calibration {
     prior: PriorModel,
-    /// Inputs of the kept frames, row by row.
-    rows: Vec<f32>,
     kept: Vec<Kept>,
-    /// Buffer for the inputs of one frame.
-    row: Vec<f32>,
     capacity: usize,
     offered: u64,
     pictures: Vec<Picture>,
@@ -128,9 +122,9 @@ struct Kept {
 }
 
 impl Calibration {
-    /// Returns a calibration that keeps at most `frames` frames, from 8 to 65 536. `prior` is a model of
-    /// another machine or renderer: an analytic model, or an analytic model times a learned factor. Without a
-    /// prior, the fit starts from the unit costs of a software renderer.
+    /// Returns a calibration that keeps at most `frames` frames, from 8 to 65 536. `prior` is an analytic model
+    /// of another machine or renderer. Without a prior, the fit starts from the unit costs of a software
+    /// renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
@@ -148,19 +142,11 @@ impl Calibration {
             Some(file) => PriorModel::new(core::slice::from_ref(file), &UnitCosts::SOFTWARE)?,
             None => PriorModel::default(),
         };
-        let width = prior.width();
-        let (rows, row) = (room(frames * width)?, filled(width, 0.0)?);
-        Ok(Self { rows, row, kept: room(frames)?, capacity: frames, offered: 0, prior, pictures: Vec::new() })
-    }
-
-    /// The model from which the fit starts.
-    pub(crate) fn prior(&self) -> &PriorModel {
-        &self.prior
+        Ok(Self { kept: room(frames)?, capacity: frames, offered: 0, prior, pictures: Vec::new() })
     }
 
     /// Drops all frames and pictures.
     pub(crate) fn clear(&mut self) {
-        self.rows.clear();
         self.kept.clear();
         self.pictures.clear();
         self.offered = 0;
@@ -175,8 +161,7 @@ impl Calibration {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`], and
-    /// as [`Frame::checked`]; [`crate::ErrorKind::MissingInput`] where the prior needs lobes or volume
-    /// features; [`crate::ErrorKind::OutOfMemory`]. Nothing is added in these cases.
+    /// as [`Frame::checked`]; [`crate::ErrorKind::OutOfMemory`]. Nothing is added in these cases.
     pub fn add(
         &mut self,
         volume: &VolumeSummary,
@@ -184,41 +169,18 @@ impl Calibration {
         frame: &Frame,
         seconds: f64,
     ) -> Result<()> {
-        let mut transfer = TransferSummary::new(volume, table)?;
-        let side = match self.prior.probe_side() {
-            0 => PROBE_SIDE,
-            side => side,
-        };
-        let mut features = FrameFeatures::with_probe_side(side);
-        features.measure(volume, &mut transfer, frame)?;
-        let inputs = Inputs {
-            features: &features,
-            setting: Setting::from(frame),
-            changes: Changes::default(),
-            camera: features.pose(),
-            volume_features: None,
-            lobes: None,
-        };
-        self.add_measured(&inputs, Shown::of(volume, table), seconds)
-    }
-
-    /// As [`Calibration::add`], for a frame whose features are already measured. The frame was drawn at the
-    /// inputs' setting.
-    fn add_measured(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
         if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
             bail!(
                 InvalidArgument,
                 "a frame took {seconds} seconds; it must be over 0 and at most {LONGEST_FRAME}"
             );
         }
-        let mut row = core::mem::take(&mut self.row);
-        let written = self.prior.write(inputs, &mut row);
-        if written.is_ok() {
-            let work = inputs.features.cost_work(&inputs.setting);
-            self.add_written(&row, &work, shown, seconds);
-        }
-        self.row = row;
-        written
+        let mut transfer = TransferSummary::new(volume, table)?;
+        let mut features = FrameFeatures::default();
+        features.measure(volume, &mut transfer, frame)?;
+        let work = features.cost_work(&Setting::from(frame));
+        self.add_work(&work, Shown::of(volume, table), seconds);
+        Ok(())
     }
 
     /// Adds a picture that was compared with the same view at full quality. [`Calibration::fit`] then stores
@@ -237,17 +199,15 @@ impl Calibration {
         Ok(())
     }
 
-    /// As [`Calibration::add`], for a frame whose row and work are already computed; does not allocate.
-    pub(crate) fn add_written(&mut self, row: &[f32], work: &[f64; COSTS], shown: Shown, seconds: f64) {
+    /// As [`Calibration::add`], for a frame whose work is already computed; does not allocate.
+    pub(crate) fn add_work(&mut self, work: &[f64; COSTS], shown: Shown, seconds: f64) {
         let frame = Kept { work: *work, seconds, shown, order: self.offered };
         // Reservoir sampling: every offered frame is kept with the same probability.
         let drawn = (mixed(0, self.offered) % (self.offered + 1)) as usize;
         self.offered += 1;
         if self.kept.len() < self.capacity {
-            self.rows.extend_from_slice(row);
             self.kept.push(frame);
         } else if let Some(slot) = self.kept.get_mut(drawn) {
-            self.rows[drawn * row.len()..(drawn + 1) * row.len()].copy_from_slice(row);
             *slot = frame;
         }
     }
@@ -295,17 +255,14 @@ impl Calibration {
         }
         // The fit makes many small allocations, and each would abort the program if memory were short. So the
         // total is allocated once, and freed, to return an error instead.
-        let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.width() + 512);
+        let pieces = self.kept.len() * (size_of::<Observed>() + 512);
         drop(room::<u8>(pieces)?);
         let (held_out, groups) = self.groups();
-        let width = self.prior.width();
-        let row = |i: usize| self.rows[i * width..(i + 1) * width].to_vec();
         let frames: Vec<Observed> = self
             .kept
             .iter()
             .zip(&groups)
-            .enumerate()
-            .map(|(i, (k, &group))| Observed { row: row(i), work: k.work, seconds: k.seconds, group })
+            .map(|(k, &group)| Observed { work: k.work, seconds: k.seconds, group })
             .collect();
         let chosen = self.prior.choose(&frames, &UnitCosts::OF_UNKNOWN, executor)?;
         let (median_error, rmse_over_sd) = chosen.errors(&frames);

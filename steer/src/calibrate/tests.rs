@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::features::tests::{cube, frame, lobe_at};
-use crate::features::{COST_QUANTITIES, SceneFeature, SceneQuantity};
+use crate::features::{COST_QUANTITIES, Changes, SceneFeature, SceneQuantity};
 use crate::numeric::median;
-use crate::predict::{AnalyticModel, GroupKind, InputLayout};
+use crate::predict::{AnalyticModel, GroupKind, InputLayout, Inputs};
 use alloc::vec;
-use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
 use entire_core::scene::Skipping;
 
 /// Returns a model file with the unit costs of a software renderer and a learned factor that is always 1, for
@@ -54,7 +54,7 @@ fn work(i: usize) -> [f64; COSTS] {
 
 /// Returns the observation of frame i: of one of six volumes, in turn.
 fn observed(i: usize, work: [f64; COSTS], seconds: f64) -> Observed {
-    Observed { row: vec![], work, seconds, group: i as u64 % 6 }
+    Observed { work, seconds, group: i as u64 % 6 }
 }
 
 /// Fits the prior to frames of a software renderer.
@@ -75,7 +75,6 @@ fn seconds_by(costs: &[f64; COSTS], work: &[f64; COSTS]) -> f64 {
 fn a_calibration_finds_another_machines_unit_costs() {
     let prior =
         PriorModel::new(&[AnalyticModel::default().to_model_file().unwrap()], &UnitCosts::SOFTWARE).unwrap();
-    assert!(prior.layout().is_none());
     for (found, stored) in prior.costs().seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
         assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
     }
@@ -148,22 +147,17 @@ fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
     for cached_voxels in [2e6, 8e6, 16e6] {
         machine.cached_voxels = cached_voxels;
         let frames: Vec<Observed> = (0..150).map(|i| observed(i, work(i), machine.time(&work(i)))).collect();
-        let there = costs_of(&fitted(&prior, &frames));
+        let chosen = fitted(&prior, &frames);
+        let there = costs_of(&chosen);
         assert_eq!(there.cached_voxels, cached_voxels);
         for i in 150..200 {
             let error = there.time(&work(i)) / machine.time(&work(i)) - 1.0;
             assert!(error.abs() < 0.01, "{cached_voxels} {error}");
         }
-        // A learned factor takes the number over with its unit costs.
-        let rows = frames.iter().map(|f| Observed { row: vec![0.0; 4], ..f.clone() }).collect::<Vec<_>>();
-        let factor = PriorModel::new(&[unit_factor(PROBE_SIDE)], &UnitCosts::SOFTWARE).unwrap();
-        let chosen = fitted(&factor, &rows);
-        let costs = UnitCosts::of(&chosen.file.to_model().unwrap()).unwrap().unwrap();
-        assert_eq!(costs.cached_voxels, cached_voxels);
+        let next = PriorModel::new(core::slice::from_ref(&chosen.file), &UnitCosts::SOFTWARE);
+        assert_eq!(next.unwrap().costs().cached_voxels, cached_voxels);
         // Groups too few for cross-validation keep the prior's number.
         let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
-        let kept = PriorModel::new(core::slice::from_ref(&chosen.file), &UnitCosts::SOFTWARE);
-        assert_eq!(kept.unwrap().costs().cached_voxels, cached_voxels);
         assert!(!fitted(&prior, &few).file.metadata.contains_key(Key::CachedVoxels.name()));
     }
 }
@@ -180,7 +174,7 @@ fn three_frames_set_the_speed_alone() {
 }
 
 #[test]
-fn several_machines_make_one_prior_and_a_factor_stands_alone() {
+fn several_machines_make_one_prior() {
     let model = |scale: f64| {
         let costs = UnitCosts::SOFTWARE.seconds.map(|c| scale * c);
         AnalyticModel::from_costs(UnitCosts::new(costs)).unwrap().to_model_file().unwrap()
@@ -197,39 +191,8 @@ fn several_machines_make_one_prior_and_a_factor_stands_alone() {
     let prior = PriorModel::new(&[model(1.0), blind], &UnitCosts::SOFTWARE).unwrap();
     let ratio = prior.costs().seconds[2] / UnitCosts::SOFTWARE.seconds[2];
     assert!((0.1..1.0).contains(&ratio), "{ratio}");
-    let factor = unit_factor(PROBE_SIDE);
-    let alone = PriorModel::new(core::slice::from_ref(&factor), &UnitCosts::SOFTWARE).unwrap();
-    assert_eq!(alone.layout().unwrap().width(), 4);
-    let error = PriorModel::new(&[factor, model(1.0)], &UnitCosts::SOFTWARE).err().unwrap().to_string();
-    assert!(error.contains("--model-kind"), "{error}");
-}
-
-#[test]
-fn a_factor_is_kept_and_its_costs_are_fitted() {
-    let prior = PriorModel::new(&[unit_factor(PROBE_SIDE)], &UnitCosts::SOFTWARE).unwrap();
-    let row = |i: usize, costs: &[f64; COSTS]| -> Vec<f32> {
-        let mut row: Vec<f32> = (0..4).map(|k| ((i * (k + 2)) % 7) as f32).collect();
-        row[3] = seconds_by(costs, &work(i)).ln() as f32;
-        row
-    };
-    let frames: Vec<Observed> = (0..40)
-        .map(|i| {
-            let seconds = 3.0 * seconds_by(&prior.costs().seconds, &work(i));
-            Observed { row: row(i, &prior.costs().seconds), work: work(i), seconds, group: i as u64 % 3 }
-        })
-        .collect();
-    let chosen = fitted(&prior, &frames);
-    for (p, f) in chosen.crossed.iter().zip(&frames) {
-        assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
-    }
-    let model = chosen.file.to_model().unwrap();
-    let costs = UnitCosts::of(&model).unwrap().unwrap().seconds;
-    let net = PredNet::new(model.prednet.as_ref().unwrap()).unwrap();
-    let mut scratch = net.scratch(1).unwrap();
-    for (i, f) in frames.iter().enumerate() {
-        let p = f64::from(net.predict(&row(i, &costs), &mut scratch));
-        assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
-    }
+    let error = PriorModel::new(&[unit_factor(5)], &UnitCosts::SOFTWARE).err().unwrap().to_string();
+    assert!(error.contains("--model-kind analytic"), "{error}");
 }
 
 /// Returns the simulated seconds of a renderer with two unit costs: per frame and per pixel.
@@ -242,8 +205,7 @@ fn seconds_of(features: &FrameFeatures, setting: &Setting) -> f64 {
 #[test]
 fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     assert!(Calibration::new(None, 7).is_err() && Calibration::new(None, 100_000).is_err());
-    let prior = unit_factor(PROBE_SIDE);
-    let mut calibration = Calibration::new(Some(&prior), 60).unwrap();
+    let mut calibration = Calibration::new(None, 60).unwrap();
     assert_eq!(calibration.frames(), 0);
     assert_eq!(
         calibration.fit(["", ""], Executor::Serial).unwrap_err().kind(),
@@ -259,18 +221,14 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
         volume_features: None,
         lobes: None,
     };
-    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(calibration.add_measured(&inputs(64), Shown::default(), bad).is_err());
-    }
-    assert_eq!(calibration.frames(), 0);
-    let rows = calibration.rows.as_ptr();
+    let place = calibration.kept.as_ptr();
     for i in 0..600u64 {
         let size = 40 + (i * 37 % 200) as u32;
         let shown = Shown { volume: i / 150, transfer: i / 50 };
-        calibration.add_measured(&inputs(size), shown, seconds_of(&features, &at(size))).unwrap();
+        calibration.add_work(&features.cost_work(&at(size)), shown, seconds_of(&features, &at(size)));
     }
     assert_eq!((calibration.frames(), calibration.offered), (60, 600));
-    assert_eq!(rows, calibration.rows.as_ptr(), "moved");
+    assert_eq!(place, calibration.kept.as_ptr(), "moved");
     // Of each quarter of the frames, about the same number is kept: 15 are expected, with a standard
     // deviation of 3.2.
     for quarter in 0..4 {
@@ -297,22 +255,19 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
 }
 
 #[test]
-fn a_frame_is_measured_with_the_probe_of_the_prior() {
+fn a_frame_is_measured_when_it_is_added() {
     let (volume, table) = (cube(24), lobe_at(0.4));
     let frame = Frame { skipping: Skipping::Distance, height: 70, ..frame(10.0, 20.0, 2.0, 90) };
-    let added = |side: usize| {
-        let mut calibration = Calibration::new(Some(&unit_factor(side)), 8).unwrap();
-        calibration.add(&volume, &table, &frame, 0.02).unwrap();
-        calibration
-    };
-    let mut transfer = TransferSummary::new(&volume, &table).unwrap();
-    for side in [5, PROBE_SIDE] {
-        let mut features = FrameFeatures::with_probe_side(side);
-        features.measure(&volume, &mut transfer, &frame).unwrap();
-        let work = features.cost_work(&Setting::from(&frame));
-        assert_eq!(added(side).kept[0].work, work, "{side}");
+    let mut calibration = Calibration::new(None, 8).unwrap();
+    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        assert!(calibration.add(&volume, &table, &frame, bad).is_err());
     }
-    assert!(Calibration::new(None, 8).unwrap().add(&volume, &table, &frame, -1.0).is_err());
+    assert_eq!(calibration.frames(), 0);
+    calibration.add(&volume, &table, &frame, 0.02).unwrap();
+    let mut transfer = TransferSummary::new(&volume, &table).unwrap();
+    let mut features = FrameFeatures::default();
+    features.measure(&volume, &mut transfer, &frame).unwrap();
+    assert_eq!(calibration.kept[0].work, features.cost_work(&Setting::from(&frame)));
 }
 
 #[test]
@@ -320,7 +275,7 @@ fn what_is_left_out_follows_from_what_was_shown() {
     let held_out = |frames: u64, shown: fn(u64) -> Shown| {
         let mut calibration = Calibration::new(None, 500).unwrap();
         for i in 0..frames {
-            calibration.add_written(&[], &[1.0; COSTS], shown(i), 0.01 + 1e-4 * (i % 5) as f64);
+            calibration.add_work(&[1.0; COSTS], shown(i), 0.01 + 1e-4 * (i % 5) as f64);
         }
         let fitted = calibration.fit(["", ""], Executor::Serial).unwrap();
         assert!(!fitted.file.metadata.contains_key("entire.clock"));

@@ -413,8 +413,7 @@ impl Session {
     /// Adds a plan to the recording, if there is one.
     fn record_plan(&mut self, id: u64, changes: Changes, setting: Setting) {
         if let Some(recording) = &mut self.recording {
-            let (features, lobes) = (&self.features, &self.lobes);
-            recording.plan(id, &inputs_of(features, setting, changes, &self.volume_features, lobes));
+            recording.plan(id, &self.features.cost_work(&setting), changes);
         }
     }
 

@@ -1,6 +1,6 @@
 //! The analytic cost model: unit costs times estimated work.
 
-use super::cost_fit::{COST_SD, CostFit, Expected, FitRow};
+use super::cost_fit::{COST_SD, CostFit, FitRow};
 use super::layout::stored_cached_voxels;
 use super::network::Stored;
 use super::quality::KnownQuality;
@@ -202,13 +202,9 @@ impl AnalyticModel {
                 measurements.len()
             );
         }
-        let rows: Vec<FitRow> = usable
-            .iter()
-            .map(|m| FitRow { psi: Vec::new(), work: m.work, log: libm::log(m.seconds) })
-            .collect();
-        let expected =
-            Expected { costs: &default.seconds, cost_sd: [COST_SD; COSTS], weights: &[], weight_sd: 1.0 };
-        let fitted = CostFit::new(&expected, &rows.iter().collect::<Vec<_>>());
+        let rows: Vec<FitRow> =
+            usable.iter().map(|m| FitRow { work: m.work, log: libm::log(m.seconds) }).collect();
+        let fitted = CostFit::new(&default.seconds, &[COST_SD; COSTS], &rows.iter().collect::<Vec<_>>());
         let costs = fitted.unit_costs();
         if !costs.iter().all(|c| c.is_finite()) || costs.iter().all(|&c| c <= 0.0) {
             bail!(InvalidArgument, "the measurements give no positive cost; check that times are in seconds");

@@ -1,17 +1,15 @@
-//! Fits unit costs, and the weights of a factor's last layer, to timed frames.
+//! Fits unit costs to timed frames.
 //!
-//! The model of a frame's seconds t is ln t = ln Σ c_i exp(θ_i) w_i + ψ·v + b:
+//! The model of a frame's seconds t is ln t = ln Σ c_i exp(θ_i) w_i + b:
 //!
 //! * w_i is the estimated work of kind i, c_i its prior unit cost, and θ_i the fitted logarithm of a factor
-//!   on c_i, with a normal prior of mean 0 and standard deviation `cost_sd`.
-//! * ψ is the vector of activations before the factor's last layer, and v the fitted weights of this layer,
-//!   with a normal prior of mean `weights` and standard deviation `weight_sd`.
+//!   on c_i, with a normal prior of mean 0 and a standard deviation for each cost.
 //! * b is ln of a factor common to all frames. It has no prior.
 //!
 //! Errors of ln t are assumed to be normally distributed, with the standard deviation [`NOISE`]. For errors
 //! beyond twice their robust standard deviation, the loss is linear (Huber). With this regularization, three
 //! frames determine the speed, ten frames the kinds of work that differ most, and hundreds of frames every
-//! cost. Costs stay positive. So without a factor no prediction falls with a finer step or more pixels.
+//! cost. Costs stay positive. So no prediction falls with a finer step or more pixels.
 
 use super::COSTS;
 use crate::numeric::{dot, median, solve};
@@ -36,42 +34,27 @@ const LEAST_SHARE: f64 = 0.02;
 
 /// A timed frame.
 pub(crate) struct FitRow {
-    /// Activations before the factor's last layer; empty without a factor.
-    pub(crate) psi: Vec<f64>,
     /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
     pub(crate) work: [f64; COSTS],
     /// Natural logarithm of the measured seconds.
     pub(crate) log: f64,
 }
 
-/// The prior of a fit.
-pub(crate) struct Expected<'a> {
-    /// Unit costs in seconds; costs of 0 stay 0.
-    pub(crate) costs: &'a [f64; COSTS],
-    /// Standard deviations of the unit costs' logarithms.
-    pub(crate) cost_sd: [f64; COSTS],
-    /// Weights of the factor's last layer.
-    pub(crate) weights: &'a [f64],
-    /// Standard deviation of the weights.
-    pub(crate) weight_sd: f64,
-}
-
 /// Fitted parameters.
 pub(crate) struct CostFit {
     pub(crate) costs: [f64; COSTS],
-    pub(crate) weights: Vec<f64>,
     pub(crate) bias: f64,
 }
 
 impl CostFit {
-    /// Returns the parameters fitted to the rows.
-    pub(crate) fn new(expected: &Expected<'_>, rows: &[&FitRow]) -> Self {
-        let prior = expected.costs;
+    /// Returns the parameters fitted to the rows. `prior` holds the unit costs of the prior in seconds (costs of
+    /// 0 stay 0), `cost_sd` the standard deviations of their logarithms.
+    pub(crate) fn new(prior: &[f64; COSTS], cost_sd: &[f64; COSTS], rows: &[&FitRow]) -> Self {
         let active: Vec<usize> =
             (0..COSTS).filter(|&i| prior[i] > 0.0 && rows.iter().any(|f| f.work[i] > 0.0)).collect();
-        let (k, width) = (active.len(), expected.weights.len());
-        let m = k + width + 1;
-        let mut fitted = Self { costs: *prior, weights: expected.weights.to_vec(), bias: 0.0 };
+        let k = active.len();
+        let m = k + 1;
+        let mut fitted = Self { costs: *prior, bias: 0.0 };
         let mut rest: Vec<f64> = rows.iter().map(|f| f.log - fitted.log_seconds(f)).collect();
         fitted.bias = median(&mut rest).unwrap_or(0.0);
         let importance: Vec<f64> = rows.iter().map(|f| libm::exp(IMPORTANCE * f.log)).collect();
@@ -88,8 +71,7 @@ impl CostFit {
                 for (slot, &i) in jacobian.iter_mut().zip(&active) {
                     *slot = fitted.costs[i] * f.work[i] / estimate;
                 }
-                jacobian[k..k + width].copy_from_slice(&f.psi);
-                jacobian[m - 1] = 1.0;
+                jacobian[k] = 1.0;
                 let robust = if r.abs() <= limit { 1.0 } else { limit / r.abs() };
                 let weight = robust * w / mean / (NOISE * NOISE);
                 for i in 0..m {
@@ -101,14 +83,9 @@ impl CostFit {
                 }
             }
             for (i, t) in theta.iter().enumerate() {
-                let precision = 1.0 / (expected.cost_sd[active[i]] * expected.cost_sd[active[i]]);
+                let precision = 1.0 / (cost_sd[active[i]] * cost_sd[active[i]]);
                 gram[i * m + i] += precision;
                 rhs[i] -= precision * t;
-            }
-            let precision = 1.0 / (expected.weight_sd * expected.weight_sd);
-            for (i, (w, mean)) in fitted.weights.iter().zip(expected.weights).enumerate() {
-                gram[(k + i) * m + k + i] += precision;
-                rhs[k + i] -= precision * (w - mean);
             }
             gram[m * m - 1] += 1e-6;
             let Some(step) = solve(&mut gram, rhs) else { break };
@@ -124,31 +101,20 @@ impl CostFit {
                         huber * w / mean / (NOISE * NOISE)
                     })
                     .sum();
-                let of_costs = theta
-                    .iter()
-                    .zip(&active)
-                    .map(|(t, &i)| (t / expected.cost_sd[i]) * (t / expected.cost_sd[i]));
-                let of_weights = fit.weights.iter().zip(expected.weights).map(|(w, mean)| {
-                    let off = (w - mean) / expected.weight_sd;
-                    off * off
-                });
-                of_rows + of_costs.sum::<f64>() + of_weights.sum::<f64>()
+                let of_costs = theta.iter().zip(&active).map(|(t, &i)| (t / cost_sd[i]) * (t / cost_sd[i]));
+                of_rows + of_costs.sum::<f64>()
             };
             let before = loss(&fitted, &theta);
             let largest = step.iter().fold(0.0, |a: f64, s| a.max(s.abs()));
             let mut share = (1.0 / largest).min(1.0);
             loop {
-                let mut next =
-                    Self { costs: fitted.costs, weights: fitted.weights.clone(), bias: fitted.bias };
+                let mut next = Self { costs: fitted.costs, bias: fitted.bias };
                 let mut moved = theta.clone();
                 for ((t, s), &i) in moved.iter_mut().zip(&step).zip(&active) {
                     *t = (*t + share * s).clamp(-6.0, 6.0);
                     next.costs[i] = prior[i] * libm::exp(*t);
                 }
-                for (w, s) in next.weights.iter_mut().zip(&step[k..k + width]) {
-                    *w += share * s;
-                }
-                next.bias += share * step[m - 1];
+                next.bias += share * step[k];
                 if loss(&next, &moved) <= before {
                     (fitted, theta) = (next, moved);
                     break;
@@ -167,7 +133,7 @@ impl CostFit {
 
     /// Returns ln(predicted seconds) of a frame.
     pub(crate) fn log_seconds(&self, row: &FitRow) -> f64 {
-        libm::log(dot(&self.costs, &row.work).max(1e-12)) + dot(&self.weights, &row.psi) + self.bias
+        libm::log(dot(&self.costs, &row.work).max(1e-12)) + self.bias
     }
 
     /// Returns the fitted unit costs in seconds, multiplied by the factor common to all frames.

@@ -19,7 +19,7 @@ pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
 pub use bounds::{UPPER_LEVEL, UpperBound};
 pub use clock::Clock;
 #[cfg(feature = "calibrate")]
-pub(crate) use cost_fit::{COST_SD, CostFit, Expected, FitRow};
+pub(crate) use cost_fit::{COST_SD, CostFit, FitRow};
 pub use entire_core::model::GroupKind;
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};

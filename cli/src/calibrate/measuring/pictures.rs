@@ -171,7 +171,7 @@ mod tests {
                     _ => 0.0,
                 };
             }
-            Candidate { volume: 0, factor: 1, scene, row: Vec::new(), work, random: false }
+            Candidate { volume: 0, factor: 1, scene, work, random: false }
         };
         let candidates = vec![candidate(0.0, 40.0), candidate(40.0, 0.0)];
         assert_eq!(candidates[0].samples_per_pixel(), 40.0);

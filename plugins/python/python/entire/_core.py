@@ -242,13 +242,13 @@ class Session(_native.Session):
         frames : int, optional
             Number of frames to keep, 8 to 65536: a uniform random sample if more are observed. Default 1000.
         model : Model, str, os.PathLike or bytes, optional
-            The model to start from, fitted on another machine or renderer; a model with a learned factor must
-            have the same probe as the session. Default: the unit costs of a software renderer.
+            The model to start from: unit costs that were fitted on another machine or renderer. Default: the
+            unit costs of a software renderer.
 
         Raises
         ------
         ValueError
-            For another number of frames, or a model with another probe.
+            For another number of frames.
         ModelError
             For a model of another kind.
         """

@@ -2,7 +2,7 @@
 
 use super::Session;
 use crate::features::{FrameFeatures, MAX_PROBE_SIDE, Setting};
-use crate::predict::{Prediction, Predictor};
+use crate::predict::Prediction;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::scene::Frame;
@@ -115,21 +115,16 @@ impl Session {
 
     /// Sets the probe for the present predictor: that which the caller asked for, or the predictor's own.
     pub(super) fn set_probe(&mut self) {
-        let side = self.side_for(&*self.predictor);
+        let side = match (self.predictor.probe_side(), self.asked_probe) {
+            (_, Some((side, _))) if self.predictor.any_probe_side() => side,
+            // Predictions without a probe are scaled by the analytic model, which needs a probe.
+            (0, _) => FrameFeatures::default().probe_side(),
+            (side, _) => side,
+        };
         let asked = self.asked_probe.filter(|_| self.predictor.any_probe_side());
         self.ladder = asked.and_then(|(finest, tolerance)| Some(Ladder { finest, tolerance: tolerance? }));
         if side != self.features.probe_side() {
             self.features = FrameFeatures::with_probe_side(side);
-        }
-    }
-
-    /// Number of rays along each side of the finest probe for a predictor.
-    pub(super) fn side_for(&self, predictor: &dyn Predictor) -> usize {
-        match (predictor.probe_side(), self.asked_probe) {
-            (_, Some((side, _))) if predictor.any_probe_side() => side,
-            // Predictions without a probe are scaled by the analytic model, which needs a probe.
-            (0, _) => FrameFeatures::default().probe_side(),
-            (side, _) => side,
         }
     }
 
@@ -148,7 +143,7 @@ impl Session {
 
     /// Measures a frame with as few rays as its plan needs.
     pub(super) fn measure_for(&mut self, frame: &Frame, target: f32) -> Result<()> {
-        // Recorded frames are measured with the probe of the model that is fitted to them.
+        // Recorded frames are measured with the finest probe.
         let Some(ladder) = self.ladder.filter(|_| self.recording.is_none()) else {
             return self.measure(frame);
         };

@@ -86,7 +86,7 @@ mod tests {
         assert!(session.quality() == Some(own) && path(&session) != by_model);
         session.set_quality(None).unwrap();
         assert_eq!((session.quality(), path(&session)), (Some(SOME), by_model));
-        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
+        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default());
         assert!(session.quality().is_none() && path(&session) != by_model);
     }
 }

@@ -2,10 +2,9 @@
 
 use super::{PENDING_PLANS, Session};
 use crate::calibrate::{Calibrated, Calibration, Picture, Shown, table_fingerprint};
-use crate::features::VolumeSummary;
-use crate::predict::{COSTS, Inputs};
+use crate::features::{Changes, VolumeSummary};
+use crate::predict::COSTS;
 use alloc::boxed::Box;
-use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::kernels::Executor;
@@ -26,8 +25,6 @@ struct Planned {
 pub(super) struct Recording {
     calibration: Calibration,
     planned: Box<[Planned]>,
-    /// Inputs of the planned frames, row by row.
-    rows: Vec<f32>,
     /// Volume and transfer function of the present frames.
     shown: Shown,
 }
@@ -53,34 +50,19 @@ impl Recording {
         self.shown.transfer = table_fingerprint(table);
     }
 
-    /// Number of rays along each side of the prior's probe; 0 if it has none.
-    pub(super) fn probe_side(&self) -> usize {
-        self.calibration.prior().probe_side()
-    }
-
-    /// Stores the work of a planned frame at the inputs' setting. Frames that lack an input of the prior, and
-    /// the first frames of the session and of a volume, are not stored.
-    pub(super) fn plan(&mut self, id: u64, inputs: &Inputs<'_>) {
-        let prior = self.calibration.prior();
-        let (at, width) = (Self::place(id), prior.width());
-        // The first frame of a session and of a volume includes uploads.
-        let counts = !inputs.changes.first
-            && !inputs.changes.volume
-            && prior.write(inputs, &mut self.rows[at * width..(at + 1) * width]).is_ok();
-        self.planned[at].id = 0;
-        if counts {
-            let work = inputs.features.cost_work(&inputs.setting);
-            self.planned[at] = Planned { id, work, shown: self.shown };
-        }
+    /// Stores the work of a planned frame. The first frames of the session and of a volume are not stored, since
+    /// they include uploads.
+    pub(super) fn plan(&mut self, id: u64, work: &[f64; COSTS], changes: Changes) {
+        let id = if changes.first || changes.volume { 0 } else { id };
+        self.planned[Self::place(id)] = Planned { id, work: *work, shown: self.shown };
     }
 
     /// Adds a planned frame with its time to the calibration.
     pub(super) fn observe(&mut self, id: u64, seconds: f32) {
-        let (at, width) = (Self::place(id), self.calibration.prior().width());
+        let at = Self::place(id);
         let Planned { id: kept, work, shown } = self.planned[at];
         if kept == id {
-            let row = &self.rows[at * width..(at + 1) * width];
-            self.calibration.add_written(row, &work, shown, f64::from(seconds));
+            self.calibration.add_work(&work, shown, f64::from(seconds));
             self.planned[at].id = 0;
         }
     }
@@ -91,35 +73,22 @@ impl Session {
     /// 65 536; later ones replace earlier ones at random, so that the kept frames are a uniform random
     /// sample). Frames recorded before are dropped.
     ///
-    /// `prior` is the model to start from, fitted on another machine or renderer: an analytic model, or an
-    /// analytic model times a learned factor that was fitted with the session's probe. Without a prior, the
-    /// fit starts from unit costs of a software renderer. Frames are not recorded if their observation is
-    /// unusual or cancelled, if they are the first of the session or of a volume, or if they lack an input of
-    /// the prior. Planning and observing do not allocate while frames are recorded.
+    /// `prior` is the model to start from: an analytic model that was fitted on another machine or renderer.
+    /// Without a prior, the fit starts from unit costs of a software renderer. Frames are not recorded if their
+    /// observation is unusual or cancelled, or if they are the first of the session or of a volume. Planning
+    /// and observing do not allocate while frames are recorded.
     ///
     /// Frames that were timed earlier can be recorded too: with steering off ([`Session::set_enabled`]), plan
     /// each frame as it was drawn, and observe its time.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range or a prior with another
-    /// probe, [`crate::ErrorKind::Unsupported`] for a prior of another kind,
-    /// [`crate::ErrorKind::OutOfMemory`].
+    /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
+    /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
     pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
-        let side = self.side_for(&*self.predictor);
         let calibration = Calibration::new(prior, frames)?;
-        let wanted = calibration.prior().probe_side();
-        if ![0, side].contains(&wanted) {
-            bail!(
-                InvalidArgument,
-                "the model to start from was fitted with a probe of {wanted} rays along each side, the session's \
-                 probe has {side}; make the session with that model, or with its probe"
-            );
-        }
-        let width = calibration.prior().width();
         let nothing = Planned { id: 0, work: [0.0; COSTS], shown: Shown::default() };
         self.recording = Some(Recording {
             planned: filled(PENDING_PLANS, nothing)?.into_boxed_slice(),
-            rows: filled(PENDING_PLANS * width, 0.0)?,
             shown: Shown {
                 volume: self.volume.as_ref().map_or(0, VolumeSummary::fingerprint),
                 transfer: self.transfer.as_ref().map_or(0, |_| u64::MAX),
@@ -232,7 +201,7 @@ mod tests {
         assert_eq!((made.held_out, made.frames), (HeldOut::Volumes, 177));
         assert!(made.median_error < 0.05, "{}", made.median_error);
         let model = made.file.to_model().unwrap();
-        session.set_predictor(load(&model).unwrap(), HybridOptions::default()).unwrap();
+        session.set_predictor(load(&model).unwrap(), HybridOptions::default());
         // Predictions are accurate from the first frame on, for a volume that was not recorded.
         session.set_volume(cube(48), None);
         session.set_transfer(&lobe_at(0.4), None).unwrap();
@@ -282,35 +251,22 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_and_its_predictor_keep_to_one_probe() {
-        let prior = unit_factor(5);
-        let mut session = Session::untrained();
-        assert_eq!(session.record(Some(&prior), 100).unwrap_err().kind(), ErrorKind::InvalidArgument);
-        assert_eq!(session.recorded(), None);
-        let mut session = Session::untrained().with_probe(5, None).unwrap();
-        session.record(Some(&prior), 100).unwrap();
-        let other = load(&unit_factor(11).to_model().unwrap()).unwrap();
-        let refused = session.set_predictor(other, HybridOptions::default()).unwrap_err();
-        assert!(refused.to_string().contains("11"), "{refused}");
-        let same = load(&prior.to_model().unwrap()).unwrap();
-        session.set_predictor(same, HybridOptions::default()).unwrap();
-        assert_eq!(session.features().probe_side(), 5);
-    }
-
-    #[test]
     fn the_asked_probe_returns_with_unit_costs() {
         let mut session = Session::untrained().with_probe(24, Some(0.2)).unwrap();
         let network = load(&unit_factor(5).to_model().unwrap()).unwrap();
-        session.set_predictor(network, HybridOptions::default()).unwrap();
+        session.set_predictor(network, HybridOptions::default());
         assert_eq!((session.features().probe_side(), session.ladder.is_some()), (5, false));
-        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
+        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default());
         assert_eq!((session.features().probe_side(), session.ladder.is_some()), (24, true));
-        // After a plan with fewer rays, a prior with the finest probe is still accepted.
-        session.set_volume(cube(24), None);
-        session.set_transfer(&lobe_at(0.3), None).unwrap();
-        session.plan(&frame(1), 1e3).unwrap();
-        assert!(session.features().probe_side() < 24);
-        session.record(Some(&unit_factor(24)), 100).unwrap();
+    }
+
+    #[test]
+    fn a_recording_starts_from_unit_costs_alone() {
+        let mut session = Session::untrained();
+        let refused = session.record(Some(&unit_factor(5)), 100).unwrap_err();
+        assert_eq!(refused.kind(), ErrorKind::Unsupported);
+        assert!(refused.to_string().contains("--model-kind analytic"), "{refused}");
+        assert_eq!(session.recorded(), None);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Sets the model, the renderer and the clock to which a session's learned state is bound, and saves the state as
 //! bytes.
 
-use super::{HybridOptions, Recording, Session, controller_for};
+use super::{HybridOptions, Session, controller_for};
 use crate::adapt::state::{Reader, Writer, seal, unseal};
 use crate::predict::{Clock, Predictor};
 use alloc::borrow::ToOwned;
@@ -21,24 +21,7 @@ impl Session {
     /// limits, recorded frames and the probe of [`Session::with_probe`] stay. VolumeNet's output stays too;
     /// for a predictor with another encoder, set the volume again with the output of that encoder
     /// ([`Session::set_volume`]).
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] if frames are being recorded with another probe than the
-    /// predictor's.
-    pub fn set_predictor(
-        &mut self,
-        predictor: Box<dyn Predictor + Send>,
-        options: HybridOptions,
-    ) -> Result<()> {
-        let side = self.side_for(&*predictor);
-        let recorded = self.recording.as_ref().map(Recording::probe_side);
-        if let Some(recorded) = recorded.filter(|recorded| ![0, side].contains(recorded)) {
-            bail!(
-                InvalidArgument,
-                "frames are being recorded with a probe of {recorded} rays along each side, the new model's probe has \
-                 {side}; take a model with the same probe"
-            );
-        }
+    pub fn set_predictor(&mut self, predictor: Box<dyn Predictor + Send>, options: HybridOptions) {
         self.controller = controller_for(&*predictor, options);
         self.predictor = predictor;
         self.set_probe();
@@ -46,7 +29,6 @@ impl Session {
         self.converted = false;
         self.reconcile_clocks();
         self.reset();
-        Ok(())
     }
 
     /// Names the renderer whose frames are observed and the clock of their times. Both names are empty

@@ -1,7 +1,7 @@
 //! Replacement for the recording of frames in builds without the feature `calibrate`, which record nothing.
 
-use crate::features::VolumeSummary;
-use crate::predict::Inputs;
+use crate::features::{Changes, VolumeSummary};
+use crate::predict::COSTS;
 use entire_core::scene::TransferTable;
 
 /// Type without values: a session without the feature `calibrate` never holds a recording.
@@ -9,9 +9,9 @@ pub(super) enum Recording {}
 
 /// Methods of a recording, which are never called.
 macro_rules! methods {
-    ($($name:ident($($kind:ty),*) $(-> $out:ty)?;)*) => {
+    ($($name:ident($($kind:ty),*);)*) => {
         impl Recording {
-            $(pub(super) fn $name(&self, $(_: $kind),*) $(-> $out)? {
+            $(pub(super) fn $name(&self, $(_: $kind),*) {
                 match *self {}
             })*
         }
@@ -19,10 +19,9 @@ macro_rules! methods {
 }
 
 methods! {
-    probe_side() -> usize;
     clear();
     set_volume(&VolumeSummary);
     set_transfer(&TransferTable);
-    plan(u64, &Inputs<'_>);
+    plan(u64, &[f64; COSTS], Changes);
     observe(u64, f32);
 }
