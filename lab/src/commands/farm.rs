@@ -25,7 +25,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "TRACE.json", conflicts_with = "tasks")]
     pub(crate) trace: Option<PathBuf>,
     /// Recorded frames of other volumes with the same transfer function, such as frames that the farm rendered
-    /// before. The analytic model, times a factor that depends on the view, is fitted to them and predicts --trace.
+    /// before. The analytic model is fitted to them and predicts --trace.
     #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
     pub(crate) training: Vec<PathBuf>,
     /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. Steering uses

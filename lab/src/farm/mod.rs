@@ -2,7 +2,6 @@
 
 pub(crate) mod bars;
 mod compare;
-mod factor;
 mod search;
 pub(crate) mod stand_in;
 mod tables;

@@ -37,8 +37,6 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
     let (code, said) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
     assert_eq!(code, Some(0), "{said}");
     for word in [
-        "16 x 16 rays; each volume left out in turn",
-        "factor learned from the view",
         "ms per task",
         "static with exchanges, predicted",
         "queue, any order (mean of 200)",
