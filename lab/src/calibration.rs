@@ -12,10 +12,7 @@ use std::path::PathBuf;
 /// Returns one calibration sample for each frame of the timing tables. Frames with the same volume, camera,
 /// image size and transfer function have the same scene number. Scene features come from probes of `side`²
 /// rays.
-///
-/// # Errors
-/// When a table or a volume cannot be read.
-pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
+pub(crate) fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
     Ok(samples_by_volume(tables, side)?.into_iter().map(|(_, sample)| sample).collect())
 }
 

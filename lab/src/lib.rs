@@ -2,12 +2,12 @@
 //! is not published; the program for users is in `entire-cli`.
 
 mod bars;
-pub mod calibration;
+mod calibration;
 mod child;
 pub mod command_line;
 mod commands;
 mod farm;
-pub mod fitted;
+mod fitted;
 mod gpu;
 mod latency;
 mod paper;

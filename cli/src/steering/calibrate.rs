@@ -10,7 +10,7 @@ use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
 use entire_io::scenes::SceneDistribution;
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_steer::predict::{InputLayout, Inputs};
+use entire_steer::predict::Inputs;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 
@@ -46,16 +46,6 @@ impl Sample {
             volume_features,
             lobes: Some(&self.lobes),
         }
-    }
-
-    /// Returns the sample's row of inputs in this layout.
-    ///
-    /// # Errors
-    /// Those of [`InputLayout::write`].
-    pub fn inputs(&self, layout: &InputLayout) -> Result<Vec<f32>> {
-        let mut out = vec![0.0; layout.width()];
-        layout.write(&self.predictor_inputs(None), &mut out)?;
-        Ok(out)
     }
 }
 

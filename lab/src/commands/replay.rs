@@ -3,7 +3,7 @@
 
 use crate::bars;
 use crate::calibration::samples_by_volume;
-use crate::fitted::{Calibrated, Candidate, no_volume};
+use crate::fitted::{Calibrated, no_volume};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{
@@ -109,14 +109,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         "G, the curve of frame time over step, needs scenes that were \
                                                timed at several steps",
     )?;
-    let mut calibrated = Calibrated::fit(&samples)?;
-    if let Some(file) = &options.model {
-        let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume()?)?;
-        let given = Candidate::of_volumes(given, &by_volume)
-            .context("the model cannot predict the calibration frames")?;
-        calibrated.candidates.iter_mut().for_each(|c| c.chosen = false);
-        calibrated.candidates.push(Candidate { chosen: true, ..given });
-    }
+    let calibrated = match &options.model {
+        Some(file) => {
+            let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume()?)?;
+            Calibrated::given(given, &by_volume).context("the model cannot predict the calibration frames")?
+        }
+        None => Calibrated::fit(&samples)?,
+    };
     let mut traces = options.paths.open()?;
     if let Some(file) = &options.disturbance {
         let disturbance = Arc::new(Disturbance::open(file)?);
@@ -149,9 +148,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let frontier = frontier(&traces, &targets);
     results.write_csv(&options.out.join("frames.csv"))?;
     results.write_json(&options.out.join("scores.json"), &calibrated)?;
-    results
-        .page(&calibrated, &response, &samples, frontier.as_deref())
-        .write(&options.out.join("report.html"))?;
+    results.page(&response, &samples, frontier.as_deref()).write(&options.out.join("report.html"))?;
     println!("{}", results.table().to_text());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
     if let Some(f) = &frontier {

@@ -2,7 +2,6 @@
 
 use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial};
 use crate::fitted::Calibrated;
-use crate::fitted::candidates_table;
 use anyhow::Result;
 use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::contenders::ControllerKind;
@@ -182,7 +181,7 @@ impl Results<'_> {
         let all = json!({
             "controllers": by_name(self.scores.to_vec()),
             "acts_on": acts_on,
-            "predictors": calibrated.candidates,
+            "predictors": [calibrated],
             "trials": trials,
             "traces": self.traces.iter().map(|t| json!({
                 "name": t.trace.name, "volumes": t.trace.volumes, "provenance": t.trace.provenance,
@@ -192,13 +191,7 @@ impl Results<'_> {
     }
 
     /// The report.
-    pub(crate) fn page(
-        &self,
-        calibrated: &Calibrated,
-        response: &StepResponse,
-        samples: &[Sample],
-        frontier: Option<&str>,
-    ) -> Page {
+    pub(crate) fn page(&self, response: &StepResponse, samples: &[Sample], frontier: Option<&str>) -> Page {
         let frames = self.scores.first().map_or(0, |s| s.frames);
         let mut page = Page::new(
             "Frame times on target, compared with an oracle",
@@ -231,11 +224,7 @@ impl Results<'_> {
         }
         page.heading("Every trial");
         page.table(&self.per_trial(), "Shares in percent, as in the first table.");
-        page.heading("Predictors");
-        page.table(
-            &candidates_table(&calibrated.candidates),
-            "Fitted to random scenes of other volumes on this machine, tested on held-out scenes.",
-        );
+        page.heading("Frame time by ray step");
         page.chart(
             &ResponseCurve::new(samples, response).chart(),
             "Algorithm 1 and OLP use this one curve for all scenes.",

@@ -88,11 +88,11 @@ pub(crate) fn play(
     response: &StepResponse,
     rounds: u64,
 ) -> Result<Outcome> {
-    let chosen = &calibrated.chosen().fitted;
+    let model = &calibrated.model;
     let mut codes = Vec::new();
-    if chosen.volume_features().is_some() {
+    if model.volume_features().is_some() {
         for volume in &trace.trace.volumes {
-            codes.extend(chosen.encode(&volume.open()?.view())?);
+            codes.extend(model.encode(&volume.open()?.view())?);
         }
     }
     let mean = trial.targets.iter().sum::<f64>() / trial.targets.len() as f64;
@@ -104,7 +104,7 @@ pub(crate) fn play(
     for (k, player) in players.iter().enumerate() {
         for round in 0..rounds {
             let prior: Prior = calibrated.prior();
-            let predictor = chosen.predictor()?;
+            let predictor = model.predictor()?;
             let mut who = if player.ignore_load {
                 hybrid(predictor, HybridOptions { prior, ignore_load: true, ..HybridOptions::default() })
             } else {

@@ -245,7 +245,7 @@ impl<'a> Course<'a> {
 
     /// Cost of the path with these constants.
     pub(crate) fn cost(&self, constants: Constants) -> Result<Cost> {
-        let chosen = &self.calibrated.chosen().fitted;
+        let model = &self.calibrated.model;
         let Constants { hybrid: constants, correction } = constants;
         let prior = self.calibrated.prior();
         let options = HybridOptions { prior, constants, correction, ..HybridOptions::default() };
@@ -254,7 +254,7 @@ impl<'a> Course<'a> {
         let (mut seconds, mut inside) = (0u32, 0u32);
         for trial in &self.trials[0] {
             for round in 1..=2 {
-                let mut who = hybrid(chosen.predictor()?, options);
+                let mut who = hybrid(model.predictor()?, options);
                 let all = 0..trial.targets.len();
                 let played = replay(&self.recorded[0], &mut who, &[], &trial.targets, LIMITS, round, all)?;
                 fitted.merge(&Tally::of(&played));

@@ -14,7 +14,7 @@ mod tests;
 mod training;
 
 pub use analytic::{counts, expected_costs, typical_costs, typical_costs_of};
-pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, standard_features};
+pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice};
 
 use crate::gradient::EpochRecord;
 use crate::inputs::Layout;

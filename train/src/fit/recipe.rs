@@ -245,7 +245,7 @@ fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
 }
 
 /// Default scene features of a small model: logarithms of counts and lengths, shares, modes.
-pub fn standard_features() -> Vec<SceneFeature> {
+fn standard_features() -> Vec<SceneFeature> {
     use SceneQuantity as Q;
     [
         (Q::Pixels, true),
