@@ -8,7 +8,7 @@ use entire_core::scene::{Scalars, VolumeView};
 use entire_io::files::open_volume;
 use entire_io::volume::Reading;
 use entire_steer::control::Prior;
-use entire_steer::predict::{AnalyticModel, Measurement, UnitCosts};
+use entire_steer::predict::{AnalyticModel, UnitCosts};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,10 +23,10 @@ fn held_out(sample: &Sample) -> bool {
 
 /// The analytic cost model fitted to the samples that are not held out.
 fn fit_analytic(samples: &[Sample]) -> Result<AnalyticModel> {
-    let measurements: Vec<Measurement> = samples
+    let measurements: Vec<_> = samples
         .iter()
         .filter(|s| !held_out(s))
-        .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
+        .map(|s| (s.features.cost_work(&s.setting), s.seconds))
         .collect();
     let mut model = AnalyticModel::default();
     model.fit(&UnitCosts::SOFTWARE, &measurements)?;

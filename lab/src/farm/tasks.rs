@@ -5,11 +5,11 @@ use anyhow::{Context, Result, ensure};
 use entire_farm::Task;
 use entire_io::metrics::median;
 use entire_steer::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
-use entire_steer::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
+use entire_steer::predict::{AnalyticModel, COSTS, Inputs, Predictor, UnitCosts};
 use std::path::PathBuf;
 
 /// Adds work and seconds for every frame of a trace and every recorded ray step at full image size.
-fn add(measured: &mut Vec<Measurement>, trace: &Trace, probe_side: usize) -> Result<()> {
+fn add(measured: &mut Vec<([f64; COSTS], f64)>, trace: &Trace, probe_side: usize) -> Result<()> {
     let (path, summaries) = (trace.path.resolve()?, trace.summaries()?);
     let mut features = FrameFeatures::with_probe_side(probe_side);
     for (index, at) in path.frames.iter().enumerate() {
@@ -21,7 +21,7 @@ fn add(measured: &mut Vec<Measurement>, trace: &Trace, probe_side: usize) -> Res
         for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
             let setting = Setting { step: p.step, ..Setting::from(&frame) };
             let seconds = median(&mut p.seconds.clone()).context("a point without a time")?;
-            measured.push(Measurement::new(&features, &setting, seconds));
+            measured.push((features.cost_work(&setting), seconds));
         }
     }
     Ok(())

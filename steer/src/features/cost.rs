@@ -155,7 +155,7 @@ pub(crate) fn far_ratio(touched: f64, cached_voxels: f64) -> f64 {
 impl FrameFeatures {
     /// Returns the work in the order of the unit costs: 1 for the frame, then the values of
     /// [`COST_QUANTITIES`].
-    pub(crate) fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
+    pub fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];
         for (slot, &quantity) in out[1..].iter_mut().zip(&COST_QUANTITIES) {

@@ -12,7 +12,7 @@ use crate::features::{
     COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, Setting,
     UnitCosts,
 };
-use crate::numeric::{dot, median};
+use crate::numeric::dot;
 use alloc::collections::BTreeMap;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -84,36 +84,6 @@ const SHORTEST: f32 = 1.0e-9;
 /// Upper clamp of predicted times, in seconds.
 const LONGEST: f32 = 1.0e9;
 
-/// One measured frame, for [`AnalyticModel::fit`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Measurement {
-    /// Work: 1 for the frame, then the quantities of [`COST_QUANTITIES`].
-    pub work: [f64; COSTS],
-    /// Measured seconds.
-    pub seconds: f64,
-}
-
-impl Measurement {
-    /// Returns the estimated work of a frame at a setting, with the measured `seconds`.
-    pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
-        Self { work: features.cost_work(setting), seconds }
-    }
-}
-
-/// Errors of a fit on the measurements to which it was fitted.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FitReport {
-    /// Number of measurements used.
-    pub used: usize,
-    /// Number of measurements refused: a time that is not positive or over
-    /// [`LONGEST_FRAME`](super::LONGEST_FRAME), work that is negative or not finite, or no work at all.
-    pub refused: usize,
-    /// Median of |predicted / measured − 1|.
-    pub median_error: f64,
-    /// 95th percentile of |predicted / measured − 1|.
-    pub p95_error: f64,
-}
-
 /// Linear cost model: seconds = cost per frame + Σ unit cost · work, over all kinds of work. No cost is
 /// negative, so no prediction is negative, and none falls with a finer step or more pixels.
 #[derive(Clone, Debug, PartialEq)]
@@ -178,20 +148,22 @@ impl AnalyticModel {
         self
     }
 
-    /// Fits the unit costs to measured frames. The prior is `default`, scaled to this machine's speed. The
-    /// upper bound is calibrated on the same frames. Costs of work that no measurement has keep their prior
-    /// values; costs that are 0 in `default` stay 0.
+    /// Fits the unit costs to measured frames, given as pairs of work ([`FrameFeatures::cost_work`]) and
+    /// seconds. The prior is `default`, scaled to this machine's speed. The upper bound is calibrated on the
+    /// same frames. Costs of work that no measurement has keep their prior values; costs that are 0 in
+    /// `default` stay 0. The fit ignores frames with a time that is not positive or over
+    /// [`LONGEST_FRAME`](super::LONGEST_FRAME), with work that is negative or not finite, or without work.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable.
-    pub fn fit(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
-        let usable: Vec<&Measurement> = measurements
+    pub fn fit(&mut self, default: &UnitCosts, measurements: &[([f64; COSTS], f64)]) -> Result<()> {
+        let usable: Vec<&([f64; COSTS], f64)> = measurements
             .iter()
-            .filter(|m| {
-                m.seconds > 0.0
-                    && m.seconds <= f64::from(LONGEST_FRAME)
-                    && m.work.iter().all(|w| w.is_finite() && *w >= 0.0)
-                    && m.work.iter().any(|w| *w > 0.0)
+            .filter(|(work, seconds)| {
+                *seconds > 0.0
+                    && *seconds <= f64::from(LONGEST_FRAME)
+                    && work.iter().all(|w| w.is_finite() && *w >= 0.0)
+                    && work.iter().any(|w| *w > 0.0)
             })
             .collect();
         if usable.is_empty() {
@@ -203,29 +175,19 @@ impl AnalyticModel {
             );
         }
         let rows: Vec<FitRow> =
-            usable.iter().map(|m| FitRow { work: m.work, log: libm::log(m.seconds) }).collect();
+            usable.iter().map(|(work, seconds)| FitRow { work: *work, log: libm::log(*seconds) }).collect();
         let fitted = CostFit::new(&default.seconds, &[COST_SD; COSTS], &rows.iter().collect::<Vec<_>>());
         let costs = fitted.unit_costs();
         if !costs.iter().all(|c| c.is_finite()) || costs.iter().all(|&c| c <= 0.0) {
             bail!(InvalidArgument, "the measurements give no positive cost; check that times are in seconds");
         }
-        let residuals: Vec<f64> =
-            rows.iter().map(|row| libm::expm1(fitted.log_seconds(row) - row.log)).collect();
         self.costs = UnitCosts::new(costs);
         self.fitted = true;
         (self.clock, self.quality) = (None, None);
-        let logs = usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30)));
+        let logs = usable.iter().map(|(work, seconds)| libm::log(seconds / dot(&costs, work).max(1.0e-30)));
         self.calibration = UpperBound::from_groups(logs.map(|log| (log, ())));
-        self.range = Some(range_of(usable.iter().map(|m| &m.work)));
-        let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();
-        let median_error = median(&mut sizes).unwrap_or(f64::NAN);
-        let p95_error = sizes[((sizes.len() as f64 * 0.95) as usize).min(sizes.len() - 1)];
-        Ok(FitReport {
-            used: usable.len(),
-            refused: measurements.len() - usable.len(),
-            median_error,
-            p95_error,
-        })
+        self.range = Some(range_of(usable.iter().map(|(work, _)| work)));
+        Ok(())
     }
 
     /// Number of unit costs up to the last one that is not 0, but at least `least`.
@@ -424,7 +386,7 @@ fn finite(v: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::numeric::Noise;
+    use crate::numeric::{Noise, median};
 
     const TRUTH: [f64; COSTS] = [
         2e-4, 6e-8, 2e-8, 9e-9, 4e-9, 2e-9, 4e-8, 3e-8, 9e-10, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -443,7 +405,7 @@ mod tests {
     }
 
     /// Simulated measurements: counts span several decades, and no frame scatters.
-    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
+    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<([f64; COSTS], f64)> {
         let mut noise_of = Noise(9);
         let mut uniform = || noise_of.uniform();
         (0..n)
@@ -469,16 +431,26 @@ mod tests {
                 if outliers && i % 20 == 0 {
                     seconds *= 10.0;
                 }
-                Measurement { work, seconds }
+                (work, seconds)
             })
             .collect()
+    }
+
+    /// Median and 95th percentile of |predicted / measured − 1|.
+    fn errors(model: &AnalyticModel, rows: &[([f64; COSTS], f64)]) -> [f64; 2] {
+        let mut sizes: Vec<f64> =
+            rows.iter().map(|(work, seconds)| (model.costs.time(work) / seconds - 1.0).abs()).collect();
+        let middle = median(&mut sizes).unwrap();
+        [middle, sizes[sizes.len() * 95 / 100]]
     }
 
     #[test]
     fn exact_times_give_back_their_costs() {
         let mut model = AnalyticModel::default();
-        let report = model.fit(&prior(), &measurements(200, 0.0, false)).unwrap();
-        assert!(report.median_error < 4e-3 && report.p95_error < 2e-2, "{report:?}");
+        let rows = measurements(200, 0.0, false);
+        model.fit(&prior(), &rows).unwrap();
+        let [middle, p95] = errors(&model, &rows);
+        assert!(middle < 4e-3 && p95 < 2e-2, "{middle} {p95}");
         for (i, (&c, &t)) in model.costs().seconds.iter().zip(&TRUTH).enumerate().take(9) {
             assert!((c / t - 1.0).abs() < 0.25, "{i}: {c} {t}");
         }
@@ -491,15 +463,17 @@ mod tests {
         let mut truth = TRUTH;
         truth[COMMON_COSTS] = 7e-9;
         let mut rows = measurements(200, 0.0, false);
-        for m in &mut rows {
-            m.seconds = dot(&truth, &m.work);
+        for (work, seconds) in &mut rows {
+            *seconds = dot(&truth, work);
         }
         let (mut plain, mut asked) = (AnalyticModel::default(), AnalyticModel::default());
-        let report = plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
+        plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
         assert!(
-            plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02
+            plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0)
+                && errors(&plain, &rows)[0] > 0.02
         );
-        assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 5e-3);
+        asked.fit(&UnitCosts::CONVERTING, &rows).unwrap();
+        assert!(errors(&asked, &rows)[0] < 5e-3);
         assert!((asked.costs().seconds[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
         // The file names the quantities with nonzero costs, and reads back.
         for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COMMON_COSTS)] {
@@ -515,11 +489,13 @@ mod tests {
     #[test]
     fn noise_and_outliers_do_not_carry_it_away() {
         let mut model = AnalyticModel::default();
-        let report = model.fit(&UnitCosts::SOFTWARE, &measurements(200, 0.1, true)).unwrap();
-        assert!(report.median_error < 0.06, "{report:?}");
+        let noisy = measurements(200, 0.1, true);
+        model.fit(&UnitCosts::SOFTWARE, &noisy).unwrap();
+        let [middle, _] = errors(&model, &noisy);
+        assert!(middle < 0.06, "{middle}");
         let clean = measurements(50, 0.0, false);
-        for m in &clean {
-            let error = model.costs.time(&m.work) / m.seconds - 1.0;
+        for (work, seconds) in &clean {
+            let error = model.costs.time(work) / seconds - 1.0;
             assert!(error.abs() < 0.15, "{error}");
         }
         assert!(model.calibration.factor() > 1.0);
@@ -527,35 +503,35 @@ mod tests {
 
     #[test]
     fn a_handful_of_equal_frames_is_enough_to_set_the_scale() {
-        let one = measurements(1, 0.0, false)[0];
+        let (work, seconds) = measurements(1, 0.0, false)[0];
         let mut model = AnalyticModel::default();
-        model.fit(&UnitCosts::SOFTWARE, &[one; 3]).unwrap();
-        assert!((model.costs.time(&one.work) / one.seconds - 1.0).abs() < 0.02);
-        let mut double = one.work;
+        model.fit(&UnitCosts::SOFTWARE, &[(work, seconds); 3]).unwrap();
+        assert!((model.costs.time(&work) / seconds - 1.0).abs() < 0.02);
+        let mut double = work;
         double.iter_mut().skip(1).for_each(|w| *w *= 2.0);
-        let ratio = model.costs.time(&double) / one.seconds;
+        let ratio = model.costs.time(&double) / seconds;
         assert!(ratio > 1.1 && ratio < 2.05, "{ratio}");
     }
 
     #[test]
     fn broken_measurements_are_left_out_and_all_broken_is_an_error() {
         let mut rows = measurements(20, 0.0, false);
+        let work = rows[0].0;
         for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            rows.push(Measurement { seconds, ..rows[0] });
+            rows.push((work, seconds));
         }
-        rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
-        let mut model = AnalyticModel::default();
-        let report = model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
-        assert_eq!((report.used, report.refused), (20, 5));
+        rows.push(([f64::NAN; COSTS], 1.0));
+        let fitted = |rows: &[([f64; COSTS], f64)]| {
+            let mut model = AnalyticModel::default();
+            model.fit(&UnitCosts::SOFTWARE, rows).unwrap();
+            model
+        };
+        let mut model = fitted(&rows);
+        assert_eq!(model, fitted(&rows[..20]));
         // A time beyond the longest frame is refused, the longest one is used.
         let longest = f64::from(LONGEST_FRAME);
-        let report =
-            model.fit(&UnitCosts::SOFTWARE, &[rows[0], Measurement { seconds: longest, ..rows[1] }]).unwrap();
-        assert_eq!((report.used, report.refused), (2, 0));
-        let report = model
-            .fit(&UnitCosts::SOFTWARE, &[rows[0], Measurement { seconds: longest * 1.001, ..rows[1] }])
-            .unwrap();
-        assert_eq!((report.used, report.refused), (1, 1));
+        assert_ne!(fitted(&[rows[0], (rows[1].0, longest)]), fitted(&rows[..1]));
+        assert_eq!(fitted(&[rows[0], (rows[1].0, longest * 1.001)]), fitted(&rows[..1]));
         let before = model.clone();
         assert!(
             model.fit(&UnitCosts::SOFTWARE, &rows[20..]).is_err()
@@ -618,10 +594,10 @@ mod tests {
     fn range_scores_rise_outside_what_was_seen() {
         let mut model = AnalyticModel::default();
         let rows = measurements(100, 0.0, false);
-        assert!(model.score(&rows[0].work).is_nan());
+        let mut far = rows[0].0;
+        assert!(model.score(&far).is_nan());
         model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
-        assert_eq!(model.score(&rows[0].work), 0.0);
-        let mut far = rows[0].work;
+        assert_eq!(model.score(&far), 0.0);
         far[4] *= 1e5;
         assert!(model.score(&far) > 1.0);
     }

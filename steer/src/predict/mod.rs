@@ -15,7 +15,7 @@ mod range;
 mod seconds;
 
 pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
-pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
+pub use analytic::{AnalyticModel, TERMS};
 pub use bounds::{UPPER_LEVEL, UpperBound};
 pub use clock::Clock;
 #[cfg(feature = "calibrate")]

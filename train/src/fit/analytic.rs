@@ -5,8 +5,9 @@ use crate::inputs::{Layout, work_of};
 use anyhow::Result;
 use entire_io::dataset::{Table, Timed};
 use entire_io::device::names_software;
+use entire_io::metrics::median;
 use entire_steer::features::SceneFeature;
-use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, Measurement, UnitCosts};
+use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, UnitCosts};
 use indicatif::ProgressBar;
 use std::collections::BTreeSet;
 
@@ -16,18 +17,25 @@ pub(super) fn fit_analytic(
     probe_side: usize,
 ) -> Result<(AnalyticModel, String)> {
     let default = &expected_costs(context, training);
-    let measurements: Vec<Measurement> = counts(context, training, default, probe_side)?
+    let measurements: Vec<([f64; COSTS], f64)> = counts(context, training, default, probe_side)?
         .iter()
         .zip(training.seconds)
-        .map(|(row, &seconds)| Measurement { work: work_of(*row), seconds })
+        .map(|(row, &seconds)| (work_of(*row), seconds))
         .collect();
     let mut model = AnalyticModel::default().with_probe_side(probe_side);
-    let report = model.fit(default, &measurements)?;
+    model.fit(default, &measurements)?;
+    let costs = model.costs();
+    // Times of a table are valid, and counts are finite. The fit refuses frames with a negative count.
+    let mut errors: Vec<f64> = measurements
+        .iter()
+        .filter(|(work, _)| work.iter().all(|w| *w >= 0.0))
+        .map(|(work, seconds)| (costs.time(work) / seconds - 1.0).abs())
+        .collect();
     let text = format!(
         "fitted to {} frames, {} refused, median error {:.2} %",
-        report.used,
-        report.refused,
-        100.0 * report.median_error
+        errors.len(),
+        measurements.len() - errors.len(),
+        100.0 * median(&mut errors).unwrap_or(f64::NAN)
     );
     Ok((model, text))
 }

@@ -15,7 +15,7 @@ use entire_io::dataset::Clock;
 use entire_steer::control::StepLimits;
 use entire_steer::control::{ObserveFlags, Prior};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_steer::predict::{AnalyticModel, Measurement, UnitCosts};
+use entire_steer::predict::{AnalyticModel, UnitCosts};
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
 
@@ -117,7 +117,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
             let frame = Frame { step, ..Frame::new(Camera::from_arcball(camera)?, side, side)? }.checked()?;
             features.measure(&summary, &mut transfer, &frame)?;
             let seconds = machine.seconds(&frame)?;
-            rows.push(Measurement::new(&features, &Setting::from(&frame), seconds));
+            rows.push((features.cost_work(&Setting::from(&frame)), seconds));
         }
     }
     let mut model = AnalyticModel::default();
