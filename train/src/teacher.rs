@@ -89,7 +89,7 @@ mod tests {
     use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
     use entire_core::scene::{Camera, TransferFunction};
     use entire_io::volume::{Volume, VolumeData};
-    use entire_steer::predict::AnalyticModel;
+    use entire_steer::predict::{AnalyticModel, COSTS, UnitCosts};
 
     fn volume() -> Volume {
         let value = |i: u32| if i % 16 < 8 { 0 } else { (i * i / 97 % 251) as u8 };
@@ -98,12 +98,10 @@ mod tests {
 
     #[test]
     fn it_takes_as_long_as_its_model_says() {
-        let mut costs = [0.0; entire_steer::features::COSTS];
-        (costs[0], costs[1]) = (1e-3, 1e-6);
-        let file = AnalyticModel::from_costs(entire_steer::predict::UnitCosts::new(costs))
-            .unwrap()
-            .to_model_file()
-            .unwrap();
+        let mut seconds = [0.0; COSTS];
+        (seconds[0], seconds[1]) = (1e-3, 1e-6);
+        let costs = UnitCosts { seconds, ..UnitCosts::SOFTWARE };
+        let file = AnalyticModel::from_costs(costs).unwrap().to_model_file().unwrap();
         let mut teacher = Teacher::new("a model", &file.to_model().unwrap()).unwrap();
         assert_eq!((teacher.backend(), teacher.device().as_str()), ("teacher", "the predictor a model"));
         let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz: 2.0 }).unwrap();

@@ -45,8 +45,8 @@ pub enum Key {
     UnitCosts,
     /// `entire.cached_voxels`: number of voxels that the caches hold, for the file's scene features and unit
     /// costs, as a decimal number. In a frame that touches this many voxels, half of the reads that no
-    /// neighboring ray shares wait for memory. Without this entry, the number is that of `UnitCosts::new`
-    /// of `entire-steer`.
+    /// neighboring ray shares wait for memory. Without this entry, the number is that of
+    /// `UnitCosts::SOFTWARE` of `entire-steer`.
     CachedVoxels,
     /// `entire.probe_side`: number of rays along each side of the probe that measured the scene features, as
     /// a decimal number from 1 to `MAX_PROBE_SIDE` of `entire-steer`. Without this entry it is `PROBE_SIDE`

@@ -7,7 +7,7 @@ use entire_cli::steering::rivals::StepResponse;
 use entire_steer::control::Prior;
 use entire_steer::control::{Controller, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use entire_steer::features::Changes;
-use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source, TERMS};
+use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source};
 
 const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;
@@ -120,10 +120,10 @@ fn play_script(
                 let seconds = shot.wrong * (shot.fixed + shot.work * scaled);
                 return CostTerms::whole(seconds as f32, 0.0, Source::Analytic);
             }
-            let mut parts = [0.0; TERMS];
-            parts[0] = (shot.wrong * FIXED) as f32;
-            parts[4] = (shot.wrong * shot.work * scaled) as f32;
-            CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
+            let mut terms = CostTerms::whole(0.0, 0.0, Source::Analytic);
+            terms.parts[0] = (shot.wrong * FIXED) as f32;
+            terms.parts[4] = (shot.wrong * shot.work * scaled) as f32;
+            terms
         };
         let changes = Changes { first: i == 0, ..shot.changes };
         let decision = controller.plan(&mut PlanRequest {

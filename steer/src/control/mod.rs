@@ -23,7 +23,7 @@ pub use crate::predict::Quality;
 pub use budget::{FrameBudget, PassShare};
 pub use constants::HybridConstants;
 pub use hybrid::{Hybrid, HybridOptions};
-pub use session::{PENDING_PLANS, Plan, Session};
+pub use session::{Plan, Session};
 
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction};

@@ -28,7 +28,7 @@ use recording::Recording;
 use unrecorded::Recording;
 
 /// Largest number of plans that wait for their observation; older plans are forgotten.
-pub const PENDING_PLANS: usize = 64;
+pub(crate) const PENDING_PLANS: usize = 64;
 
 /// Plan of a frame: settings to draw with, and expected time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,7 +81,7 @@ struct Before {
 ///
 /// Set the volume and the transfer function. Then for every frame call [`Session::plan`], draw with the
 /// plan's step, and report the time to [`Session::observe`]. Observations may be late as long as their plan
-/// is among the last [`PENDING_PLANS`]. Plan, choose, predict and observe do not allocate.
+/// is among the last 64. Plan, choose, predict and observe do not allocate.
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
     pub(super) controller: Box<dyn Controller + Send>,

@@ -1,5 +1,6 @@
 //! Tests of controllers and sessions in closed loops, with frame times from known cost functions.
 
+use super::session::PENDING_PLANS;
 use super::*;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
 use crate::features::Setting;

@@ -61,7 +61,7 @@ pub struct UnitCosts {
     pub seconds: [f64; COSTS],
     /// Number of voxels that the caches hold. In a frame that touches this many voxels, half of the reads that
     /// no neighboring ray shares wait for memory. The quantities are computed with the number of
-    /// [`UnitCosts::new`]; [`UnitCosts::time`] converts them to this number.
+    /// [`UnitCosts::SOFTWARE`]; [`UnitCosts::time`] converts them to this number.
     pub cached_voxels: f64,
 }
 
@@ -113,7 +113,7 @@ impl UnitCosts {
 
     /// Returns unit costs in seconds, per frame and then per unit of each of [`COST_QUANTITIES`], with 8·10⁶
     /// cached voxels.
-    pub const fn new(seconds: [f64; COSTS]) -> Self {
+    pub(crate) const fn new(seconds: [f64; COSTS]) -> Self {
         Self { seconds, cached_voxels: Self::CACHED_VOXELS }
     }
 

@@ -22,7 +22,7 @@ use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
 
 /// Number of terms of a cost that are corrected separately; each holds one or more unit costs.
-pub const TERMS: usize = 9;
+pub(crate) const TERMS: usize = 9;
 
 /// Term of each unit cost; costs that scale together on every machine share a term.
 const PART_OF: [usize; COSTS] =

@@ -58,7 +58,9 @@ impl Stored {
 /// Returns the predictor of a model file: an analytic model if the file holds one, otherwise its PredNet.
 ///
 /// # Errors
-/// As [`ModelPredictor::new`].
+/// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for an
+/// unknown scene feature, [`crate::ErrorKind::InvalidModel`] for a file without PredNet or with a damaged
+/// calibration.
 pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
     Ok(match AnalyticModel::from_model(model)? {
         Some(analytic) => Box::new(analytic),
@@ -83,7 +85,7 @@ pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor 
 /// The out-of-range score uses the inputs' distances from their training means, where the file has them.
 /// Volume features do not count, since an encoder's outputs are in a similar range for every volume.
 #[derive(Clone, Debug)]
-pub struct ModelPredictor {
+pub(crate) struct ModelPredictor {
     net: Arc<PredNet>,
     layout: InputLayout,
     /// Mean and standard deviation of each input; the mean is NaN if the input is ignored by the out-of-range
@@ -104,10 +106,8 @@ impl ModelPredictor {
     /// Returns a predictor for a checked model. It uses the fastest instruction set of this CPU.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
-    /// an unknown scene feature, [`crate::ErrorKind::InvalidModel`] for a file without PredNet or with a
-    /// damaged calibration.
-    pub fn new(model: &Model) -> Result<Self> {
+    /// As [`load`].
+    pub(crate) fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet.as_ref() else {
             bail!(
                 InvalidModel,
@@ -170,7 +170,7 @@ impl ModelPredictor {
     }
 
     /// The out-of-range score of an input row in the model's order; see [`Prediction::out_of_range`].
-    pub fn out_of_range(&self, row: &[f32]) -> f32 {
+    pub(crate) fn out_of_range(&self, row: &[f32]) -> f32 {
         let (mut worst, mut known) = (0.0f32, false);
         for (x, &(mean, std)) in row.iter().zip(&self.spread) {
             if mean.is_nan() {

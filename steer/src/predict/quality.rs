@@ -183,7 +183,8 @@ impl KnownQuality {
 mod tests {
     use super::*;
     use crate::predict::AnalyticModel;
-    use crate::predict::{ModelPredictor, Predictor};
+    use crate::predict::Predictor;
+    use crate::predict::network::ModelPredictor;
     use entire_core::ErrorKind;
 
     const SOME: Quality =

@@ -6,12 +6,12 @@ use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
 use entire_steer::control::{ObserveFlags, Session};
 use entire_steer::features::{Setting, VolumeSummary};
-use entire_steer::predict::{AnalyticModel, InputLayout, ModelPredictor, Predictor};
+use entire_steer::predict::{AnalyticModel, InputLayout, Predictor, load};
 
 #[global_allocator]
 static ALLOCATOR: AllocDisabler = AllocDisabler;
 
-fn network() -> ModelPredictor {
+fn network() -> Box<dyn Predictor + Send> {
     let dense = |inputs: usize, outputs: usize| DenseParts {
         inputs,
         outputs,
@@ -32,7 +32,7 @@ fn network() -> ModelPredictor {
     InputLayout::new(&groups, features.to_vec(), 0, 0)
         .and_then(|layout| layout.store(&parts, &mut file))
         .expect("a network that fits");
-    ModelPredictor::new(&file.to_model().expect("a model")).expect("known inputs")
+    load(&file.to_model().expect("a model")).expect("known inputs")
 }
 
 #[test]
@@ -43,8 +43,7 @@ fn plan_choose_predict_and_observe_never_allocate() {
     let tables = [0.0f32, 0.02, 0.9].map(|a| {
         TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, a * i as f32 / 255.0])).expect("a table")
     });
-    let predictors: [Box<dyn Predictor + Send>; 2] =
-        [Box::new(AnalyticModel::default()), Box::new(network())];
+    let predictors: [Box<dyn Predictor + Send>; 2] = [Box::new(AnalyticModel::default()), network()];
     for predictor in predictors {
         let mut session = Session::new(predictor, Default::default());
         session.set_volume(volume.clone(), None);

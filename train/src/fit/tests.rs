@@ -8,7 +8,7 @@ use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, T
 use entire_io::dataset::Timed;
 use entire_io::options::thread_pool;
 use entire_steer::features::{SceneFeature, SceneQuantity};
-use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, GroupKind, UnitCosts};
+use entire_steer::predict::{COST_QUANTITIES, GroupKind, UnitCosts};
 
 fn network(widths: &[usize], seed: u64) -> PredNetParts {
     let net = Network::<f32>::random(widths, seed).unwrap();
@@ -74,15 +74,14 @@ fn in_context<T>(run: impl FnOnce(&FitContext<'_>) -> T) -> T {
 fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() {
     use entire_core::scene::{Camera, Frame, TransferFunction};
     use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-    use entire_steer::predict::{InputRange, Inputs, ModelPredictor, Predictor};
+    use entire_steer::predict::{InputRange, Inputs, load};
 
     let values: Vec<u8> = (0..16 * 12 * 10).map(|i| (i * 7 % 251) as u8).collect();
     let data = entire_io::volume::VolumeData::U8(values);
     let volume = entire_io::volume::Volume::new(data, [16, 12, 10], [1.0; 3], "v").unwrap();
     let summary = VolumeSummary::new(&volume.view()).unwrap();
-    let analytic =
-        AnalyticModel::from_costs(UnitCosts::new(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64)))).unwrap();
-    let costs = analytic.costs();
+    let seconds = std::array::from_fn(|i| 1e-6 * (1.0 + i as f64));
+    let costs = UnitCosts { seconds, ..UnitCosts::SOFTWARE };
     let inputs = [
         SceneFeature { quantity: SceneQuantity::Pixels, log: true },
         SceneFeature { quantity: SceneQuantity::MeanChord, log: false },
@@ -102,14 +101,14 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         let model = file.to_model().unwrap();
         let layout = Layout::of_model(&model).unwrap();
         assert_eq!(layout.probe_side(), 5);
-        let mut predictor = ModelPredictor::new(&model).unwrap();
+        let mut predictor = load(&model).unwrap();
         let factor = PredNet::new(&ratio).unwrap();
         // The training range contains images with 3 to 50 pixels, so that most images are outside it, and
         // chords of 12 to 13.
         let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
         InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
         let limited = file.to_model().unwrap();
-        let mut limited_predictor = ModelPredictor::new(&limited).unwrap();
+        let mut limited_predictor = load(&limited).unwrap();
         for (lobes, distance, size) in
             [("0.5 0.1 0.3", 2.0, 40), ("0.2 0.01 0.9", 3.5, 300), ("0.9 0.3 1", 1.2, 8)]
         {
