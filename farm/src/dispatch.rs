@@ -157,7 +157,7 @@ impl Dispatcher {
         let place = lane.partition_point(|t| self.key(*t) <= key);
         lane.insert(place, task);
         self.lanes[v] = lane;
-        // The task may be longer than the entry of its volume in the heap states.
+        // The task may be longer than its volume's entry in the heap, so a new entry is made.
         self.listed[v] = false;
         self.push_front(v);
     }

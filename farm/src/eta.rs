@@ -209,8 +209,9 @@ fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     })
 }
 
-/// Returns the seconds until a queue is done, in which each task goes to the first free slot. `times`:
-/// seconds of the tasks at speed 1, in order; `busy`: seconds until each slot is free.
+/// Returns the seconds until all tasks of a queue are done, if each goes to the first free slot.
+/// `times`: seconds of the tasks at speed 1, in order; `busy`: seconds until each slot is free;
+/// `speeds`: speed of each slot.
 pub(crate) fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
     let mut last = busy.iter().copied().fold(0.0, f64::max);
     let mut free: BinaryHeap<Reverse<(Time, usize)>> =

@@ -14,7 +14,7 @@ pub(crate) struct Bar {
     pub(crate) limit: f64,
     /// True if the limit is met; false without a value.
     pub(crate) ok: bool,
-    /// Text printed in brackets behind the bar; may be empty.
+    /// Text printed in brackets after the bar; may be empty.
     pub(crate) note: String,
 }
 
@@ -29,7 +29,7 @@ impl Bar {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit), note: String::new() }
     }
 
-    /// The same bar with a note, which is printed in brackets behind it.
+    /// The same bar with a note, which is printed in brackets after it.
     pub(crate) fn with_note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }

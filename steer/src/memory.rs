@@ -1,4 +1,4 @@
-//! Buffers that grow before anything is changed, hashes, and work spread over threads.
+//! Buffers that are allocated before any change, hashes, and work spread over threads.
 
 use alloc::vec::Vec;
 use entire_core::Result;

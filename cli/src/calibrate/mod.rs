@@ -141,12 +141,12 @@ fn too_short(seconds: f64, choosing: f64) -> String {
     )
 }
 
-/// Renders frames until the time is over or `stop` returns true, and fits a model to them.
-/// [`PriorModel::new`] makes the prior from the models `priors`.
+/// Renders frames until the time is over, the maximum number of frames is drawn or `stop` returns true,
+/// and fits a model to them. [`PriorModel::new`] makes the prior from the models `priors`.
 ///
 /// # Errors
 /// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or
-/// `stop` returned true before [`FEWEST_FRAMES`] were drawn.
+/// fewer than [`FEWEST_FRAMES`] were drawn.
 pub(crate) fn calibrate(
     settings: &Settings,
     priors: &[NamedPrior],

@@ -41,7 +41,7 @@ impl CpuSnapshot {
 fn machine_seconds(text: &str) -> Option<f64> {
     let line = text.lines().find_map(|l| l.strip_prefix("cpu "))?;
     let ticks: Vec<f64> = line.split_whitespace().map_while(|w| w.parse().ok()).collect();
-    // user nice system idle iowait irq softirq steal; guest time is part of user time.
+    // Columns: user nice system idle iowait irq softirq steal; guest time is part of user time.
     let at = |i: usize| ticks.get(i).copied().unwrap_or(0.0);
     (ticks.len() >= 4).then(|| (at(0) + at(1) + at(2) + at(5) + at(6) + at(7)) / TICKS)
 }

@@ -91,7 +91,7 @@ pub(crate) struct Pool {
 }
 
 impl Pool {
-    /// Identities of the volumes' files, by the volumes' names in frames.
+    /// Returns the identities of each volume's files, by the volume's name in tables (its path as given).
     pub(crate) fn named_files(&self) -> BTreeMap<String, Vec<Identity>> {
         let name = |path: &PathBuf| path.to_string_lossy().into_owned();
         self.volumes.iter().map(name).zip(self.files.iter().cloned()).collect()

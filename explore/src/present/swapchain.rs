@@ -21,7 +21,7 @@ pub(super) struct Swapchain {
     /// Signaled once the acquired image may be written.
     pub(super) acquired: vk::Semaphore,
     pub(super) extent: vk::Extent2D,
-    /// The requested size, which the surface may have limited.
+    /// The requested size in pixels; `extent` is this size within the surface's limits.
     pub(super) asked: [u32; 2],
     pub(super) format: vk::SurfaceFormatKHR,
     /// True if presentation waits for the display's refresh.

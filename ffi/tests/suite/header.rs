@@ -77,7 +77,7 @@ fn header(file: &str, after_includes: Option<String>, excluded: &BTreeSet<String
     String::from_utf8(text).expect("a header in UTF-8")
 }
 
-/// The part of a header after its conventions.
+/// Returns a header without its first comment, the conventions.
 fn declarations(header: &str) -> &str {
     header.split_once("#ifndef").expect("an include guard").1
 }

@@ -202,10 +202,10 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// Reads the rest of the stream, if that is at most `limit` bytes.
+    /// Reads the rest of the stream, which may have at most `limit` bytes.
     ///
     /// # Errors
-    /// When more bytes are left.
+    /// When more bytes are left, they do not fit into memory, or reading fails.
     pub fn all(&mut self, limit: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         if let Remaining::Exact(left) = self.remaining

@@ -32,7 +32,7 @@ pub(crate) struct Paper {
     pub(crate) seed: u64,
     /// Frames per volume.
     pub(crate) frames: FrameCounts,
-    /// Renderings of each frame.
+    /// Number of renderings of each frame.
     pub(crate) repeats: u32,
     /// Renderings discarded after each volume is loaded.
     pub(crate) warm_up: u32,
@@ -84,7 +84,7 @@ pub(crate) struct Paper {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct InMode {
-    /// Renderings of each frame.
+    /// Number of renderings of each frame.
     pub(crate) repeats: Option<u32>,
     /// Longest image side, pixels.
     pub(crate) max_size: Option<u32>,
@@ -188,7 +188,7 @@ pub(crate) struct MemberSplit {
 pub(crate) struct YtFrames {
     /// The Python program that collects them.
     pub(crate) script: PathBuf,
-    /// Renderings of each frame.
+    /// Number of renderings of each frame.
     pub(crate) repeats: u32,
     /// Shortest image side, pixels.
     pub(crate) min_size: u32,

@@ -228,7 +228,7 @@ pub(crate) struct Taken {
 }
 
 impl<'a> Course<'a> {
-    /// Returns the path with a trial for every useful target on each renderer.
+    /// Returns the path with its [`trials`] on each renderer.
     pub(crate) fn new(
         recorded: &'a [Replayable; 3],
         calibrated: &'a Calibrated,

@@ -36,7 +36,7 @@ enum Heard {
 struct Shot {
     /// Seconds that do not depend on the step.
     fixed: f64,
-    /// Seconds at step 1 that depend on the step.
+    /// Part of the seconds that depends on the step, at step 1.
     work: f64,
     /// Factor on all seconds, from the machine or from effects that no predictor models.
     speed: f64,

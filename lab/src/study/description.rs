@@ -102,7 +102,7 @@ pub(crate) struct SplitTables {
     pub(crate) name: String,
     /// Tables of the split.
     pub(crate) tables: Vec<PathBuf>,
-    /// True if the main goals are about this split.
+    /// True for the main split, to which all [`Limits`] except `modality` apply.
     #[serde(default)]
     pub(crate) main: bool,
 }

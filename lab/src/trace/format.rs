@@ -24,7 +24,7 @@ pub struct TraceVolume {
     pub files: Vec<Identity>,
 }
 
-/// One point of a frame's grid.
+/// Times and picture quality of a frame at one ray step and image scale.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TracePoint {

@@ -27,9 +27,9 @@ use pyo3::types::{PyBytes, PyDict};
 /// Raises
 /// ------
 /// ValueError
-///     For another number of frames.
+///     If `frames` is outside its range.
 /// ModelError
-///     For a model of another kind.
+///     If a calibration cannot start from a model of this kind.
 ///
 /// Examples
 /// --------

@@ -12,8 +12,10 @@ use crate::predict::LONGEST_FRAME;
 pub enum Verdict {
     /// The correction was updated.
     Learned = 0,
-    /// The time was more than three standard deviations from the expected time. The error was clipped before
-    /// the update, unless it began or ended a load.
+    /// The time was more than three standard deviations from the expected time. In most cases, the error was
+    /// clipped before the update. If the frame began or ended a load, the load was changed instead. If a new
+    /// scene was much faster than expected, the error was not clipped. An outlier during a load may be
+    /// ignored.
     Clipped = 1,
     /// The time was accepted without an update: the caller marked it as unusual, or cancelled the frame
     /// before its expected time had passed.

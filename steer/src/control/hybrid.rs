@@ -30,9 +30,9 @@ pub struct HybridOptions {
     /// are below that limit. The miss rate of the first frames of new scenes is at least 0.07.
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
-    /// The finest step is drawn even if its bound exceeds the tolerance, provided that its expected time
-    /// meets the target and that the finest step whose bound is within the tolerance is at most `full`
-    /// coarser, in ln(step) ([`HybridConstants`]).
+    /// Exception: the finest allowed step is chosen, whatever its bound, if its expected time meets the
+    /// target and if the finest step whose bound is within the tolerance is coarser by at most a factor of
+    /// exp(`full`) ([`HybridConstants`]).
     pub tolerance: f32,
     /// Prior knowledge of the prediction's errors.
     pub prior: Prior,

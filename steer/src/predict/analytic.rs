@@ -49,8 +49,9 @@ impl UnitCosts {
     /// Returns the unit costs in a model file; `None` if the file has none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for an unknown name, a cost that is negative or not finite, or if
-    /// all costs are zero, and for a number of cached voxels that is not positive.
+    /// [`crate::ErrorKind::InvalidModel`] for an entry that is not a JSON object of numbers, an unknown
+    /// name, a cost that is negative or not finite, costs that are all zero, and a number of cached voxels
+    /// that is not finite and positive.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata.get(Key::UnitCosts.name()) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
@@ -240,7 +241,8 @@ impl AnalyticModel {
     /// Reads a file of [`AnalyticModel::to_model_file`]; `None` for any other model.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] where the calibration is damaged.
+    /// As [`InputLayout::of_model`]; [`crate::ErrorKind::InvalidModel`] for an invalid calibration or
+    /// quality law in the file.
     pub fn from_model(model: &Model) -> Result<Option<Self>> {
         let names = &model.scene_features;
         let Some(net) = model.prednet.as_ref() else { return Ok(None) };

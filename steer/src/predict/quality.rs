@@ -119,9 +119,10 @@ impl Quality {
                 }
             }
             if best.0 > taken {
-                // At this time, the distance `taken` has another value of step · distance² than the best
-                // distance. The threshold is the geometric mean of both values. It is the value of the best
-                // distance if this value is the smaller one, or if `taken` does not reach this time.
+                // At this time, `taken` and the best distance have different values of step · distance².
+                // The threshold is their geometric mean. If the value of the best distance is the smaller
+                // one, or no step of `taken` takes this time, the threshold is the value of the best
+                // distance. A threshold is never below the previous one.
                 let square = distances[taken] * distances[taken];
                 let before = self.step_for(share, distances[taken]).map_or(best.2, |s| s * square);
                 let at = libm::sqrt(before.min(best.2) * best.2).max(from[taken]);

@@ -260,7 +260,7 @@ pub struct Progress {
     pub steps: u64,
     /// Maximum number of steps, over all epochs.
     pub total_steps: u64,
-    /// The epoch that just ended, once per epoch.
+    /// Record of the epoch that ended with this step; `None` if it was not the last step of an epoch.
     pub ended: Option<EpochRecord>,
     /// Best validation loss so far; infinity before the first epoch's end.
     pub best: f64,

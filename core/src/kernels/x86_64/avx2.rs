@@ -1,4 +1,5 @@
-//! Vector operations with AVX2, FMA, F16C and POPCNT. Only `enter` enables exactly these instructions.
+//! Vector operations with AVX2, FMA, F16C and POPCNT. `enter` enables these instructions for all code that
+//! is inlined into it; no other function of this file has `#[target_feature]`.
 
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;
