@@ -57,8 +57,8 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
     }
     if s.there() {
         for (device, machines) in devices {
-            let machines: Vec<_> = machines.into_iter().map(|machine| format!("({machine})")).collect();
-            s.notes.push(format!("Measured with {device} on {}.", machines.join(" and ")));
+            let machines: Vec<_> = machines.into_iter().collect();
+            s.notes.push(format!("Device: {device}. Measured on: {}.", machines.join("; ")));
         }
     }
     s
