@@ -53,8 +53,7 @@ fn check_size<T: ByValue>(size: usize) -> Result<(), Failure> {
     if !(T::FIRST_SIZE..LARGEST_STRUCT).contains(&size) {
         refuse!(
             ENTIRE_STRUCT_SIZE,
-            "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name}) \
-             or call {name}_init",
+            "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name})",
             size_of::<T>(),
             name = T::NAME
         );

@@ -326,7 +326,7 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         format!(
             "volume {name} of {} was not found, neither in the working folder nor beside the table; give \
              its folder with --root, run the command in the folder where the table was collected, copy the \
-             file there, or store the features beside the table with `entire features`",
+             volume beside the table, or run `entire features` where the volume is",
             table.path.display()
         )
     })?;

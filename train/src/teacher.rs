@@ -60,7 +60,7 @@ impl Renderer for Teacher {
 
     fn render(&mut self, frame: &Frame) -> Result<Rendered> {
         let (Some(summary), Some(transfer)) = (&self.summary, &mut self.transfer) else {
-            return Err(Error::new("volume and transfer function were not set"));
+            return Err(Error::new("volume or transfer function was not set"));
         };
         self.features.measure(summary, transfer, frame).map_err(|e| Error::new(e.to_string()))?;
         let inputs = Inputs {

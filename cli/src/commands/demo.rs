@@ -285,10 +285,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             .to_owned(),
         format!(
             "The fixed step ({:.2}) is the step at which the median random scene meets the target. OLP takes \
-             the mean of the last three frames, converted to the reference step by G, the curve of frame \
-             time over step; PID has the gains 0.3, 0.05, 0.1; Algorithm 1 converts the prediction at the \
-             reference step by G; the hybrid predicts every step, corrects the prediction by the \
-             times of earlier frames, and keeps a margin.",
+             the mean of the last three frame times, converted to the reference step by G, the frame \
+             time as a function of the step. PID has the gains 0.3, 0.05, 0.1. Algorithm 1 predicts at \
+             the reference step and converts to other steps by G. The hybrid predicts at every step, \
+             corrects predictions by the times of earlier frames, and keeps a margin.",
             prepared.fixed_step
         ),
     ];

@@ -150,7 +150,7 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         let value = value.unwrap_or(0.0);
         ensure!(
             value.is_finite() && value >= 0.0,
-            "{option} is {value}; it must be a {what} that is not negative"
+            "{option} is {value}; it must be a finite {what} that is not negative"
         );
     }
     check_engine(options)?;

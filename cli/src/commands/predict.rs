@@ -27,7 +27,7 @@ The columns are the inputs that the model file lists in its metadata, under the 
 row has another number of columns, the error names the input groups and their sizes. To predict the frames
 of timing tables, use `entire evaluate`.")]
 pub(crate) struct Options {
-    /// Model file of a predictor; default: the machine's model of --shade (`entire calibrate` makes it).
+    /// Model file of a predictor; default: this machine's model for --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
     pub(crate) model: Option<PathBuf>,
     /// Shading mode of the machine's model, if --model is not given.

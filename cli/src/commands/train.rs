@@ -422,9 +422,9 @@ fn card(
     };
     let _ = writeln!(
         md,
-        "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the \
-         machine and with the \
-         renderer of its training frames. On another machine, {verb} it first:\n\n```\nentire {adapt} \
+        "## Use\n\nPredicts, before a volume-rendered frame is drawn, how many seconds it takes on the \
+         machine and with the renderer \
+         of the training frames. On another machine, {verb} the model first:\n\n```\nentire {adapt} \
          {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate \
          --model {name}.safetensors \
          --data FRAMES.csv`\n"

@@ -296,7 +296,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         page.chart(
             &chart,
             "Mean over the switches (abrupt changes of camera, transfer function, volume or image size). Reactive \
-             controllers notice a switch one frame late. Predicting controllers plan its first frame.",
+             controllers notice a switch one frame late. Predicting controllers plan the switch's frame.",
         );
     }
 

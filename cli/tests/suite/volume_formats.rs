@@ -406,7 +406,7 @@ fn pieces_and_compressors_of_vtk_are_read() {
         ([left.clone(), piece("7 8 0 1 -1 -1", "1 2 4 5")], "lies outside of WholeExtent"),
         ([left.clone(), piece("4 7 0 1 -1 -1", "1 2 4 5")], "lies outside of WholeExtent"),
         ([left.clone(), right.replace("\"d\"", "\"e\"")], "\"d\" is not in every piece"),
-        ([left, right.replace("Int8", "Int16")], "has another type in another piece"),
+        ([left, right.replace("Int8", "Int16")], "has another type or number of components in another piece"),
     ] {
         let message = read(&pieces).unwrap_err();
         assert!(message.contains(expected), "{message:?} should contain {expected:?}");

@@ -119,7 +119,10 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
             bail!("array {:?} is not in every piece of the file", shown(array));
         };
         if own.components != 1 || own.element != array.element {
-            bail!("array {:?} has another type in another piece of the file", shown(array));
+            bail!(
+                "array {:?} has another type or number of components in another piece of the file",
+                shown(array)
+            );
         }
         let part = checked_dims(sizes(piece.extent, cells)?)?;
         let mut at = [0usize; 3];
@@ -632,8 +635,8 @@ fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
         if file.compressor == Compressor::Lz4 {
             ensure!(
                 wanted <= (this.len() as u64).saturating_mul(LZ4_GROWTH),
-                "compressed block {index} of {blocks} has {} bytes, which cannot hold the {wanted} that its \
-                     header says",
+                "compressed block {index} of {blocks} has {} bytes, too few for the {wanted} bytes that the \
+                     header states",
                 this.len()
             );
             grow(&mut out, wanted as usize, expected as usize)?;

@@ -61,8 +61,8 @@ impl Paths {
 
 /// Replay recorded time curves under every controller and target, beside an oracle that knows them.
 ///
-/// Every trace (see `entire-lab record`) is replayed under every controller with every target that some
-/// allowed step meets in at least half of the frames, and with a series of these targets. A trace without
+/// Every trace (see `entire-lab record`) is replayed under every controller with every target that an allowed
+/// step meets exactly in at least half of the frames, and with a series of these targets. A trace without
 /// such a target gets its own target, halfway between its median frame times at the finest and at the
 /// coarsest step. The predictor is fitted to a timing table of other volumes. Rules that act on image
 /// resolution get the times of smaller images at the reference step; if a trace has none, they act on the ray

@@ -20,16 +20,16 @@ type Played = ([Replayable; 3], Calibrated);
 
 /// Search for better constants of the controller on recorded paths.
 ///
-/// Every path is replayed with every target that some allowed step meets in at least half of its frames, by a
-/// predictor fitted to frames of other volumes and by sessions without a model that start at several frames.
-/// The search takes a value when it lowers the cost of the paths by more than two standard errors. It changes
-/// no file but --out: enter the found values in `steer/src/control/constants.rs` and
+/// Every path is replayed with every target that an allowed step meets exactly in at least half of its
+/// frames, by a predictor fitted to frames of other volumes and by sessions without a model that start at
+/// several frames. The search takes a value when it lowers the cost of the paths by more than two standard
+/// errors. It changes no file but --out: enter the found values in `steer/src/control/constants.rs` and
 /// `steer/src/adapt/constants.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --rounds 0
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --only full,finer")]
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --only full,gain")]
 pub(crate) struct Options {
     /// Paths to replay.
     #[command(flatten)]

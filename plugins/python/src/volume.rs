@@ -74,8 +74,8 @@ impl Data {
 
 /// A scalar volume on a regular grid, read in place from memory.
 ///
-/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` are neither copied nor changed, whatever their
-/// strides; the array is kept alive. ``bool`` counts as ``uint8``. All other integer and float types are
+/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` are neither copied nor changed, also if
+/// they have gaps; the array is kept alive. ``bool`` counts as ``uint8``. Other integer and float types are
 /// converted once (``int8`` to ``int16``, the others to ``float32``). An array is copied once if it has
 /// negative strides, unaligned data or another byte order than the machine. The array must not be written to
 /// while a call reads it.

@@ -188,7 +188,7 @@ impl Session {
     /// another voxel type; on an error nothing has changed. Does not allocate.
     pub fn set_time_step(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) -> Result<()> {
         let Some(before) = &self.volume else {
-            bail!(NotReady, "no volume is set; set a series' first time step as a volume");
+            bail!(NotReady, "no volume is set; set the first time step of a series by set_volume");
         };
         let grid = |v: &VolumeSummary| (v.shape(), v.cells(), v.block_edge());
         if grid(&volume) != grid(before) {

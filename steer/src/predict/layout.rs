@@ -248,7 +248,7 @@ impl InputLayout {
                     bail!(
                         MissingInput,
                         "the model takes Gaussian transfer-function parameters and none were supplied; \
-                         describe the transfer function by {} lobes, or use a model on scene features, \
+                         describe the transfer function by 1 to {} lobes, or use a model on scene features, \
                          which takes any transfer function",
                         size / 3
                     );

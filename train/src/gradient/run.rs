@@ -226,7 +226,8 @@ pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
         .filter(|&(n, w): &(usize, usize)| n <= 1000 && (32..=65_536).contains(&w) && w.is_power_of_two())
     else {
         bail!(
-            "preset {preset:?}; <layers>C<width> is expected, width a power of two from 32 on, as in 12C256"
+            "preset {preset:?}; <layers>C<width> is expected, as in 12C256: at most 1000 layers, width a \
+             power of two from 32 to 65536"
         );
     };
     let mut widths = vec![inputs];

@@ -99,7 +99,7 @@ impl Session {
         if !(1..=MAX_PROBE_SIDE).contains(&side) {
             bail!(
                 InvalidArgument,
-                "the probe is to have {side} rays along each side; accepted are 1 to {MAX_PROBE_SIDE}"
+                "the probe's side is {side} rays; a number of rays from 1 to {MAX_PROBE_SIDE} is accepted"
             );
         }
         if let Some(share) = tolerance.filter(|share| !(0.0..=1.0).contains(share)) {
