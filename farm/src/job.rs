@@ -221,7 +221,7 @@ impl Job {
         for (what, hashes) in dimensions.iter().zip(&job.hashes) {
             let mut seen = HashSet::new();
             if let Some(i) = hashes.iter().position(|h| !seen.insert(h)) {
-                bail!("{what}: entry {i}, counted from 0, repeats an earlier one; give each entry once");
+                bail!("{what}: entry {} repeats an earlier one; give each entry once", i + 1);
             }
         }
         Ok(job)

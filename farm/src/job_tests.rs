@@ -98,7 +98,7 @@ fn every_mistake_is_named() {
         ("name = \"t\"", "name = \"t\"\noutput = \"x\"", ".cdb"),
         ("step*.raw", "stop*.raw", "no file matches \"stop*.raw\""),
         ("\"16x16\"", "\"16\"", "WIDTHxHEIGHT"),
-        ("\"16x16\"", "\"32x32\"", "sizes: entry 1, counted from 0, repeats"),
+        ("\"16x16\"", "\"32x32\"", "sizes: entry 2 repeats"),
         ("steps = [1.0, 2.0]", "steps = [0.0]", "steps: 0"),
         ("steps = [1.0, 2.0]", "steps = []", "steps is empty"),
         ("poses = [[1, 2, 3]]", "poses = [[1, 2, -3]]", "cameras: view 13"),
