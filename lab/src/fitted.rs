@@ -53,7 +53,7 @@ pub(crate) struct Calibrated {
 impl Calibrated {
     /// Fits the analytic model to the samples that are not held out.
     pub(crate) fn fit(samples: &[Sample]) -> Result<Self> {
-        let title = "analytic cost model (non-negative least squares on estimated work)".to_owned();
+        let title = "unit costs, fitted to the calibration frames".to_owned();
         let fitted = fit_analytic(samples)?.to_model_file()?.to_model()?;
         let model = SteeringModel::new(title, fitted, &no_volume()?)?;
         Self::judged(model.quality(samples.iter().filter(|s| held_out(s))), model)

@@ -26,8 +26,8 @@ pub(crate) struct Paths {
     /// The recorded paths (`entire-lab record`).
     #[arg(value_name = "TRACE.json", required = true)]
     pub(crate) traces: Vec<PathBuf>,
-    /// Timing tables of random scenes, each at several steps (`entire-lab record --calibration`). Predictors are
-    /// fitted to them, and so is the curve of frame time over step (the paper's G).
+    /// Timing tables of random scenes, each at several steps (`entire-lab record --calibration`). Unit costs and
+    /// the curve of frame time over step (the paper's G) are fitted to them.
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", required = true)]
     pub(crate) calibration: Vec<PathBuf>,
     /// Target frame times.
