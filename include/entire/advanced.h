@@ -814,8 +814,7 @@ entire_result entire_session_recorded_count(const entire_session *session, size_
  * forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
  * set the volume again. The session holds a reference to the model.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), and
- * with the same results as entire_session_new for an unsuitable model.
+ * Fails with the same results as entire_session_new for an unsuitable model.
  */
 entire_result entire_session_set_model(entire_session *session, const entire_model *model);
 

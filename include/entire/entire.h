@@ -682,7 +682,7 @@ typedef struct entire_plan {
 #define ENTIRE_VERDICT_LEARNED 0
 
 /**
- * Used to correct predictions, with a clipped error: the time is far from the expected one.
+ * The time is far from the expected one, so its influence on the correction was limited.
  */
 #define ENTIRE_VERDICT_CLIPPED 1
 

@@ -17,7 +17,7 @@ const _: () = {
 pub type entire_verdict = u32;
 /// Used to correct predictions.
 pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;
-/// Used to correct predictions, with a clipped error: the time is far from the expected one.
+/// The time is far from the expected one, so its influence on the correction was limited.
 pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
 /// Not used to correct predictions: the frame was unusual, or cancelled no later than its expected end.
 pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;

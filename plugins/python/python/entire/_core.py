@@ -289,8 +289,6 @@ class Session(_native.Session):
         ------
         ModelError
             For a model without a prediction network.
-        ValueError
-            While frames are recorded with another probe than the model's.
         """
         self.steer_by(model if isinstance(model, Model) else Model(model))
 
