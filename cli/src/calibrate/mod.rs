@@ -16,7 +16,6 @@ pub(crate) mod report;
 pub use report::Report;
 
 use anyhow::{Context, Result, ensure};
-use entire_core::kernels::Executor;
 use entire_core::model::ModelFile;
 use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed};
@@ -198,7 +197,7 @@ pub(crate) fn calibrate(
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
-    let chosen = pool.prior.choose(&observed, &[typical], Executor::Rayon(threads))?;
+    let chosen = pool.prior.choose(&observed, &[typical])?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let (kind, seconds) = ((settings.shading, settings.clock), start.elapsed().as_secs_f64());
     let report = Report {
@@ -242,7 +241,7 @@ fn fit_to_frames(
             group: groups.number(&frame.scene.volume),
         })
         .collect();
-    let chosen = prior.choose(&observed, renderers, Executor::Rayon(context.pool))?;
+    let chosen = prior.choose(&observed, renderers)?;
     Ok((chosen, observed))
 }
 

@@ -8,7 +8,6 @@ use crate::handle::{borrow, share};
 use crate::model::{entire_model, give_model};
 use crate::reserve;
 use crate::result::entire_result;
-use entire_core::kernels::Executor;
 use entire_steer::calibrate::{HeldOut, Picture};
 
 /// Unit by which a calibration held out frames to estimate its error (cross-validation): one of the
@@ -114,7 +113,7 @@ pub unsafe extern "C" fn entire_session_calibrate(
                 check_output(report)?;
             }
             reserve::check()?;
-            let made = state.session.calibrate(Executor::Serial)?;
+            let made = state.session.calibrate()?;
             if !report.is_null() {
                 let out = entire_calibration_report {
                     frames: made.frames,

@@ -9,7 +9,6 @@ use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::Error;
-use entire_core::kernels::Executor;
 use entire_steer::calibrate::{Calibrated, Calibration as Core, Picture};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -145,7 +144,7 @@ impl Calibration {
     fn fit_bytes<'py>(&self, py: Python<'py>, renderer: &str, clock: &str) -> PyResult<Fitted<'py>> {
         let core = self.0.lock(py)?;
         let core: &Core = &core;
-        fitted(py, || core.fit([renderer, clock], Executor::Serial))
+        fitted(py, || core.fit([renderer, clock]))
     }
 }
 

@@ -12,7 +12,6 @@ use crate::plan::{Plan, Prediction};
 use crate::state::{Observed, State};
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::kernels::Executor;
 use entire_core::scene::Frame;
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::{HybridOptions, Quality, Session as Core, StepLimits};
@@ -563,7 +562,7 @@ impl Session {
         let mut state = self.state(py)?;
         // Exclusive access, since predictors are not `Sync`.
         let core = &mut state.core;
-        fitted(py, move || core.calibrate(Executor::Serial))
+        fitted(py, move || core.calibrate())
     }
 
     /// :meth:`entire.Session.set_model` with an opened `model`.

@@ -20,7 +20,6 @@ use alloc::vec::Vec;
 use core::ops::RangeInclusive;
 use entire_core::Result;
 use entire_core::bail;
-use entire_core::kernels::Executor;
 use entire_core::memory::{reserve, room};
 use entire_core::model::{Key, ModelFile};
 use entire_core::names;
@@ -244,7 +243,7 @@ impl Calibration {
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`].
-    pub fn fit(&self, source: [&str; 2], executor: Executor<'_>) -> Result<Calibrated> {
+    pub fn fit(&self, source: [&str; 2]) -> Result<Calibrated> {
         if self.kept.len() < FEWEST_FRAMES {
             bail!(
                 NotReady,
@@ -264,7 +263,7 @@ impl Calibration {
             .zip(&groups)
             .map(|(k, &group)| Observed { work: k.work, seconds: k.seconds, group })
             .collect();
-        let chosen = self.prior.choose(&frames, &UnitCosts::OF_UNKNOWN, executor)?;
+        let chosen = self.prior.choose(&frames, &UnitCosts::OF_UNKNOWN)?;
         let (median_error, rmse_over_sd) = chosen.errors(&frames);
         let logs = chosen.crossed.iter().zip(&frames).map(|(p, f)| libm::log(f.seconds / p));
         let upper = UpperBound::from_groups(logs.zip(groups));

@@ -2,7 +2,6 @@
 //! [`CACHED_VOXELS`] replaces the prior's number of cached voxels if it clearly reduces the error in
 //! cross-validation. [`CostFit`] does the fit.
 
-use crate::memory::each;
 use crate::numeric::{median, rmse_over_sd};
 use crate::predict::{AnalyticModel, COST_SD, COSTS, CostFit, FitRow, UnitCosts};
 use alloc::collections::BTreeMap;
@@ -10,7 +9,6 @@ use alloc::vec;
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
-use entire_core::kernels::Executor;
 use entire_core::model::ModelFile;
 
 /// Prior standard deviation of the logarithm of a unit cost that the prior model lacks.
@@ -132,12 +130,7 @@ impl PriorModel {
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, or
     /// if the fit predicts a time that is not finite.
-    pub fn choose(
-        &self,
-        frames: &[Observed],
-        renderers: &[UnitCosts],
-        executor: Executor<'_>,
-    ) -> Result<Chosen> {
+    pub fn choose(&self, frames: &[Observed], renderers: &[UnitCosts]) -> Result<Chosen> {
         if frames.is_empty() {
             bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
         }
@@ -157,7 +150,7 @@ impl PriorModel {
             bail!(InvalidArgument, "no typical costs of a renderer were given; give at least one set")
         };
         let mut fit = |prior: UnitCosts| -> Result<(f64, UnitCosts, Chosen)> {
-            let chosen = self.fit_from(&prior, frames, &mut prepared, (&folds, count), executor)?;
+            let chosen = self.fit_from(&prior, frames, &mut prepared, (&folds, count))?;
             // Both errors count equally: their geometric mean decides.
             let (median, rmse_over_sd) = chosen.errors(frames);
             Ok((libm::sqrt(median * rmse_over_sd), prior, chosen))
@@ -184,19 +177,17 @@ impl PriorModel {
         frames: &[Observed],
         prepared: &mut [FitRow],
         (folds, count): (&[usize], usize),
-        executor: Executor<'_>,
     ) -> Result<Chosen> {
         for (row, frame) in prepared.iter_mut().zip(frames) {
             row.work = prior.work(&frame.work);
         }
         let prepared = &*prepared;
         // The fit to all frames, then the fits without each fold.
-        let mut fits: Vec<(usize, Option<CostFit>)> = (0..=count).map(|part| (part, None)).collect();
-        each(executor, &mut fits, &|(part, fit): &mut (usize, Option<CostFit>)| {
-            let kept = prepared.iter().zip(folds).filter(|(_, f)| *part == 0 || **f + 1 != *part);
-            *fit = Some(self.fit(prior, &kept.map(|(p, _)| p).collect::<Vec<_>>()));
-        });
-        let fits: Vec<CostFit> = fits.into_iter().filter_map(|(_, fit)| fit).collect();
+        let fit = |part: usize| {
+            let kept = prepared.iter().zip(folds).filter(|(_, f)| part == 0 || **f + 1 != part);
+            self.fit(prior, &kept.map(|(p, _)| p).collect::<Vec<_>>())
+        };
+        let fits: Vec<CostFit> = (0..=count).map(fit).collect();
         let without = |fold: usize| &fits[if count == 0 { 0 } else { fold + 1 }];
         let crossed: Vec<f64> =
             prepared.iter().zip(folds).map(|(p, &f)| libm::exp(without(f).log_seconds(p))).collect();

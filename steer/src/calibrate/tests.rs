@@ -59,7 +59,7 @@ fn observed(i: usize, work: [f64; COSTS], seconds: f64) -> Observed {
 
 /// Fits the prior to frames of a software renderer.
 fn fitted(prior: &PriorModel, frames: &[Observed]) -> Chosen {
-    prior.choose(frames, &[UnitCosts::SOFTWARE], Executor::Serial).unwrap()
+    prior.choose(frames, &[UnitCosts::SOFTWARE]).unwrap()
 }
 
 /// The unit costs of a fitted linear model.
@@ -93,7 +93,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
     // Too few volumes for cross-validation: the errors are those of the fitted frames.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
     assert_eq!(fitted(&prior, &few).folds, 0);
-    assert!(prior.choose(&[], &[UnitCosts::SOFTWARE], Executor::Serial).is_err());
+    assert!(prior.choose(&[], &[UnitCosts::SOFTWARE]).is_err());
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
             })
             .collect();
         let fitted = |renderers: &[UnitCosts]| {
-            let chosen = prior.choose(&frames, renderers, Executor::Serial).unwrap();
+            let chosen = prior.choose(&frames, renderers).unwrap();
             let (median, rmse_over_sd) = chosen.errors(&frames);
             (costs_of(&chosen).seconds, (median * rmse_over_sd).sqrt())
         };
@@ -207,10 +207,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     assert!(Calibration::new(None, 7).is_err() && Calibration::new(None, 100_000).is_err());
     let mut calibration = Calibration::new(None, 60).unwrap();
     assert_eq!(calibration.frames(), 0);
-    assert_eq!(
-        calibration.fit(["", ""], Executor::Serial).unwrap_err().kind(),
-        entire_core::ErrorKind::NotReady
-    );
+    assert_eq!(calibration.fit(["", ""]).unwrap_err().kind(), entire_core::ErrorKind::NotReady);
     let features = FrameFeatures::default();
     let at = |size: u32| Setting::from(&frame(10.0, 20.0, 2.0, size));
     let inputs = |size: u32| Inputs {
@@ -235,7 +232,7 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
         let n = calibration.kept.iter().filter(|k| k.order / 150 == quarter).count();
         assert!((5..=25).contains(&n), "{quarter}: {n}");
     }
-    let fitted = calibration.fit(["my renderer", "wall"], Executor::Serial).unwrap();
+    let fitted = calibration.fit(["my renderer", "wall"]).unwrap();
     assert_eq!((fitted.held_out, fitted.frames), (HeldOut::Volumes, 60));
     assert!(fitted.median_error < 0.02, "{}", fitted.median_error);
     assert!(fitted.upper.factor() >= 0.95 && fitted.upper.factor() < 1.1, "{:?}", fitted.upper);
@@ -277,7 +274,7 @@ fn what_is_left_out_follows_from_what_was_shown() {
         for i in 0..frames {
             calibration.add_work(&[1.0; COSTS], shown(i), 0.01 + 1e-4 * (i % 5) as f64);
         }
-        let fitted = calibration.fit(["", ""], Executor::Serial).unwrap();
+        let fitted = calibration.fit(["", ""]).unwrap();
         assert!(!fitted.file.metadata.contains_key("entire.clock"));
         fitted.held_out
     };

@@ -7,7 +7,6 @@ use crate::predict::COSTS;
 use alloc::boxed::Box;
 use entire_core::Result;
 use entire_core::bail;
-use entire_core::kernels::Executor;
 use entire_core::memory::filled;
 use entire_core::model::ModelFile;
 use entire_core::scene::TransferTable;
@@ -126,7 +125,7 @@ impl Session {
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before [`Session::record`] and for fewer than
     /// [`crate::calibrate::FEWEST_FRAMES`].
-    pub fn calibrate(&self, executor: Executor<'_>) -> Result<Calibrated> {
+    pub fn calibrate(&self) -> Result<Calibrated> {
         let Some(recording) = &self.recording else {
             bail!(
                 NotReady,
@@ -134,7 +133,7 @@ impl Session {
             );
         };
         let [renderer, clock] = &self.timing;
-        recording.calibration.fit([renderer, clock], executor)
+        recording.calibration.fit([renderer, clock])
     }
 }
 
@@ -183,7 +182,7 @@ mod tests {
     fn a_session_makes_a_model_of_its_renderer_and_steers_by_it() {
         let mut session = Session::untrained();
         assert_eq!(
-            (session.recorded(), session.calibrate(Executor::Serial).unwrap_err().kind()),
+            (session.recorded(), session.calibrate().unwrap_err().kind()),
             (None, ErrorKind::NotReady)
         );
         session.record(None, 400).unwrap();
@@ -197,7 +196,7 @@ mod tests {
         // The first frame of each volume is not recorded.
         assert_eq!(session.recorded(), Some(180 - 3));
         session.set_timing_source("a test", "cpu").unwrap();
-        let made = session.calibrate(Executor::Serial).unwrap();
+        let made = session.calibrate().unwrap();
         assert_eq!((made.held_out, made.frames), (HeldOut::Volumes, 177));
         assert!(made.median_error < 0.05, "{}", made.median_error);
         let model = made.file.to_model().unwrap();
@@ -278,6 +277,6 @@ mod tests {
         session.record_picture(picture).unwrap();
         let broken = Picture { seconds: f64::NAN, ..picture };
         assert_eq!(session.record_picture(broken).unwrap_err().kind(), ErrorKind::InvalidArgument);
-        assert_eq!(session.calibrate(Executor::Serial).unwrap_err().kind(), ErrorKind::NotReady);
+        assert_eq!(session.calibrate().unwrap_err().kind(), ErrorKind::NotReady);
     }
 }
