@@ -5,9 +5,8 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::{VolumeNet, VolumeNetParts};
-use entire_core::scene::{Arcball, GaussianLobe};
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
-use entire_io::dataset::{Scene, Table, TimedFrame};
+use entire_io::dataset::{Table, TimedFrame};
 use entire_io::enlarge::{MAX_FACTOR, enlarge};
 use entire_io::volume::Volume;
 use entire_steer::features::{
@@ -158,9 +157,16 @@ impl Layout {
             }
             let (_, columns) = current.as_ref()?;
             let kept = columns.features.row(frame.number)?;
-            let code = columns.code.iter().map(|&column| kept[column]).collect();
-            let mut values = KeptValues { columns, row: kept, scene: &frame.scene, code };
-            self.layout.write_from(&mut values, row).ok()?;
+            let code: Vec<f32> = columns.code.iter().map(|&column| kept[column]).collect();
+            let scene = &frame.scene;
+            let values = InputValues {
+                volume_features: Some(&code),
+                camera: scene.camera,
+                image_size: [scene.width, scene.height],
+                step: scene.step,
+                lobes: Some(&scene.lobes),
+            };
+            self.layout.write_from(&values, |q, costs| columns.value(kept, q, costs), row).ok()?;
         }
         Some(out)
     }
@@ -173,7 +179,7 @@ impl Layout {
         for feature in &self.scene_features {
             quantities.insert(feature.quantity, column(feature.quantity)?);
         }
-        // Cost quantities may be missing: `seconds` needs only those whose unit cost is not 0.
+        // Cost quantities may be missing: seconds need only those whose unit cost is not 0.
         quantities.extend(COST_QUANTITIES.iter().filter_map(|&q| Some((q, column(q)?))));
         let code = match self.encoder() {
             Some(e) => (0..e.net.feature_len())
@@ -192,50 +198,15 @@ struct KeptColumns<'a> {
     code: Vec<usize>,
 }
 
-/// Values of a frame in a feature table.
-struct KeptValues<'a> {
-    columns: &'a KeptColumns<'a>,
-    row: &'a [f32],
-    scene: &'a Scene,
-    code: Vec<f32>,
-}
-
-impl KeptValues<'_> {
-    fn kept(&self, quantity: SceneQuantity) -> Option<f32> {
-        self.columns.quantities.get(&quantity).map(|&column| self.row[column])
-    }
-}
-
-impl InputValues for KeptValues<'_> {
-    fn volume_features(&self) -> Option<&[f32]> {
-        Some(&self.code)
-    }
-
-    fn camera(&self) -> Arcball {
-        self.scene.camera
-    }
-
-    fn image_size(&self) -> [u32; 2] {
-        [self.scene.width, self.scene.height]
-    }
-
-    fn step(&self) -> f32 {
-        self.scene.step
-    }
-
-    fn lobes(&self) -> Option<&[GaussianLobe]> {
-        Some(&self.scene.lobes)
-    }
-
-    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
-        self.kept(quantity).map(f64::from)
-    }
-
-    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
+impl KeptColumns<'_> {
+    /// Value of a quantity in a row of the feature table; with unit costs, the seconds by these costs.
+    fn value(&self, row: &[f32], quantity: SceneQuantity, costs: Option<&UnitCosts>) -> Option<f64> {
+        let kept = |quantity: SceneQuantity| self.quantities.get(&quantity).map(|&column| row[column]);
+        let Some(costs) = costs else { return kept(quantity).map(f64::from) };
         let mut counts = [0.0; COSTS - 1];
         for (i, (slot, &quantity)) in counts.iter_mut().zip(&COST_QUANTITIES).enumerate() {
             if costs.depends_on(i) {
-                *slot = self.kept(quantity)?;
+                *slot = kept(quantity)?;
             }
         }
         // Rounded to single precision, in which feature tables store the quantity `estimated_seconds`.

@@ -24,7 +24,6 @@ mod volume;
 pub(crate) use cost::{COMMON_COSTS, far_ratio};
 pub use cost::{COST_QUANTITIES, COSTS, UnitCosts};
 pub(crate) use footprint::Footprint;
-pub(crate) use frame::Work;
 pub use frame::{Changes, FrameFeatures, Setting};
 pub use probe::{MAX_PROBE_SIDE, PROBE_SIDE};
 pub(crate) use probe::{Probe, SHADOW_STEP};

@@ -1,6 +1,6 @@
 //! Compares the summaries with plain loops, and checks the probe's invariants.
 
-use super::frame::UNSHARED_SHADING;
+use super::frame::{UNSHARED_SHADING, Work};
 use super::*;
 use entire_core::ErrorKind;
 use entire_core::kernels::Executor;

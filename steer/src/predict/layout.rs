@@ -1,7 +1,7 @@
 //! Layout of a model's input rows: input groups, their order and their format.
 
 use super::{GroupKind, Inputs, UnitCosts};
-use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work, far_ratio};
+use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, far_ratio};
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use entire_core::Result;
@@ -10,62 +10,19 @@ use entire_core::model::{InputGroup, Key, Model, ModelFile};
 use entire_core::nn::PredNetParts;
 use entire_core::scene::{Arcball, GaussianLobe};
 
-/// Source of the values of an input row for one frame. `None` means that a value is unknown for the frame.
-pub trait InputValues {
+/// Values of an input row for one frame, apart from the scene features. `None` means that a value is unknown.
+#[derive(Clone, Copy, Debug)]
+pub struct InputValues<'a> {
     /// VolumeNet's output for the volume.
-    fn volume_features(&self) -> Option<&[f32]>;
+    pub volume_features: Option<&'a [f32]>,
     /// The camera, in degrees and bounding-sphere radii.
-    fn camera(&self) -> Arcball;
+    pub camera: Arcball,
     /// Width and height of the image, in pixels.
-    fn image_size(&self) -> [u32; 2];
+    pub image_size: [u32; 2],
     /// The ray step, in reference steps.
-    fn step(&self) -> f32;
+    pub step: f32,
     /// The transfer function as Gaussian lobes.
-    fn lobes(&self) -> Option<&[GaussianLobe]>;
-    /// A quantity of the scene, in its unit.
-    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64>;
-    /// Seconds that the frame's work takes with these unit costs.
-    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64>;
-}
-
-/// The values of a measured frame.
-struct FrameValues<'a> {
-    inputs: &'a Inputs<'a>,
-    work: Option<Work>,
-    seconds: Option<f64>,
-}
-
-impl InputValues for FrameValues<'_> {
-    fn volume_features(&self) -> Option<&[f32]> {
-        self.inputs.volume_features
-    }
-
-    fn camera(&self) -> Arcball {
-        self.inputs.camera
-    }
-
-    fn image_size(&self) -> [u32; 2] {
-        [self.inputs.setting.width, self.inputs.setting.height]
-    }
-
-    fn step(&self) -> f32 {
-        self.inputs.setting.step
-    }
-
-    fn lobes(&self) -> Option<&[GaussianLobe]> {
-        self.inputs.lobes
-    }
-
-    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
-        let Inputs { features, setting, .. } = self.inputs;
-        let work = self.work.get_or_insert_with(|| features.work(setting));
-        Some(features.quantity_of(quantity, setting, work))
-    }
-
-    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
-        let Inputs { features, setting, .. } = self.inputs;
-        Some(*self.seconds.get_or_insert_with(|| costs.time(&features.cost_work(setting))))
-    }
+    pub lobes: Option<&'a [GaussianLobe]>,
 }
 
 /// Layout of a model's inputs: its groups in order, with their sizes, and the parameters needed to compute
@@ -203,14 +160,32 @@ impl InputLayout {
     /// [`crate::ErrorKind::MissingInput`] if a group was not supplied or has another size than in the model,
     /// [`crate::ErrorKind::SizeMismatch`] for a row of another width.
     pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
-        self.write_from(&mut FrameValues { inputs, work: None, seconds: None }, row)
+        let Inputs { features, setting, camera, volume_features, lobes, .. } = *inputs;
+        let image_size = [setting.width, setting.height];
+        let values = InputValues { volume_features, camera, image_size, step: setting.step, lobes };
+        let (mut work, mut seconds) = (None, None);
+        let scene = |quantity, costs: Option<&UnitCosts>| match costs {
+            Some(costs) => Some(*seconds.get_or_insert_with(|| costs.time(&features.cost_work(&setting)))),
+            None => {
+                let work = work.get_or_insert_with(|| features.work(&setting));
+                Some(features.quantity_of(quantity, &setting, work))
+            }
+        };
+        self.write_from(&values, scene, row)
     }
 
-    /// As [`InputLayout::write`], with values from another source.
+    /// As [`InputLayout::write`], with values from another source. `scene` returns a quantity of the scene in its
+    /// unit, or `None` where it is unknown. If `scene` gets unit costs, the quantity is the seconds that the
+    /// frame's work takes with these costs.
     ///
     /// # Errors
     /// As [`InputLayout::write`].
-    pub fn write_from(&self, values: &mut impl InputValues, row: &mut [f32]) -> Result<()> {
+    pub fn write_from(
+        &self,
+        values: &InputValues<'_>,
+        mut scene: impl FnMut(SceneQuantity, Option<&UnitCosts>) -> Option<f64>,
+        row: &mut [f32],
+    ) -> Result<()> {
         if row.len() != self.width() {
             bail!(
                 SizeMismatch,
@@ -222,16 +197,22 @@ impl InputLayout {
         let mut rest = row;
         for &(group, size) in &self.groups {
             let (here, after) = rest.split_at_mut(size);
-            self.write_group(group, values, here)?;
+            self.write_group(group, values, &mut scene, here)?;
             rest = after;
         }
         Ok(())
     }
 
-    fn write_group(&self, group: GroupKind, values: &mut impl InputValues, out: &mut [f32]) -> Result<()> {
+    fn write_group(
+        &self,
+        group: GroupKind,
+        values: &InputValues<'_>,
+        scene: &mut impl FnMut(SceneQuantity, Option<&UnitCosts>) -> Option<f64>,
+        out: &mut [f32],
+    ) -> Result<()> {
         let size = out.len();
         match group {
-            GroupKind::VolumeFeatures => match values.volume_features() {
+            GroupKind::VolumeFeatures => match values.volume_features {
                 Some(x) => copy(group, x, out),
                 None => bail!(
                     MissingInput,
@@ -239,12 +220,12 @@ impl InputLayout {
                 ),
             },
             GroupKind::Camera => {
-                let Arcball { rx, ry, dz } = values.camera();
+                let Arcball { rx, ry, dz } = values.camera;
                 copy(group, &[rx, ry, dz], out)
             }
-            GroupKind::Resolution => copy(group, &values.image_size().map(|n| n as f32), out),
+            GroupKind::Resolution => copy(group, &values.image_size.map(|n| n as f32), out),
             GroupKind::TransferFunction => {
-                let Some(lobes) = values.lobes() else {
+                let Some(lobes) = values.lobes else {
                     bail!(
                         MissingInput,
                         "the model takes Gaussian transfer-function parameters and none were supplied; \
@@ -285,7 +266,7 @@ impl InputLayout {
                 }
                 Ok(())
             }
-            GroupKind::StepSize => copy(group, &[values.step()], out),
+            GroupKind::StepSize => copy(group, &[values.step], out),
             GroupKind::SceneFeatures => {
                 if self.scene_features.len() != size {
                     bail!(
@@ -295,23 +276,25 @@ impl InputLayout {
                     );
                 }
                 for (slot, feature) in out.iter_mut().zip(&self.scene_features) {
-                    *slot = self.scene_feature(*feature, values)?;
+                    *slot = self.scene_feature(*feature, scene)?;
                 }
                 Ok(())
             }
         }
     }
 
-    fn scene_feature(&self, feature: SceneFeature, values: &mut impl InputValues) -> Result<f32> {
+    fn scene_feature(
+        &self,
+        feature: SceneFeature,
+        scene: &mut impl FnMut(SceneQuantity, Option<&UnitCosts>) -> Option<f64>,
+    ) -> Result<f32> {
         let SceneFeature { quantity, log } = feature;
-        let value = match &self.unit_costs {
-            Some(costs) if quantity == SceneQuantity::EstimatedSeconds => values.seconds(costs),
-            _ => values.quantity(quantity),
-        };
-        let value = match value {
-            Some(value) if quantity.is_far() && self.cached_voxels != UnitCosts::CACHED_VOXELS => values
-                .quantity(SceneQuantity::TouchedVoxels)
-                .map(|touched| value * far_ratio(touched, self.cached_voxels)),
+        let costs = self.unit_costs.as_ref().filter(|_| quantity == SceneQuantity::EstimatedSeconds);
+        let value = match scene(quantity, costs) {
+            Some(value) if quantity.is_far() && self.cached_voxels != UnitCosts::CACHED_VOXELS => {
+                scene(SceneQuantity::TouchedVoxels, None)
+                    .map(|touched| value * far_ratio(touched, self.cached_voxels))
+            }
             value => value,
         };
         match value {
