@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 /// Replaces a symmetric positive definite matrix of n rows, given by its lower half in row-major order, by
 /// its Cholesky factor. Returns false, and leaves the matrix in an unspecified state, where it is not
 /// positive definite.
-fn cholesky(a: &mut [f64], n: usize) -> bool {
+pub(crate) fn cholesky(a: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         for k in 0..j {
             let f = a[j * n + k];

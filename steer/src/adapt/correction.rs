@@ -2,6 +2,7 @@
 
 use super::constants::CorrectionConstants;
 use super::state::{Reader, Writer};
+use crate::numeric::cholesky;
 use crate::predict::{CostTerms, TERMS};
 use entire_core::Result;
 use entire_core::bail;
@@ -508,23 +509,14 @@ impl Correction {
         }
     }
 
-    /// True if the covariance, with its diagonal increased by a millionth, is positive definite (Cholesky).
+    /// True if the covariance, with its diagonal increased by a millionth, is positive definite.
     fn is_definite(&self) -> bool {
         const TOLERANCE: f64 = 1.0e-6;
-        let mut low = self.covariance;
-        for j in 0..STATES {
-            let own: f64 = (0..j).map(|k| low[j][k] * low[j][k]).sum();
-            let pivot = low[j][j] * (1.0 + TOLERANCE) - own;
-            if !(pivot > 0.0) {
-                return false;
-            }
-            low[j][j] = libm::sqrt(pivot);
-            for i in j + 1..STATES {
-                let shared: f64 = (0..j).map(|k| low[i][k] * low[j][k]).sum();
-                low[i][j] = (low[i][j] - shared) / low[j][j];
-            }
+        let mut matrix = self.covariance;
+        for i in 0..STATES {
+            matrix[i][i] *= 1.0 + TOLERANCE;
         }
-        true
+        cholesky(matrix.as_flattened_mut(), STATES)
     }
 
     pub(crate) fn save(&self, w: &mut Writer<'_>) {

@@ -194,7 +194,7 @@ const STEER: &Rooms = &[
     ("memory", &[]),
     ("features", &["memory"]),
     ("predict", &["features", "memory", "numeric"]),
-    ("adapt", &["predict"]),
+    ("adapt", &["numeric", "predict"]),
     ("calibrate", &["features", "memory", "numeric", "predict"]),
     ("control", &["adapt", "calibrate", "features", "predict"]),
     ("schedule", &[]),
