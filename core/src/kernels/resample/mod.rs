@@ -77,9 +77,12 @@ impl Span {
 }
 
 /// Scalar type of voxels.
-pub(crate) trait Scalar: Pod + Send + Sync {
+pub(crate) trait Scalar: Pod + Into<f32> + Send + Sync {
     /// The stored value as f32.
-    fn to_f32(self) -> f32;
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        self.into()
+    }
 
     /// The stored values of two neighbors as f32.
     #[inline(always)]
@@ -89,11 +92,6 @@ pub(crate) trait Scalar: Pod + Send + Sync {
 }
 
 impl Scalar for u8 {
-    #[inline(always)]
-    fn to_f32(self) -> f32 {
-        f32::from(self)
-    }
-
     /// Splits one word by a mask and a shift: compilers turn shuffles of single bytes into far more
     /// instructions.
     #[inline(always)]
@@ -103,26 +101,9 @@ impl Scalar for u8 {
     }
 }
 
-impl Scalar for u16 {
-    #[inline(always)]
-    fn to_f32(self) -> f32 {
-        f32::from(self)
-    }
-}
-
-impl Scalar for i16 {
-    #[inline(always)]
-    fn to_f32(self) -> f32 {
-        f32::from(self)
-    }
-}
-
-impl Scalar for f32 {
-    #[inline(always)]
-    fn to_f32(self) -> f32 {
-        self
-    }
-}
+impl Scalar for u16 {}
+impl Scalar for i16 {}
+impl Scalar for f32 {}
 
 /// Mapping of a voxel before it is averaged.
 pub(crate) trait Map<T: Scalar>: Copy + Send + Sync {

@@ -76,7 +76,7 @@ fn near(position: f32) -> u8 {
 }
 
 /// Types of stored values.
-pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
+pub(super) trait Voxel: bytemuck::Pod + Into<f32> + Send + Sync + core::fmt::Debug {
     /// The smallest value of the type.
     const LOWEST: Self;
     /// The largest value of the type.
@@ -86,7 +86,10 @@ pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
     /// True where values may be NaN or infinite.
     const IS_FLOAT: bool = false;
 
-    fn number(self) -> f32;
+    #[inline(always)]
+    fn number(self) -> f32 {
+        self.into()
+    }
     fn lesser(self, other: Self) -> Self;
     fn greater(self, other: Self) -> Self;
     /// Returns the value, or negative infinity in place of NaN.
@@ -140,10 +143,6 @@ macro_rules! integer {
         const LOWEST: Self = <$type>::MIN;
         const HIGHEST: Self = <$type>::MAX;
         #[inline(always)]
-        fn number(self) -> f32 {
-            f32::from(self)
-        }
-        #[inline(always)]
         fn lesser(self, other: Self) -> Self {
             Ord::min(self, other)
         }
@@ -190,10 +189,6 @@ impl Voxel for f32 {
     const HIGHEST: Self = f32::INFINITY;
     const IS_ENTRY: bool = false;
     const IS_FLOAT: bool = true;
-    #[inline(always)]
-    fn number(self) -> f32 {
-        self
-    }
     #[inline(always)]
     fn lesser(self, other: Self) -> Self {
         if other < self { other } else { self }
