@@ -1,7 +1,7 @@
 //! Tests the fit on work with known costs, and the random sampling of frames by a calibration.
 
 use super::*;
-use crate::features::tests::{cube, frame, lobe_at};
+use crate::features::tests::{cube, frame, lobe_at, measured};
 use crate::features::{COST_QUANTITIES, Changes, SceneFeature, SceneQuantity};
 use crate::numeric::median;
 use crate::predict::{AnalyticModel, GroupKind, InputLayout, Inputs};
@@ -261,10 +261,8 @@ fn a_frame_is_measured_when_it_is_added() {
     }
     assert_eq!(calibration.frames(), 0);
     calibration.add(&volume, &table, &frame, 0.02).unwrap();
-    let mut transfer = TransferSummary::new(&volume, &table).unwrap();
-    let mut features = FrameFeatures::default();
-    features.measure(&volume, &mut transfer, &frame).unwrap();
-    assert_eq!(calibration.kept[0].work, features.cost_work(&Setting::from(&frame)));
+    let work = measured(&volume, &table, &frame).cost_work(&Setting::from(&frame));
+    assert_eq!(calibration.kept[0].work, work);
 }
 
 #[test]

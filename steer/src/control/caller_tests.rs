@@ -4,8 +4,8 @@
 use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
 use crate::adapt::{ObserveFlags, Verdict};
-use crate::features::tests::summary;
-use crate::features::{FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use crate::features::tests::{measured, summary};
+use crate::features::{Setting, VolumeSummary};
 use crate::predict::{AnalyticModel, Clock, Inputs, Prediction, Predictor, Source, UnitCosts};
 use alloc::boxed::Box;
 use alloc::vec;
@@ -254,9 +254,7 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     assert!(!session.controller.scene().first);
     // The frame's features are those of the next time step under the same table.
     let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
-    let mut expected = FrameFeatures::with_probe_side(session.features().probe_side());
-    let mut transfer = TransferSummary::new(&next, &table).unwrap();
-    expected.measure(&next, &mut transfer, &f).unwrap();
+    let expected = measured(&next, &table, &f);
     assert_eq!(*session.features(), expected);
     // A volume of other sizes or another type is not a time step.
     let error = session.set_time_step(summary(&voxels[..16 * 32 * 32], [32, 32, 16]), None).unwrap_err();

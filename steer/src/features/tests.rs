@@ -43,7 +43,7 @@ pub(crate) fn frame(rx: f32, ry: f32, dz: f32, size: u32) -> Frame {
     Frame::new(Camera::from_arcball(Arcball { rx, ry, dz }).unwrap(), size, size).unwrap()
 }
 
-fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> FrameFeatures {
+pub(crate) fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> FrameFeatures {
     let mut transfer = TransferSummary::new(volume, table).unwrap();
     transfer.prepare_distance();
     let mut features = FrameFeatures::default();

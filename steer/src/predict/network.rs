@@ -278,8 +278,8 @@ impl Predictor for ModelPredictor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::tests::{cube, lobe_at};
-    use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts};
+    use crate::features::tests::{cube, lobe_at, measured};
+    use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, UnitCosts};
     use alloc::vec;
     use entire_core::ErrorKind;
     use entire_core::model::{InputGroup, ModelFile};
@@ -523,9 +523,7 @@ mod tests {
         }
         assert_eq!(back.calibration.log_factor, 0.25);
         // The same file loaded as a network predicts the same seconds.
-        let (volume, mut features) = (cube(24), FrameFeatures::default());
-        let mut transfer = TransferSummary::new(&volume, &lobe_at(0.4)).unwrap();
-        features.measure(&volume, &mut transfer, &frame()).unwrap();
+        let features = measured(&cube(24), &lobe_at(0.4), &frame());
         let inputs = inputs(&features, &[], &[]);
         let mut net = ModelPredictor::new(&model).unwrap();
         let (a, b) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());

@@ -3,7 +3,7 @@
 
 use super::ends_apart;
 use super::march::{FIELDS, TERMINATED, VISIBLE};
-use crate::features::tests::{frame, noise, summary, table};
+use crate::features::tests::{frame, measured, noise, summary, table};
 use crate::features::*;
 use entire_core::kernels::Level;
 use entire_core::scene::*;
@@ -217,7 +217,7 @@ const LONGEST_LIMIT_TOLERANCE: f64 = 0.25;
 fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     let data: Vec<u8> = (0..64 * 48 * 40).map(|i| ((i % 64) * 2 + i / 3072) as u8).collect();
     let s = summary(&data, [64, 48, 40], 48);
-    let mut transfer = TransferSummary::new(&s, &table(|i| if i > 60 { 0.01 } else { 0.0 })).unwrap();
+    let table = table(|i| if i > 60 { 0.01 } else { 0.0 });
     for (rx, ry) in [(3.0, 2.0), (25.0, 130.0), (-70.0, 10.0)] {
         for scale in [0.4f32, 1.2] {
             let far = Camera::from_arcball(Arcball { rx, ry, dz: 1000.0 }).unwrap();
@@ -226,9 +226,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
             for shading in Shading::ALL {
                 let [one, other] = [lens, parallel].map(|camera| {
                     let frame = Frame { shading, ..Frame::new(camera, 200, 150).unwrap() };
-                    let mut features = FrameFeatures::default();
-                    features.measure(&s, &mut transfer, &frame).unwrap();
-                    (Setting::from(&frame), features)
+                    (Setting::from(&frame), measured(&s, &table, &frame))
                 });
                 for q in SceneQuantity::ALL {
                     let [a, b] = [&one, &other]
@@ -276,15 +274,10 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];
     for (least, apart) in [(0usize, false), (192, true), (240, true)] {
         let s = summary(&noise(64 * 64 * 64, 7), dims, 4);
-        let mut transfer =
-            TransferSummary::new(&s, &table(|i| if i >= least { 1.0e-4 } else { 0.0 })).unwrap();
         let frame = Frame { shading: Shading::Scatter, ..frame(20.0, 30.0, 2.0, 64) };
-        let mut features = FrameFeatures::default();
-        features.measure(&s, &mut transfer, &frame).unwrap();
-        let (shown, busy) = {
-            let p = features.probe();
-            (p.visible / p.occupied, p.busy / p.occupied)
-        };
+        let features = measured(&s, &table(|i| if i >= least { 1.0e-4 } else { 0.0 }), &frame);
+        let p = features.probe();
+        let (shown, busy) = (p.visible / p.occupied, p.busy / p.occupied);
         // Every cell holds thousands of voxels of the same noise, so all cells have nearly the same visible
         // share.
         let expected = 1.0 - (1.0 - shown).powi(8);
@@ -334,11 +327,10 @@ fn only_rays_that_terminate_early_end_apart() {
 fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
     let n = 64 * 64 * 64;
     let s = summary(&noise(n, 3), [64, 64, 64], 8);
-    let mut transfer = TransferSummary::new(&s, &table(|i| if i >= 128 { 2.0e-3 } else { 0.0 })).unwrap();
+    let table = table(|i| if i >= 128 { 2.0e-3 } else { 0.0 });
     for shading in Shading::ALL {
         let frame = Frame { shading, ..frame(10.0, 50.0, 2.0, 256) };
-        let mut features = FrameFeatures::default();
-        features.measure(&s, &mut transfer, &frame).unwrap();
+        let features = measured(&s, &table, &frame);
         let share = |size: u32, step: f32| {
             let setting = Setting { width: size, height: size, step, ..Setting::from(&frame) };
             let work = features.work(&setting);
