@@ -36,6 +36,9 @@ SKIPPING = ("change", "nightly")
 NOISE_SECONDS = 20
 # Renamed tests: old name, new name.
 RENAMED = {
+    "several_machines_make_one_prior_and_a_factor_stands_alone": "several_machines_make_one_prior",
+    "a_frame_is_measured_with_the_probe_of_the_prior": "a_frame_is_measured_when_it_is_added",
+    "a_recording_and_its_predictor_keep_to_one_probe": "a_recording_starts_from_unit_costs_alone",
     "every_prediction_is_a_positive_number_of_seconds": "no_more_predictions_than_are_known_had_to_be_made_positive",
     "rules_can_fail": "every_scene_but_one_fails_for_a_rival",
     "a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest": "a_calibration_finds_another_machines_unit_costs",
@@ -56,6 +59,7 @@ RENAMED = {
     "prediction_with_feedback_beats_reaction_at_switches_and_in_calm": "ours_passes_every_scene",
     "an_unreachable_target_leaves_the_step_alone": "ours_passes_every_scene",
     "files_of_other_writers_come_back_voxel_for_voxel": "every_fixture_is_read_as_independent_readers_read_it",
+    "every_volume_format_renders_the_same_picture": "every_fixture_is_read_as_independent_readers_read_it",
     "blocks_of_any_edge_draw_the_same_picture_with_other_work":
         "render_skips_without_changing_the_picture_and_range_changes_it",
     "edges_are_checked_and_followed": "blocks_hold_their_voxels_and_one_layer_more",
@@ -66,6 +70,15 @@ RENAMED = {
     "a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew":
         "a_resumed_database_shows_what_its_files_are_now",
     "the_page_holds_every_chart_and_fetches_nothing": "a_page_fetches_nothing",
+    "files_round_trip": "parallel_cameras_are_interpolated_in_their_scale_and_switch_to_others",
+    "infinities_stay_in_either_direction": "floats_keep_their_sources_range_and_infinities_stay_where_they_are",
+    "seconds_that_no_frame_takes_are_refused": "the_writer_refuses_what_could_not_be_read_back",
+    "geometry_holds_in_any_unit_of_length": "geometry_is_that_of_the_spacing_in_any_unit_of_length",
+    "geometry_is_spacing_aware": "geometry_is_that_of_the_spacing_in_any_unit_of_length",
+    "a_volume_of_voxels_costs_the_same_in_any_unit": "any_other_unit_changes_rounding_alone",
+    "a_volume_of_bricks_costs_the_same_in_any_unit": "any_other_unit_changes_rounding_alone",
+    "cell_bounds_are_those_of_their_voxels_and_the_next":
+        "every_type_range_and_layout_is_summarized_as_defined",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

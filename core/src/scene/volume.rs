@@ -506,32 +506,21 @@ mod tests {
     }
 
     #[test]
-    fn geometry_holds_in_any_unit_of_length() {
-        let data = [0u8; 4 * 2];
-        let spaced = |spacing| {
-            let options = VolumeOptions { spacing, ..VolumeOptions::default() };
-            VolumeView::with(Scalars::U8(&data), [4, 2, 1], options)
-        };
+    fn geometry_is_that_of_the_spacing_in_any_unit_of_length() {
+        let spaced = |spacing| Shape::checked([4, 2, 1], spacing);
         let expected = spaced([0.5, 1.0, 4.0]).unwrap();
+        let extent = 2.0 * expected.half_extent * expected.bounding_radius;
+        assert!((extent - Vec3::new(2.0, 2.0, 4.0)).length() < 1e-6, "{extent}");
+        assert!((expected.bounding_radius - 0.5 * 24f32.sqrt()).abs() < 1e-6);
+        assert!((expected.half_extent.length() - 1.0).abs() < 1e-6);
+        assert!((expected.reference_step - 0.5 / expected.bounding_radius).abs() < 1e-7);
         for unit in [1e-29f32, 1e-12, 1e24, 1e29] {
-            let v = spaced([0.5 * unit, unit, 4.0 * unit]).unwrap();
-            assert!((v.shape().half_extent - expected.shape().half_extent).length() < 1e-6, "{unit}");
-            assert!((v.shape().reference_step - expected.shape().reference_step).abs() < 1e-6, "{unit}");
+            let shape = spaced([0.5 * unit, unit, 4.0 * unit]).unwrap();
+            assert!((shape.half_extent - expected.half_extent).length() < 1e-6, "{unit}");
+            assert!((shape.reference_step - expected.reference_step).abs() < 1e-6, "{unit}");
         }
         for unit in [1e-31, 1e31] {
             assert!(spaced([unit; 3]).is_err());
         }
-    }
-
-    #[test]
-    fn geometry_is_spacing_aware() {
-        let data = [0u8; 4 * 2];
-        let options = VolumeOptions { spacing: [0.5, 1.0, 4.0], ..VolumeOptions::default() };
-        let v = VolumeView::with(Scalars::U8(&data), [4, 2, 1], options).unwrap();
-        let extent = 2.0 * v.shape().half_extent * v.shape().bounding_radius;
-        assert!((extent - Vec3::new(2.0, 2.0, 4.0)).length() < 1e-6, "{extent}");
-        assert!((v.shape().bounding_radius - 0.5 * 24f32.sqrt()).abs() < 1e-6);
-        assert!((v.shape().half_extent.length() - 1.0).abs() < 1e-6);
-        assert!((v.shape().reference_step - 0.5 / v.shape().bounding_radius).abs() < 1e-7);
     }
 }

@@ -82,13 +82,6 @@ fn parallel_cameras_are_interpolated_in_their_scale_and_switch_to_others() {
 }
 
 #[test]
-fn files_round_trip() {
-    let file = PathFile::parse(GOOD).unwrap();
-    let again = PathFile::parse(&serde_json::to_string_pretty(&file).unwrap()).unwrap();
-    assert_eq!(file, again);
-}
-
-#[test]
 fn every_mistake_is_named() {
     let wrong = |from: &str, to: &str| {
         assert!(GOOD.contains(from), "{from}");

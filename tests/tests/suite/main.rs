@@ -6,4 +6,3 @@ mod hostile_weights;
 mod mutants;
 mod no_alloc;
 mod probe_counts;
-mod units_of_length;
