@@ -36,6 +36,7 @@ SKIPPING = ("change", "nightly")
 NOISE_SECONDS = 20
 # Renamed tests: old name, new name.
 RENAMED = {
+    "the_counter_counts": "predictions_allocate_nothing",
     "several_machines_make_one_prior_and_a_factor_stands_alone": "several_machines_make_one_prior",
     "a_frame_is_measured_with_the_probe_of_the_prior": "a_frame_is_measured_when_it_is_added",
     "a_recording_and_its_predictor_keep_to_one_probe": "a_recording_starts_from_unit_costs_alone",

@@ -1,58 +1,15 @@
 //! Checks that calls that run in every frame allocate nothing after set-up, on every level and with every
-//! storage format. The global allocator counts its calls.
+//! storage format: otherwise the test's allocator aborts the process.
 
-use entire_core::kernels::Level;
-use entire_core::kernels::{Executor, Storage};
+use assert_no_alloc::{AllocDisabler, assert_no_alloc};
+use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use entire_steer::control::{ObserveFlags, Session};
 use entire_steer::features::VolumeSummary;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-struct Counting;
-
-thread_local! {
-    static CALLS: Cell<usize> = const { Cell::new(0) };
-}
-
-fn count() {
-    // A thread that is being destroyed has no counter any more; no test counts allocations there.
-    let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
-}
-
-// SAFETY: every call is passed to the system allocator unchanged, so its guarantees hold.
-#[allow(unsafe_code, reason = "the trait of global allocators is unsafe")]
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller guarantees what `System` requires, since both have the contract of
-        // `GlobalAlloc`.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
-        count();
-        // SAFETY: the caller guarantees what `System` requires, since both have the contract of
-        // `GlobalAlloc`.
-        unsafe { System.dealloc(p, layout) }
-    }
-    unsafe fn realloc(&self, p: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: the caller guarantees what `System` requires, since both have the contract of
-        // `GlobalAlloc`.
-        unsafe { System.realloc(p, layout, size) }
-    }
-}
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// Returns the number of allocator calls that this thread makes in `work`.
-fn allocations(mut work: impl FnMut()) -> usize {
-    let before = CALLS.with(Cell::get);
-    work();
-    CALLS.with(Cell::get) - before
-}
+static ALLOCATOR: AllocDisabler = AllocDisabler;
 
 fn network() -> PredNetParts {
     let sizes = [16, 256, 256, 128, 40, 1];
@@ -73,11 +30,6 @@ fn network() -> PredNetParts {
 }
 
 #[test]
-fn the_counter_counts() {
-    assert!(allocations(|| drop(std::hint::black_box(vec![1u8; 100]))) >= 2);
-}
-
-#[test]
 fn an_encoder_that_never_runs_has_no_working_memory() {
     use entire_core::nn::{ConvBlockParts, VolumeNet, VolumeNetParts};
     let block = ConvBlockParts {
@@ -94,7 +46,7 @@ fn an_encoder_that_never_runs_has_no_working_memory() {
     };
     let fc = DenseParts { inputs: 1, outputs: 1, weight: vec![1.0], bias: vec![0.0], dtype: Dtype::F32 };
     let net = VolumeNet::new(&VolumeNetParts { input: 128, blocks: vec![block], fc }).expect("an encoder");
-    assert_eq!(allocations(|| drop(std::hint::black_box(net.scratch()))), 0);
+    assert_no_alloc(|| drop(std::hint::black_box(net.scratch())));
 }
 
 #[test]
@@ -106,7 +58,7 @@ fn predictions_allocate_nothing() {
             let mut scratch = net.scratch(1).expect("memory");
             let mut seconds = vec![0.0; 100];
             let mut scratches = [(); 2].map(|()| net.scratch(30).expect("memory"));
-            let calls = allocations(|| {
+            assert_no_alloc(|| {
                 let mut sum = 0.0;
                 for row in inputs.chunks_exact(16) {
                     sum += net.predict(row, &mut scratch);
@@ -118,7 +70,6 @@ fn predictions_allocate_nothing() {
                     .expect("a batch in two parts");
                 assert!((sum + seconds[0]).is_finite());
             });
-            assert_eq!(calls, 0, "{level}, {}", storage);
         }
     }
 }
@@ -141,6 +92,6 @@ fn a_session_that_records_what_it_observes_allocates_nothing() {
         session.observe(plan.id, 0.01 + 1e-4 * (i % 7) as f32, ObserveFlags::default()).expect("a time");
     };
     draw(0);
-    assert_eq!(allocations(|| (1..300).for_each(&mut draw)), 0);
+    assert_no_alloc(|| (1..300).for_each(&mut draw));
     assert_eq!(session.recorded(), Some(50));
 }
