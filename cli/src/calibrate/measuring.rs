@@ -130,7 +130,7 @@ impl<'a> Measuring<'a> {
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
     pub(crate) fn run(&mut self) -> Result<()> {
-        let mut design = Design::new(self.pool, &self.pool.prior.costs().seconds);
+        let mut design = Design::new(self.pool, &self.pool.prior.costs.seconds);
         // The prior predicts seconds of another machine: the first, small batch measures the ratio of the two
         // machines' times.
         let mut share = 0.12;

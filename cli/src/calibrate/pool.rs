@@ -148,7 +148,7 @@ impl Pool {
                 Candidate { volume, factor, scene: frame.scene.clone(), work, random }
             })
             .collect();
-        let expected = candidates.iter().map(|c| prior.costs().time(&c.work)).collect();
+        let expected = candidates.iter().map(|c| prior.costs.time(&c.work)).collect();
         let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
         Ok(Self { volumes, files, reading, candidates, prior, expected })
     }

@@ -91,8 +91,9 @@ pub(crate) struct Correction {
     /// Number of the last consecutive frames whose errors exceed [`CLIP`]: positive if they were too slow,
     /// negative if they were too fast.
     off: i64,
-    /// True if the last observation began or ended a load, or if its error was applied without clipping.
-    jumped: bool,
+    /// True if the last observation began or ended a load, or was so fast that its error was applied without
+    /// clipping. Earlier frames then do not predict the next one.
+    pub(crate) jumped: bool,
     observations: u64,
     /// Number of frames since the scene began.
     age: u64,
@@ -238,12 +239,6 @@ impl Correction {
     /// True from the fifth frame of a scene on: [`SETTLED`] frames have passed since its first.
     pub(crate) fn settled(&self) -> bool {
         self.age > SETTLED + 1
-    }
-
-    /// True where the last observation began or ended a load, or was so fast that it was applied without
-    /// clipping. Earlier frames then do not predict the next one.
-    pub(crate) fn jumped(&self) -> bool {
-        self.jumped
     }
 
     /// True if a load is in progress.

@@ -8,7 +8,7 @@ use entire_core::Result;
 /// conformal inference: Gibbs and Candès 2021).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Margin {
-    z: f64,
+    pub(crate) multiple: f64,
     rate: f64,
     pace: f64,
 }
@@ -24,13 +24,8 @@ impl Margin {
     pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
-        let z = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
-        Self { z, rate, pace }
-    }
-
-    /// The multiple.
-    pub(crate) fn multiple(&self) -> f64 {
-        self.z
+        let multiple = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
+        Self { multiple, rate, pace }
     }
 
     /// Adjusts the multiple after a frame. `normalized_error` is the frame's error divided by the expected
@@ -39,16 +34,16 @@ impl Margin {
         if normalized_error.is_nan() {
             return;
         }
-        let missed = if normalized_error > self.z { 1.0 } else { 0.0 };
-        self.z = (self.z + self.pace * (missed - self.rate)).clamp(LOW, HIGH);
+        let missed = if normalized_error > self.multiple { 1.0 } else { 0.0 };
+        self.multiple = (self.multiple + self.pace * (missed - self.rate)).clamp(LOW, HIGH);
     }
 
     pub(crate) fn save(&self, w: &mut Writer<'_>) {
-        w.f64(self.z);
+        w.f64(self.multiple);
     }
 
     pub(crate) fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
-        self.z = r.f64(LOW, HIGH)?;
+        self.multiple = r.f64(LOW, HIGH)?;
         Ok(())
     }
 }
@@ -69,7 +64,7 @@ mod tests {
             for _ in 0..n {
                 let u = noise.uniform();
                 let e = 0.3 * (u - 0.5) / (u * (1.0 - u) + 0.02);
-                misses += usize::from(e > margin.multiple());
+                misses += usize::from(e > margin.multiple);
                 margin.observe(e);
             }
             let share = misses as f32 / n as f32;
@@ -83,7 +78,7 @@ mod tests {
         for e in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300] {
             for _ in 0..1000 {
                 margin.observe(e);
-                assert!((LOW..=HIGH).contains(&margin.multiple()));
+                assert!((LOW..=HIGH).contains(&margin.multiple));
             }
         }
     }

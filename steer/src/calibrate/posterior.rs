@@ -36,7 +36,8 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 /// Prior of a calibration: unit costs.
 #[derive(Clone, Debug)]
 pub struct PriorModel {
-    costs: UnitCosts,
+    /// Unit costs; 0 for work whose cost the prior lacks.
+    pub costs: UnitCosts,
     /// True for costs that the prior's models have; the others are guesses.
     known: [bool; COSTS],
 }
@@ -106,11 +107,6 @@ impl PriorModel {
     /// The typical costs of a kind of renderer as a prior.
     fn typical(costs: &UnitCosts) -> Self {
         Self { costs: *costs, known: costs.seconds.map(|c| c > 0.0) }
-    }
-
-    /// Unit costs of the prior; 0 for work whose cost the prior lacks.
-    pub fn costs(&self) -> &UnitCosts {
-        &self.costs
     }
 
     /// Fits unit costs to `frames`. `prior` holds the prior unit costs. The work of `frames` must be computed

@@ -75,7 +75,7 @@ fn seconds_by(costs: &[f64; COSTS], work: &[f64; COSTS]) -> f64 {
 fn a_calibration_finds_another_machines_unit_costs() {
     let prior =
         PriorModel::new(&[AnalyticModel::default().to_model_file().unwrap()], &UnitCosts::SOFTWARE).unwrap();
-    for (found, stored) in prior.costs().seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
+    for (found, stored) in prior.costs.seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
         assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
     }
     // On the simulated machine, three unit costs differ from the prior, and all are 1.7 times as large.
@@ -155,7 +155,7 @@ fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
             assert!(error.abs() < 0.01, "{cached_voxels} {error}");
         }
         let next = PriorModel::new(core::slice::from_ref(&chosen.file), &UnitCosts::SOFTWARE);
-        assert_eq!(next.unwrap().costs().cached_voxels, cached_voxels);
+        assert_eq!(next.unwrap().costs.cached_voxels, cached_voxels);
         // Groups too few for cross-validation keep the prior's number.
         let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
         assert!(!fitted(&prior, &few).file.metadata.contains_key(Key::CachedVoxels.name()));
@@ -166,9 +166,9 @@ fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
 fn three_frames_set_the_speed_alone() {
     let prior = PriorModel::default();
     let frames: Vec<Observed> =
-        (0..3).map(|i| observed(i, work(i), 3.0 * seconds_by(&prior.costs().seconds, &work(i)))).collect();
+        (0..3).map(|i| observed(i, work(i), 3.0 * seconds_by(&prior.costs.seconds, &work(i)))).collect();
     let there = costs_of(&fitted(&prior, &frames));
-    for (found, known) in there.seconds.iter().zip(&prior.costs().seconds) {
+    for (found, known) in there.seconds.iter().zip(&prior.costs.seconds) {
         assert!(*known == 0.0 || (found / known / 3.0 - 1.0).abs() < 1e-3, "{found} {known}");
     }
 }
@@ -180,7 +180,7 @@ fn several_machines_make_one_prior() {
         AnalyticModel::from_costs(UnitCosts::new(costs)).unwrap().to_model_file().unwrap()
     };
     let prior = PriorModel::new(&[model(0.5), model(8.0)], &UnitCosts::SOFTWARE).unwrap();
-    for (found, stored) in prior.costs().seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
+    for (found, stored) in prior.costs.seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
         assert!((found - 2.0 * stored).abs() <= 1e-6 * stored, "{found} {stored}");
     }
     // A cost of 0 in a machine's model means that the machine's frames could not determine the cost. Checks
@@ -189,7 +189,7 @@ fn several_machines_make_one_prior() {
     blind[2] = 0.0;
     let blind = AnalyticModel::from_costs(UnitCosts::new(blind)).unwrap().to_model_file().unwrap();
     let prior = PriorModel::new(&[model(1.0), blind], &UnitCosts::SOFTWARE).unwrap();
-    let ratio = prior.costs().seconds[2] / UnitCosts::SOFTWARE.seconds[2];
+    let ratio = prior.costs.seconds[2] / UnitCosts::SOFTWARE.seconds[2];
     assert!((0.1..1.0).contains(&ratio), "{ratio}");
     let error = PriorModel::new(&[unit_factor(5)], &UnitCosts::SOFTWARE).err().unwrap().to_string();
     assert!(error.contains("--model-kind analytic"), "{error}");

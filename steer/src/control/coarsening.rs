@@ -32,7 +32,7 @@ const LEVELS: usize = 24;
 /// changes the step too, so that step · distance² stays equal to c, unless the step would leave its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
-    steps: StepLimits,
+    pub(super) steps: StepLimits,
     /// Largest image sample distance, in pixels, and the step, in finest steps, up to which the distance
     /// stays 1.
     largest: (f32, f32),
@@ -44,7 +44,7 @@ pub(super) struct Coarsening {
     /// Threshold of each level: smallest c, in finest steps, for which the level is used.
     from: [f64; LEVELS],
     /// Level of the previous frame; level 0 is distance 1.
-    last: usize,
+    pub(super) last: usize,
 }
 
 impl Coarsening {
@@ -59,10 +59,6 @@ impl Coarsening {
             from: [0.0; LEVELS],
             last: 0,
         }
-    }
-
-    pub(super) fn set_steps(&mut self, steps: StepLimits) {
-        self.steps = steps;
     }
 
     /// Sets the largest image sample distance, and the step, in finest steps, up to which the step alone is
@@ -147,16 +143,6 @@ impl Coarsening {
         }
         let shrunk = |side: u32| ((f64::from(side) / distance) as u32).max(1);
         Setting { step, width: shrunk(full.width), height: shrunk(full.height), ..full }
-    }
-
-    /// Coarsening level of the previous frame.
-    pub(super) fn level(&self) -> usize {
-        self.last
-    }
-
-    /// Restores the level of an earlier frame.
-    pub(super) fn set_level(&mut self, level: usize) {
-        self.last = level;
     }
 
     /// Returns step and image sample distance of a frame drawn at c, and stores its level as the previous

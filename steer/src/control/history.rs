@@ -42,7 +42,7 @@ const RETURN: f64 = 1.1;
 pub(super) struct History {
     /// (step, seconds) of the last three frames, as a ring buffer.
     frames: [(f64, f64); 3],
-    len: usize,
+    pub(super) len: usize,
     next: usize,
     /// True if the last frame is doubtful.
     doubtful: bool,
@@ -51,7 +51,7 @@ pub(super) struct History {
     history_error: f64,
     /// Mean |ln(measured / corrected prediction)| over the same frames.
     own_error: f64,
-    leads: bool,
+    pub(super) leads: bool,
     compared: u32,
 }
 
@@ -68,14 +68,6 @@ impl History {
             leads: false,
             compared: 0,
         }
-    }
-
-    pub(super) fn is_empty(&self) -> bool {
-        self.len == 0
-    }
-
-    pub(super) fn leads(&self) -> bool {
-        self.leads
     }
 
     /// Returns the expected seconds of a frame at `step`, extrapolated from the last three frames, and an

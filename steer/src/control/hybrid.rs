@@ -115,7 +115,7 @@ impl HybridOptions {
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,
-    correction: Correction,
+    pub(super) correction: Correction,
     calm: Margin,
     changed: Margin,
     history: History,
@@ -198,17 +198,6 @@ impl Hybrid {
         }
     }
 
-    /// Online correction of the predicted seconds.
-    #[cfg(test)]
-    pub(crate) fn correction(&self) -> &Correction {
-        &self.correction
-    }
-
-    /// Returns the corrected prediction for the present frame, with bounds that do not depend on the step.
-    fn judge(&self, terms: &CostTerms) -> Expected {
-        self.judge_at(terms, f64::NAN)
-    }
-
     /// Returns the corrected prediction for a frame with these changes since the present frame. As in
     /// [`Hybrid::novelty`], only the first of several successive frames with changes begins a scene.
     fn judge_after(&self, terms: &CostTerms, changes: Changes) -> Expected {
@@ -216,15 +205,15 @@ impl Hybrid {
             let mut next = self.clone();
             next.correction.advance(1.0);
             next.scene = SceneMark { first: true, ..self.scene };
-            next.judge(terms)
+            next.judge_at(terms, f64::NAN)
         } else {
-            self.judge(terms)
+            self.judge_at(terms, f64::NAN)
         }
     }
 
     /// Returns the corrected prediction for the present frame at `step`. Within a scene the bounds widen with
     /// the distance of `step` from the last drawn step, since the predicted step curve has an error of its
-    /// own.
+    /// own; with a `step` of NaN, they do not depend on the step.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
         let corrected = self.correction.apply(terms);
         let far = match self.last {
@@ -233,7 +222,7 @@ impl Hybrid {
         };
         let slope = self.options.constants.slope_sd * far;
         let wider = |sd: f64| libm::sqrt(sd * sd + slope * slope);
-        let z = if self.scene.first { self.changed.multiple() } else { self.calm.multiple() };
+        let z = if self.scene.first { self.changed.multiple } else { self.calm.multiple };
         let (all, calm) = (z * wider(corrected.sd), self.worth * wider(corrected.calm_sd));
         let choice = corrected.seconds / self.ignored_load();
         Expected {
@@ -337,7 +326,7 @@ impl Hybrid {
     /// the forecast from recent frames.
     fn expected(&self, terms: &CostTerms, step: f32, by_history: bool) -> Expected {
         if by_history {
-            let (seconds, upper) = self.history.forecast(step, self.calm.multiple());
+            let (seconds, upper) = self.history.forecast(step, self.calm.multiple);
             Expected { seconds, upper, choice: seconds, choice_upper: upper }
         } else {
             self.judge_at(terms, f64::from(step))
@@ -380,7 +369,7 @@ impl Hybrid {
         let steady = |last: &Last| {
             self.options.damping
                 && !self.scene.first
-                && !self.correction.jumped()
+                && !self.correction.jumped
                 && limits.clamp(last.step) == last.step
                 && libm::fabs(libm::log(target / f64::from(last.target))) < SAME_TARGET
         };
@@ -425,8 +414,8 @@ impl Controller for Hybrid {
         let coarsest = (request.cost)(limits.coarsest);
         let known = coarsest.seconds().is_finite() && coarsest.seconds() > 0.0;
         // Frames before a change of scene do not predict the frame after it.
-        let recent = !(self.history.is_empty() || changes.any() && self.scene.first);
-        let mut by_history = recent && (!known || self.history.leads());
+        let recent = self.history.len > 0 && !(changes.any() && self.scene.first);
+        let mut by_history = recent && (!known || self.history.leads);
         if !known && !by_history {
             self.last = Some(Last { step: limits.coarsest, target: request.target, terms: coarsest });
             return Decision {

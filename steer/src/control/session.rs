@@ -190,9 +190,9 @@ impl Session {
         let Some(before) = &self.volume else {
             bail!(NotReady, "no volume is set; set the first time step of a series by set_volume");
         };
-        let grid = |v: &VolumeSummary| (v.shape(), v.cells(), v.block_edge());
+        let grid = |v: &VolumeSummary| (v.shape(), v.cells, v.block);
         if grid(&volume) != grid(before) {
-            let [found, own] = [&volume, before].map(|v| (v.shape().dims, v.shape().spacing, v.block_edge()));
+            let [found, own] = [&volume, before].map(|v| (v.shape().dims, v.shape().spacing, v.block));
             bail!(
                 SizeMismatch,
                 "a time step must have the sizes, spacing and blocks of the session's volume: the time step \
@@ -206,17 +206,17 @@ impl Session {
                 own.2
             );
         }
-        if volume.scalar_type() != before.scalar_type() {
+        if volume.scalar_type != before.scalar_type {
             bail!(
                 InvalidArgument,
                 "a time step must have the scalar type of the session's volume: the time step has {}, the volume \
                  {}; for another volume, call set_volume",
-                volume.scalar_type().name(),
-                before.scalar_type().name()
+                volume.scalar_type.name(),
+                before.scalar_type.name()
             );
         }
         if let Some(transfer) = &mut self.transfer {
-            transfer.follow(&volume)?;
+            transfer.apply(&volume, None)?;
         }
         self.volume = Some(volume);
         // The rays of the last probe crossed the preceding time step, so their results are not reused.
@@ -267,7 +267,7 @@ impl Session {
     /// As [`StepLimits::check`].
     pub fn set_limits(&mut self, limits: StepLimits) -> Result<()> {
         limits.check()?;
-        self.coarsening.set_steps(limits);
+        self.coarsening.steps = limits;
         Ok(())
     }
 
@@ -329,7 +329,7 @@ impl Session {
                 out_of_range: p.out_of_range,
                 reason: Reason::Off,
             };
-            let drawn = (frame.step, 1.0, self.coarsening.level());
+            let drawn = (frame.step, 1.0, self.coarsening.last);
             let plan = self.note(frame, target, changes, own, decision, drawn);
             self.record_plan(plan.id, changes, setting);
             return Ok(plan);
@@ -340,7 +340,7 @@ impl Session {
         let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
         let terms = cost.at(decision.step);
         let recorded = self.recording.is_some().then(|| self.coarsening.setting(setting, decision.step));
-        let level = self.coarsening.level();
+        let level = self.coarsening.last;
         let (step, distance) = self.coarsening.take(decision.step);
         let drawn = (step, distance, level);
         let plan = self.note(frame, target, changes, terms, decision, drawn);
@@ -404,7 +404,7 @@ impl Session {
             out_of_range: p.out_of_range,
             reason,
         };
-        let drawn = (decision.step, 1.0, self.coarsening.level());
+        let drawn = (decision.step, 1.0, self.coarsening.last);
         let plan = self.note(frame, target, changes, terms, decision, drawn);
         self.record_plan(plan.id, changes, settings[index]);
         Ok((index, plan))
@@ -469,7 +469,7 @@ impl Session {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         if slot.take_if(|plan| !plan.observed).is_some() {
             self.next_id = id;
-            self.coarsening.set_level(before.level);
+            self.coarsening.last = before.level;
             self.controller.withdraw();
             (self.last, self.last_termination) = (before.last, before.last_termination);
             self.mark(before.changes);

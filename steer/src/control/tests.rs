@@ -226,8 +226,8 @@ fn the_state_stays_bounded_over_long_runs() {
         let seconds = (seen.seconds * (0.1 * noise.normal()).exp() as f32).max(1e-9);
         hybrid.observe(&Observed { seconds, ..seen });
     }
-    for f in hybrid.correction().factors() {
-        assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction().factors());
+    for f in hybrid.correction.factors() {
+        assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction.factors());
     }
     let cost = |step: f32| CostTerms::whole(20.0 / step, 0.0, Source::Analytic);
     let terms = cost(1.0);
@@ -581,8 +581,8 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     session.set_transfer(&table, Some(&l)).unwrap();
     let seen = |session: &mut Session, frame: &Frame| {
         session.plan(frame, 1e3).unwrap();
-        let probe = session.features.probe();
-        (probe.mean_chord(), probe.footprint().share)
+        let probe = &session.features.probe;
+        (probe.mean_chord, probe.footprint.share)
     };
     let first = seen(&mut session, &frame(20.0, 30.0, 2.6));
     let near = seen(&mut session, &frame(22.0, 32.0, 2.62));

@@ -170,7 +170,7 @@ const WAITING_ENDED: f64 = 10.0;
 pub struct FrameFeatures {
     probe_side: usize,
     level: Level,
-    probe: Probe,
+    pub(crate) probe: Probe,
     pose: Arcball,
     occupied_share: f32,
     visible_share: f32,
@@ -224,12 +224,12 @@ impl FrameFeatures {
         }
         self.probe = Probe::on(Some(self.level), volume, transfer, frame, self.probe_side);
         self.pose = frame.camera.to_arcball();
-        self.occupied_share = transfer.occupied_share();
-        self.visible_share = transfer.visible_share();
-        self.mean_extinction = transfer.mean_extinction();
+        self.occupied_share = transfer.occupied_share;
+        self.visible_share = transfer.visible_share;
+        self.mean_extinction = transfer.mean_extinction;
         self.voxels = volume.voxels() as f32;
-        self.remapped = volume.remapped();
-        self.along = along(frame, volume.shape().relative_spacing, self.probe.footprint());
+        self.remapped = volume.remapped;
+        self.along = along(frame, volume.shape().relative_spacing, &self.probe.footprint);
         Ok(())
     }
 
@@ -243,7 +243,7 @@ impl FrameFeatures {
             return Ok(false);
         }
         self.pose = frame.camera.to_arcball();
-        self.along = along(frame, volume.shape().relative_spacing, self.probe.footprint());
+        self.along = along(frame, volume.shape().relative_spacing, &self.probe.footprint);
         Ok(true)
     }
 
@@ -260,18 +260,6 @@ impl FrameFeatures {
     /// Sets the number of rays along each side of the next probe.
     pub(crate) fn set_probe_side(&mut self, side: usize) {
         self.probe_side = side.min(MAX_PROBE_SIDE);
-    }
-
-    /// Standard error of the probe's sampled length, relative to this length; infinite where the error is
-    /// unknown.
-    pub(crate) fn probe_error(&self) -> f32 {
-        self.probe.error
-    }
-
-    /// The probe's results.
-    #[cfg(test)]
-    pub(crate) fn probe(&self) -> &Probe {
-        &self.probe
     }
 
     /// The arcball pose of the frame's camera.

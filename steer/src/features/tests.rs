@@ -58,10 +58,10 @@ fn coarse_cells_judge_emptiness_by_their_blocks() {
     let mut data = std::vec![0u8; 128 * 8 * 8];
     data[20] = 255;
     let s = summary(&data, dims, 2);
-    assert_eq!((s.cells(), s.block_edge()), ([2, 1, 1], [8, 8, 8]));
+    assert_eq!((s.cells, s.block), ([2, 1, 1], [8, 8, 8]));
     let t = TransferSummary::new(&s, &table(|i| if i > 100 { 0.5 } else { 0.0 })).unwrap();
-    assert!((t.occupied_share() - 1.0 / 16.0).abs() < 1e-6, "{}", t.occupied_share());
-    assert!(!t.is_empty(0, 0, 0) && t.is_empty(1, 0, 0));
+    assert!((t.occupied_share - 1.0 / 16.0).abs() < 1e-6, "{}", t.occupied_share);
+    assert!(t.is_occupied(0) && !t.is_occupied(1));
 }
 
 #[test]
@@ -75,9 +75,9 @@ fn uniform_volumes_have_the_tables_extinction() {
                 .unwrap();
             let mut t = TransferSummary::new(&s, &table).unwrap();
             let expected = -(1.0 - alpha).ln() / unit;
-            let found = t.extinction(&s, [1, 1, 1]);
+            let found = t.optics(&s, 7).unwrap().extinction;
             assert!((found / expected - 1.0).abs() < 1e-2, "{alpha} {unit}: {found}");
-            assert_eq!((t.occupied_share(), t.visible_share()), (1.0, 1.0));
+            assert_eq!((t.occupied_share, t.visible_share), (1.0, 1.0));
         }
     }
 }
@@ -87,17 +87,14 @@ fn bricks_give_the_same_bounds_as_voxels() {
     let dims = [24, 16, 9];
     let data = noise(24 * 16 * 9, 3);
     let s = summary(&data, dims, 48);
-    let (low, high) = s.cell_ranges();
     let bounds: Vec<[f32; 2]> =
-        low.iter().zip(high).map(|(lo, hi)| [lo, hi].map(|&entry| f32::from(entry) / 255.0)).collect();
+        s.low.iter().zip(&s.high).map(|(lo, hi)| [lo, hi].map(|&entry| f32::from(entry) / 255.0)).collect();
     let made = |dims, spacing, edge, bounds: &[[f32; 2]]| {
         VolumeSummary::from_bricks(dims, spacing, ScalarType::U8, edge, bounds)
     };
     let b = made(dims, [1.0; 3], [8; 3], &bounds).unwrap();
-    let ((b_low, b_high), close) = (b.cell_ranges(), |(a, b): (&u8, &u8)| a.abs_diff(*b) <= 1);
-    assert!(
-        low.len() == b_low.len() && low.iter().zip(b_low).all(close) && high.iter().zip(b_high).all(close)
-    );
+    let close = |a: &[u8], b: &[u8]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 1);
+    assert!(close(&s.low, &b.low) && close(&s.high, &b.high));
     for (dims, spacing, edge, bounds, kind) in [
         (dims, [1.0; 3], [8; 3], &bounds[1..], ErrorKind::SizeMismatch),
         ([0, 1, 1], [1.0; 3], [8; 3], &[], ErrorKind::InvalidArgument),
@@ -107,7 +104,7 @@ fn bricks_give_the_same_bounds_as_voxels() {
         assert_eq!(made(dims, spacing, edge, bounds).unwrap_err().kind(), kind);
     }
     let nan = made([8; 3], [1.0; 3], [8; 3], &[[f32::NAN, f32::INFINITY]]).unwrap();
-    assert_eq!(nan.cell_bounds(0, 0, 0), (0, 255));
+    assert_eq!((nan.low[0], nan.high[0]), (0, 255));
     assert!(made([usize::MAX, usize::MAX, 9], [1.0; 3], [1; 3], &[]).is_err());
 }
 
@@ -125,7 +122,7 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         }
     };
     let dims = s.shape().dims;
-    let [cells, edge, block] = [s.cells(), s.cell_edge(), s.block_edge()];
+    let (cells, edge, block) = (s.cells, s.edge, s.block);
     let what =
         std::format!("{:?} {dims:?} {cells_per_axis} {:?}", view.scalars().scalar_type(), view.range());
     for a in 0..3 {
@@ -145,11 +142,10 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         [lo.floor() as u8, hi.ceil() as u8]
     };
     let mut total = [0u64; 256];
-    let (low, high) = s.cell_ranges();
-    for i in 0..s.cell_count() {
+    for i in 0..s.low.len() {
         let c = [i % cells[0], i / cells[0] % cells[1], i / cells[0] / cells[1]];
         let from: [usize; 3] = std::array::from_fn(|a| c[a] * edge[a]);
-        assert_eq!([low[i], high[i]], bounds(from, edge), "{what} {c:?}");
+        assert_eq!([s.low[i], s.high[i]], bounds(from, edge), "{what} {c:?}");
         let mut sorted = Vec::new();
         for z in from[2]..(from[2] + edge[2]).min(dims[2]) {
             for y in from[1]..(from[1] + edge[1]).min(dims[1]) {
@@ -160,7 +156,7 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         }
         sorted.sort();
         sorted.iter().for_each(|&e| total[usize::from(e)] += 1);
-        for (k, &q) in s.quantiles(i).iter().enumerate() {
+        for (k, &q) in s.quantiles[i].iter().enumerate() {
             // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it; the last
             // bound is the largest entry.
             let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
@@ -184,7 +180,7 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         }
     }
     let voxels = s.voxels();
-    assert_eq!(s.histogram(), &total.map(|t| (t as f64 / voxels) as f32), "{what}");
+    assert_eq!(s.histogram, total.map(|t| (t as f64 / voxels) as f32), "{what}");
 }
 
 #[test]
@@ -266,7 +262,7 @@ fn a_transparent_table_leaves_only_jumps_and_an_opaque_one_the_first_sample() {
     assert!(solid.samples < 1.2 * solid.rays && solid.samples > 0.5 * solid.rays, "{solid:?}");
     let never = Frame { termination: 1.0, ..f };
     let whole = measured(&s, &table(|_| 1.0), &never);
-    let length = f64::from(whole.probe().mean_chord());
+    let length = f64::from(whole.probe.mean_chord);
     let w = whole.work(&Setting::from(&never));
     assert!(
         (w.samples / w.rays / length - 1.0).abs() < 1e-3,
@@ -313,13 +309,13 @@ fn distances_match_a_search_over_all_cells() {
     let s = summary(&data, dims, 48);
     let mut t = TransferSummary::new(&s, &table(|i| if i == 255 { 1.0 } else { 0.0 })).unwrap();
     t.prepare_distance();
-    let [nx, ny, nz] = s.cells();
+    let [nx, ny, nz] = s.cells;
     let cells: Vec<[usize; 3]> = (0..nx * ny * nz).map(|i| [i % nx, i / nx % ny, i / nx / ny]).collect();
     let found = t.distance().unwrap();
     for (i, a) in cells.iter().enumerate() {
         let nearest = cells
             .iter()
-            .filter(|b| !t.is_empty(b[0], b[1], b[2]))
+            .filter(|[x, y, z]| t.is_occupied(x + nx * (y + ny * z)))
             .map(|b| (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap())
             .min()
             .unwrap();
@@ -504,7 +500,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
         // The result must depend on the stored values only, not on the range that maps them to the table.
         let options = VolumeOptions { range: Some((3.0, 90.0)), ..VolumeOptions::default() };
         let view = VolumeView::with(scalars, dims, options).unwrap();
-        VolumeSummary::new(&view).unwrap().remapped()
+        VolumeSummary::new(&view).unwrap().remapped
     };
     let with = |low: f32, high: f32| -> Vec<f32> {
         (0..n).map(|i| if i == 777 { low } else { low + (high - low) * (i % 5) as f32 / 4.0 }).collect()
@@ -531,7 +527,7 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     {
         let bounds = [[0.5, 1.0], [low, 0.7]];
         let bricks = VolumeSummary::from_bricks([16, 8, 8], [1.0; 3], kind, [8; 3], &bounds).unwrap();
-        assert_eq!(bricks.remapped(), remapped, "bricks of {kind:?} from {low}");
+        assert_eq!(bricks.remapped, remapped, "bricks of {kind:?} from {low}");
     }
     // All samples of a volume whose integers must be remapped count as remapped samples.
     let bytes: Vec<u8> = with(9.0, 250.0).iter().map(|&v| v as u8).collect();

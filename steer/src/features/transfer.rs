@@ -118,9 +118,12 @@ pub struct TransferSummary {
     bits: Vec<u64>,
     /// Working memory for two lines of cells.
     line: Vec<u8>,
-    occupied_share: f32,
-    mean_extinction: f32,
-    visible_share: f32,
+    /// Mean, over all cells, of the share of the cell's blocks that are not empty.
+    pub(super) occupied_share: f32,
+    /// Extinction per reference step averaged over the volume's voxels.
+    pub(super) mean_extinction: f32,
+    /// Share of voxels with nonzero opacity.
+    pub(super) visible_share: f32,
 }
 
 impl TransferSummary {
@@ -140,7 +143,7 @@ impl TransferSummary {
             unit_distance: 1.0,
             opaque: [0; TABLE_LEN + 1],
             transmittance: [0.0; TABLE_LEN + 1],
-            grid: volume.cells(),
+            grid: volume.cells,
             distance: Vec::new(),
             distance_ready: false,
             bits: Vec::new(),
@@ -149,7 +152,7 @@ impl TransferSummary {
             mean_extinction: 0.0,
             visible_share: 0.0,
         };
-        summary.update(volume, table)?;
+        summary.apply(volume, Some(table))?;
         Ok(summary)
     }
 
@@ -162,23 +165,14 @@ impl TransferSummary {
         self.apply(volume, Some(table))
     }
 
-    /// Applies the present table to another time step of the volume, or to another volume. Allocates like
-    /// [`TransferSummary::update`].
-    ///
-    /// # Errors
-    /// As [`TransferSummary::new`]; on an error nothing has changed.
-    pub(crate) fn follow(&mut self, volume: &VolumeSummary) -> Result<()> {
-        self.apply(volume, None)
-    }
-
-    /// Applies a table, or the present one, to a volume.
-    fn apply(&mut self, volume: &VolumeSummary, table: Option<&TransferTable>) -> Result<()> {
-        let n = volume.cell_count();
-        let longest = volume.cells().into_iter().max().unwrap_or(1);
+    /// As [`TransferSummary::update`]; `None` applies the present table to another time step of the volume.
+    pub(crate) fn apply(&mut self, volume: &VolumeSummary, table: Option<&TransferTable>) -> Result<()> {
+        let n = volume.low.len();
+        let longest = volume.cells.into_iter().max().unwrap_or(1);
         let shares = if volume.blocks().is_some() { n } else { 0 };
         let words = block_words(volume);
         let full = longer(&self.full, n.div_ceil(64))?;
-        let interior = self.interior.longer(volume.cells())?;
+        let interior = self.interior.longer(volume.cells)?;
         let bits = longer(&self.bits, words)?;
         let occupied = longer(&self.occupied, shares)?;
         let cells = longer(&self.cells, n)?;
@@ -191,8 +185,8 @@ impl TransferSummary {
         fit(&mut self.cells, cells, n);
         fit(&mut self.distance, distance, n);
         fit(&mut self.line, line, 2 * longest);
-        self.interior.fit(interior, volume.cells());
-        self.grid = volume.cells();
+        self.interior.fit(interior, volume.cells);
+        self.grid = volume.cells;
         self.distance_ready = false;
         self.begin_edit();
         if let Some(table) = table {
@@ -225,7 +219,7 @@ impl TransferSummary {
     /// Computes the values that depend only on the table and the volume's histogram.
     fn read_histogram(&mut self, volume: &VolumeSummary) {
         let (mut extinction, mut shown) = (0.0f64, 0.0f64);
-        for (i, (&[_, log], &share)) in self.entries.iter().zip(volume.histogram()).enumerate() {
+        for (i, (&[_, log], &share)) in self.entries.iter().zip(&volume.histogram).enumerate() {
             let (share, counts) = (f64::from(share), self.opaque[i + 1] > self.opaque[i]);
             extinction -= share * f64::from(log) / f64::from(self.unit_distance);
             shown += share * f64::from(u8::from(counts));
@@ -237,7 +231,7 @@ impl TransferSummary {
     /// Finds the cells that are not empty. Computes the mean, over all cells, of the share of the cell's
     /// blocks that are not empty.
     fn classify(&mut self, volume: &VolumeSummary) {
-        let (low, high) = volume.cell_ranges();
+        let (low, high) = (&volume.low, &volume.high);
         let n = low.len();
         let visible = Visible::new(&self.opaque);
         let sum = match volume.blocks() {
@@ -279,7 +273,7 @@ impl TransferSummary {
             return self.edit;
         }
         let (mut t, mut v) = (0.0f32, 0.0f32);
-        for pair in volume.quantiles(cell).windows(2) {
+        for pair in volume.quantiles[cell].windows(2) {
             let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
             let inverse = RECIPROCAL[b - a];
             t += (self.transmittance[b + 1] - self.transmittance[a]) as f32 * inverse;
@@ -322,47 +316,9 @@ impl TransferSummary {
         self.full.get(cell / 64).is_some_and(|word| word >> (cell % 64) & 1 != 0)
     }
 
-    /// Mean, over all cells, of the share of the cell's blocks that are not empty.
-    pub(crate) fn occupied_share(&self) -> f32 {
-        self.occupied_share
-    }
-
-    /// Extinction per reference step averaged over the volume's voxels.
-    pub(crate) fn mean_extinction(&self) -> f32 {
-        self.mean_extinction
-    }
-
-    /// Share of voxels with nonzero opacity.
-    pub(crate) fn visible_share(&self) -> f32 {
-        self.visible_share
-    }
-
-    /// True where a cell is empty, so that a renderer skips all of it.
-    ///
-    /// # Panics
-    /// Where the cell lies outside the grid.
-    #[cfg(test)]
-    pub(crate) fn is_empty(&self, x: usize, y: usize, z: usize) -> bool {
-        let g = self.grid;
-        assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
-        !self.is_occupied(x + g[0] * (y + g[1] * z))
-    }
-
-    /// Extinction of a cell per reference step; 0 where it is empty.
-    ///
-    /// # Panics
-    /// Where the cell lies outside the grid.
-    #[cfg(test)]
-    pub(crate) fn extinction(&mut self, volume: &VolumeSummary, [x, y, z]: [usize; 3]) -> f32 {
-        let g = self.grid;
-        assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
-        let cell = x + g[0] * (y + g[1] * z);
-        self.optics(volume, cell).map_or(0.0, |optics| optics.extinction)
-    }
-
     /// True if the buffers have the sizes that a volume's cells and blocks need.
     pub(super) fn suits(&self, volume: &VolumeSummary) -> bool {
-        self.grid == volume.cells() && self.bits.len() == block_words(volume)
+        self.grid == volume.cells && self.bits.len() == block_words(volume)
     }
 
     /// Computes the distance map for [`entire_core::scene::Skipping::Distance`], unless it is up to date.

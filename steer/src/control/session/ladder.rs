@@ -173,7 +173,7 @@ impl Session {
 
     /// True if the probe's error is within the tolerance, or cannot change the plan.
     fn suffices(&mut self, frame: &Frame, target: f32, tolerance: f32) -> Result<bool> {
-        let error = STANDARD_ERRORS * self.features.probe_error();
+        let error = STANDARD_ERRORS * self.features.probe.error;
         if error <= tolerance {
             return Ok(true);
         }

@@ -171,15 +171,15 @@ impl<'a> March<'a> {
         shape: Shape,
     ) -> Self {
         let dims = Vec3::from_array(shape.dims.map(|n| n as f32));
-        let edge = Vec3::from_array(volume.cell_edge().map(|n| n as f32));
-        let block = Vec3::from_array(volume.block_edge().map(|n| n as f32));
+        let edge = Vec3::from_array(volume.edge.map(|n| n as f32));
+        let block = Vec3::from_array(volume.block.map(|n| n as f32));
         let voxel = 2.0 * shape.half_extent / dims;
         let termination = frame.termination;
         let (origin, direction) = frame.camera.ray_basis(frame.width, frame.height);
         Self {
             volume,
             transfer,
-            grid: volume.cells().map(|n| n as i32),
+            grid: volume.cells.map(|n| n as i32),
             origin,
             direction,
             half_extent: shape.half_extent,

@@ -39,10 +39,11 @@ const BINS: usize = 28;
 /// converts the lengths to counts at a given step.
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Zeroable)]
 pub(crate) struct Probe {
-    pub(super) footprint: Footprint,
+    pub(crate) footprint: Footprint,
     /// Number of the probe's rays that met the box.
     pub(super) rays: u32,
-    pub(super) mean_chord: f32,
+    /// Mean length inside the box, in reference steps.
+    pub(crate) mean_chord: f32,
     /// Length inside occupied blocks, up to termination.
     pub(super) occupied: f32,
     /// Length inside empty blocks, up to termination.
@@ -84,8 +85,8 @@ pub(crate) struct Probe {
     pub(super) shadow_segments: f32,
     /// The largest work of a single ray.
     pub(super) longest: Longest,
-    /// Relative standard error of the sampled length.
-    pub(super) error: f32,
+    /// Standard error of the sampled length, relative to this length; infinite where the error is unknown.
+    pub(crate) error: f32,
     block_skips: Chords,
     distance_skips: Chords,
 }
@@ -230,17 +231,6 @@ impl Probe {
         }
         self.footprint = footprint;
         true
-    }
-
-    /// Region of the image covered by the box.
-    pub(crate) fn footprint(&self) -> &Footprint {
-        &self.footprint
-    }
-
-    /// Mean length inside the box of the rays that meet it, in reference steps.
-    #[cfg(test)]
-    pub(crate) fn mean_chord(&self) -> f32 {
-        self.mean_chord
     }
 
     /// Expected jumps per ray at a step, with block skipping or with the distance map.

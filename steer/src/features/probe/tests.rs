@@ -53,14 +53,9 @@ fn cells_are_classified_alike_by_ranges_and_by_lookup() {
         for period in [256usize, 64, 16, 2] {
             let table = table(|i| if i % period == period / 2 { 0.3 } else { 0.0 });
             let t = TransferSummary::new(&s, &table).unwrap();
-            let [nx, ny, nz] = s.cells();
-            for (x, y, z) in (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| (x, y, z))))
-            {
-                if s.block_edge() == s.cell_edge() {
-                    let (low, high) = s.cell_bounds(x, y, z);
-                    let empty = !(low..=high).any(|i| table.is_visible(usize::from(i)));
-                    assert_eq!(t.is_empty(x, y, z), empty, "{period} {x} {y} {z}");
-                }
+            for (cell, (&low, &high)) in s.low.iter().zip(&s.high).enumerate().filter(|_| s.block == s.edge) {
+                let full = (low..=high).any(|i| table.is_visible(usize::from(i)));
+                assert_eq!(t.is_occupied(cell), full, "{period} {cell}");
             }
         }
     }
@@ -125,7 +120,7 @@ fn a_transfer_function_for_other_blocks_casts_no_ray() {
     for (i, of) in volumes.iter().enumerate() {
         let mut transfer = TransferSummary::new(of, &table(|_| 0.1)).unwrap();
         for (j, volume) in volumes.iter().enumerate() {
-            assert_eq!(volume.cells(), [48, 1, 1]);
+            assert_eq!(volume.cells, [48, 1, 1]);
             let mut features = FrameFeatures::default();
             features.measure(volume, &mut transfer, &frame).unwrap();
             assert_eq!(features.probe_rays() > 0, i == j, "{i} {j}");
@@ -276,7 +271,7 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
         let s = summary(&noise(64 * 64 * 64, 7), dims, 4);
         let frame = Frame { shading: Shading::Scatter, ..frame(20.0, 30.0, 2.0, 64) };
         let features = measured(&s, &table(|i| if i >= least { 1.0e-4 } else { 0.0 }), &frame);
-        let p = features.probe();
+        let p = &features.probe;
         let (shown, busy) = (p.visible / p.occupied, p.busy / p.occupied);
         // Every cell holds thousands of voxels of the same noise, so all cells have nearly the same visible
         // share.

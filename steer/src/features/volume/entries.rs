@@ -5,7 +5,8 @@ use entire_core::scene::{Scalars, VolumeView};
 /// Mapping from stored values to entries of a 256-entry table.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Map {
-    range: (f32, f32),
+    /// The range that maps to [0, 1].
+    pub(super) range: (f32, f32),
     /// Table entries per unit of the stored values; `None` where this ratio is not a normal number.
     scale: Option<f32>,
     /// Table entry of each byte that is counted: for volumes of bytes, the entry nearest to the stored value;
@@ -28,11 +29,6 @@ impl Map {
             map.ends = core::array::from_fn(|v| [map.below(v as f32), map.above(v as f32)]);
         }
         map
-    }
-
-    /// The range that maps to [0, 1].
-    pub(super) fn range(&self) -> (f32, f32) {
-        self.range
     }
 
     /// Returns the position of a stored voxel value in the transfer function's table, 0 to 255 and not

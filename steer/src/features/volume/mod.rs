@@ -44,20 +44,20 @@ const BLOCKS_PER_CELL_AXIS: usize = 8;
 /// bounds of the blocks inside them, because a renderer skips single blocks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
-    scalar_type: ScalarType,
+    pub(crate) scalar_type: ScalarType,
     shape: Shape,
     /// Number of cells along each axis.
-    cells: [usize; 3],
-    /// Edges of a cell, in voxels.
-    edge: [usize; 3],
-    /// Edges of a block, in voxels.
-    block: [usize; 3],
+    pub(crate) cells: [usize; 3],
+    /// Edges of a cell, in voxels (the last cell of an axis may extend beyond the volume).
+    pub(super) edge: [usize; 3],
+    /// Edges in voxels of the blocks by which emptiness is decided.
+    pub(crate) block: [usize; 3],
     /// Lowest and highest entry of a 256-entry table that a sample in each cell can reach, including
     /// interpolation with the voxels beyond the cell's far side.
-    low: Vec<u8>,
-    high: Vec<u8>,
+    pub(super) low: Vec<u8>,
+    pub(super) high: Vec<u8>,
     /// Ascending quantile bounds of each cell's own voxels, as table entries.
-    quantiles: Vec<[u8; QUANTILES + 1]>,
+    pub(super) quantiles: Vec<[u8; QUANTILES + 1]>,
     /// Bounds of the blocks, ordered by cell; cell c has the blocks `first_block[c]..first_block[c + 1]`.
     /// Empty where every cell is one block.
     block_low: Vec<u8>,
@@ -67,9 +67,13 @@ pub struct VolumeSummary {
     most_blocks: usize,
     /// True where every cell has `most_blocks` blocks.
     uniform: bool,
-    histogram: [f32; 256],
+    /// Share of voxels per table entry; sums to 1.
+    pub(super) histogram: [f32; 256],
     non_finite_share: f32,
-    remapped: bool,
+    /// True where a renderer that looks stored values up in a table must shift or scale them first. False for
+    /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. For a summary made from
+    /// bricks, false for an integer type with a lowest bound of 0, which is taken as a stored 0.
+    pub(super) remapped: bool,
 }
 
 impl VolumeSummary {
@@ -184,75 +188,14 @@ impl VolumeSummary {
         self.shape
     }
 
-    /// The element type of the volume.
-    pub(crate) fn scalar_type(&self) -> ScalarType {
-        self.scalar_type
-    }
-
-    /// Cells along x, y, z.
-    pub(crate) fn cells(&self) -> [usize; 3] {
-        self.cells
-    }
-
-    /// Edges of a cell in voxels (the last cell of an axis may extend beyond the volume).
-    pub(crate) fn cell_edge(&self) -> [usize; 3] {
-        self.edge
-    }
-
-    /// Edges in voxels of the blocks by which emptiness is decided.
-    pub(crate) fn block_edge(&self) -> [usize; 3] {
-        self.block
-    }
-
-    /// Lowest and highest table entry that samples in a cell can reach.
-    ///
-    /// # Panics
-    /// Where the cell lies outside the grid.
-    #[cfg(test)]
-    pub(crate) fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
-        assert!(
-            x < self.cells[0] && y < self.cells[1] && z < self.cells[2],
-            "cell {x}, {y}, {z} outside the grid"
-        );
-        let cell = x + self.cells[0] * (y + self.cells[1] * z);
-        (self.low[cell], self.high[cell])
-    }
-
-    /// Share of voxels per table entry; sums to 1.
-    pub(crate) fn histogram(&self) -> &[f32; 256] {
-        &self.histogram
-    }
-
     /// Share of voxels that are NaN or infinite.
     pub fn non_finite_share(&self) -> f32 {
         self.non_finite_share
     }
 
-    /// True where a renderer that looks stored values up in a table must shift or scale them first. False for
-    /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. For a summary made from
-    /// bricks, false for an integer type with a lowest bound of 0, which is taken as a stored 0.
-    pub(crate) fn remapped(&self) -> bool {
-        self.remapped
-    }
-
     /// Number of voxels.
     pub(crate) fn voxels(&self) -> f64 {
         self.shape.dims.iter().map(|&n| n as f64).product()
-    }
-
-    /// Number of cells.
-    pub(super) fn cell_count(&self) -> usize {
-        self.low.len()
-    }
-
-    /// Lowest and highest table entries that samples in each cell can reach.
-    pub(super) fn cell_ranges(&self) -> (&[u8], &[u8]) {
-        (&self.low, &self.high)
-    }
-
-    /// Quantile bounds of a cell's voxels.
-    pub(super) fn quantiles(&self, cell: usize) -> &[u8; QUANTILES + 1] {
-        &self.quantiles[cell]
     }
 
     /// Blocks of the cells, where cells hold several; `None` where each cell is one block.

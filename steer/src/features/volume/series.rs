@@ -185,13 +185,13 @@ impl SummarySeries {
                  the spacing of the series"
             );
         }
-        if volume.range() != self.map.range() {
+        if volume.range() != self.map.range {
             bail!(
                 InvalidArgument,
                 "a time step has the range {:?}, but its series has {:?}; give every time step the range of \
                  the series",
                 volume.range(),
-                self.map.range()
+                self.map.range
             );
         }
         let (found, own) = (volume.scalars().scalar_type(), self.summary.scalar_type);
