@@ -33,26 +33,6 @@ pub(crate) fn report(seconds: Vec<f64>) {
     println!("@@{{\"seconds\": {seconds:?}}}");
 }
 
-/// Voxel types of the summarized volumes.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) enum Types {
-    U8,
-    U16,
-    F32,
-}
-
-impl Types {
-    /// The type with this name.
-    pub(crate) fn parse(name: &str) -> Option<Self> {
-        match name {
-            "u8" => Some(Self::U8),
-            "u16" => Some(Self::U16),
-            "f32" => Some(Self::F32),
-            _ => None,
-        }
-    }
-}
-
 enum Voxels {
     U8(Vec<u8>),
     U16(Vec<u16>),
@@ -62,7 +42,8 @@ enum Voxels {
 /// The volumes, made on first use; at most one large volume is kept.
 #[derive(Default)]
 pub(crate) struct Volumes {
-    large: Option<(Types, Voxels)>,
+    /// The large volume, with the name of its voxel type.
+    large: Option<(String, Voxels)>,
     sessions: HashMap<usize, VolumeSummary>,
     evicted: Vec<u8>,
 }
@@ -86,25 +67,25 @@ fn blobs<T>(dims: [usize; 3], to: impl Fn(f32) -> T) -> Vec<T> {
 }
 
 impl Volumes {
-    /// A volume of 128 MiB.
-    pub(crate) fn large(&mut self, kind: Types) -> VolumeView<'_> {
-        let dims = [512, 512, PLANES / [1, 2, 4][kind as usize]];
+    /// A volume of 128 MiB with voxels of type `u8`, `u16` or `f32`; `None` for any other name.
+    pub(crate) fn large(&mut self, kind: &str) -> Option<VolumeView<'_>> {
+        let dims = |bytes: usize| [512, 512, PLANES / bytes];
         if self.large.as_ref().is_none_or(|(k, _)| *k != kind) {
             self.large = None;
             let voxels = match kind {
-                Types::U8 => Voxels::U8(blobs(dims, |v| (255.0 * v) as u8)),
-                Types::U16 => Voxels::U16(blobs(dims, |v| (40_000.0 * v) as u16)),
-                Types::F32 => Voxels::F32(blobs(dims, |v| 1.0e3 * v - 300.0)),
+                "u8" => Voxels::U8(blobs(dims(1), |v| (255.0 * v) as u8)),
+                "u16" => Voxels::U16(blobs(dims(2), |v| (40_000.0 * v) as u16)),
+                "f32" => Voxels::F32(blobs(dims(4), |v| 1.0e3 * v - 300.0)),
+                _ => return None,
             };
-            self.large = Some((kind, voxels));
+            self.large = Some((kind.to_owned(), voxels));
         }
-        let Some((_, voxels)) = &self.large else { unreachable!("made above") };
-        let (scalars, range) = match voxels {
-            Voxels::U8(v) => (Scalars::U8(v), (0.0, 255.0)),
-            Voxels::U16(v) => (Scalars::U16(v), (0.0, 40_000.0)),
-            Voxels::F32(v) => (Scalars::F32(v), (-300.0, 700.0)),
-        };
-        scene::volume(scalars, dims, range)
+        let (_, voxels) = self.large.as_ref()?;
+        Some(match voxels {
+            Voxels::U8(v) => scene::volume(Scalars::U8(v), dims(1), (0.0, 255.0)),
+            Voxels::U16(v) => scene::volume(Scalars::U16(v), dims(2), (0.0, 40_000.0)),
+            Voxels::F32(v) => scene::volume(Scalars::F32(v), dims(4), (-300.0, 700.0)),
+        })
     }
 
     /// Sum of the large volume's bytes.
@@ -232,15 +213,13 @@ pub(crate) fn serve(volumes: &mut Volumes, also: &mut dyn FnMut(&mut Volumes, &s
                 report(transfers(volumes, edge.parse().expect("voxels along an edge"), what));
             }
             [what @ ("summary" | "read"), kind] => {
-                let kind = Types::parse(kind).expect("a type of voxels");
+                let view = volumes.large(kind).expect("a type of voxels");
                 if what == "read" {
-                    volumes.large(kind);
                     report(vec![time(|| {
                         black_box(volumes.read());
                     })]);
                     continue;
                 }
-                let view = volumes.large(kind);
                 report(vec![time(|| {
                     black_box(scene::summary(&view));
                 })]);

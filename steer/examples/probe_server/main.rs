@@ -7,7 +7,7 @@
 mod calls;
 mod scene;
 
-use calls::{Types, Volumes, report, time};
+use calls::{Volumes, report, time};
 use entire_core::VolumeView;
 use entire_core::kernels::Executor;
 use entire_steer::features::{SummarySeries, VolumeSummary};
@@ -34,12 +34,11 @@ fn main() {
     let mut volumes = Volumes::default();
     calls::serve(&mut volumes, &mut |volumes: &mut Volumes, name: &str| {
         if let Some((kind, what)) = name.strip_prefix("step/").and_then(|rest| rest.split_once('/')) {
-            let view = volumes.large(Types::parse(kind)?);
+            let view = volumes.large(kind)?;
             report(vec![time_step(&view, what)?]);
             return Some(());
         }
-        let kind = Types::parse(name.strip_prefix("summary2/")?)?;
-        let view = volumes.large(kind);
+        let view = volumes.large(name.strip_prefix("summary2/")?)?;
         report(vec![time(|| {
             let executor = Executor::Rayon(&pool);
             black_box(VolumeSummary::new_on(&view, executor).expect("a summary"));

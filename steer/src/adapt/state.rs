@@ -1,8 +1,8 @@
 //! Writes and reads saved state as bytes: little-endian numbers after a tag. Reading checks every number.
 
 use alloc::vec::Vec;
+use entire_core::Result;
 use entire_core::bail;
-use entire_core::{Error, ErrorKind, Result};
 
 /// Appends numbers to a byte vector.
 pub(crate) struct Writer<'a>(pub(crate) &'a mut Vec<u8>);
@@ -39,7 +39,7 @@ pub(crate) fn seal(bytes: &mut Vec<u8>) {
 /// Checks the checksum appended by [`seal`], and returns the bytes before it.
 ///
 /// # Errors
-/// [`ErrorKind::InvalidArgument`] for bytes cut short or a wrong checksum.
+/// [`crate::ErrorKind::InvalidArgument`] for bytes cut short or a wrong checksum.
 pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
     let Some((body, sum)) = bytes.split_last_chunk::<4>() else {
         bail!(InvalidArgument, "the saved state is cut short: it has {} bytes", bytes.len());
@@ -106,16 +106,13 @@ impl Reader<'_> {
     /// Reads a finite number within bounds.
     pub(crate) fn f64(&mut self, low: f64, high: f64) -> Result<f64> {
         let v = f64::from_bits(self.u64()?);
-        if (low..=high).contains(&v) {
-            Ok(v)
-        } else {
-            Err(Error::new(
-                ErrorKind::InvalidArgument,
-                alloc::format!(
-                    "the saved state holds {v} where a number from {low} to {high} is expected; it is damaged"
-                ),
-            ))
+        if !(low..=high).contains(&v) {
+            bail!(
+                InvalidArgument,
+                "the saved state holds {v} where a number from {low} to {high} is expected; it is damaged"
+            );
         }
+        Ok(v)
     }
 
     pub(crate) fn f64s(&mut self, out: &mut [f64], low: f64, high: f64) -> Result<()> {

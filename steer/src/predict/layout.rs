@@ -2,6 +2,7 @@
 
 use super::{GroupKind, Inputs, UnitCosts};
 use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, far_ratio};
+use crate::memory::chunks_mut;
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use entire_core::Result;
@@ -368,15 +369,10 @@ fn takes_sorted_lobes(model: &Model) -> Result<bool> {
 /// Sorts the lobes of a `transfer_function` group by center. Each lobe is (center, width, height). The sort
 /// is stable.
 fn sort_lobes(group: &mut [f32]) {
-    let count = group.len() / 3;
-    for end in 1..count {
-        let mut at = end;
-        while at > 0 && group[3 * at] < group[3 * (at - 1)] {
-            for k in 0..3 {
-                group.swap(3 * at + k, 3 * (at - 1) + k);
-            }
-            at -= 1;
-        }
+    let (lobes, _) = chunks_mut::<3, _>(group);
+    for end in 1..lobes.len() {
+        let at = lobes[..end].partition_point(|lobe| !(lobes[end][0] < lobe[0]));
+        lobes[at..=end].rotate_right(1);
     }
 }
 
