@@ -21,6 +21,16 @@ fn zip<T: Copy>(a: Four<T>, b: Four<T>, f: impl Fn(T, T) -> T) -> Four<T> {
     Four([f(a.0[0], b.0[0]), f(a.0[1], b.0[1]), f(a.0[2], b.0[2]), f(a.0[3], b.0[3])])
 }
 
+/// Defines methods of the token. The first argument, `self`, is added.
+macro_rules! methods {
+    ($(fn $name:ident($($argument:ident: $type:ty),*) -> $result:ty { $($body:tt)* })*) => {$(
+        #[inline(always)]
+        fn $name(self, $($argument: $type),*) -> $result {
+            $($body)*
+        }
+    )*};
+}
+
 impl Simd for Scalar {
     type F = Four<f32>;
     type I = Four<i32>;
@@ -29,14 +39,70 @@ impl Simd for Scalar {
     const TILE_VECTORS: usize = 2;
     const COUNTED: usize = 12;
 
+    methods! {
+        fn splat(x: f32) -> Self::F { Four([x; 4]) }
+        fn add(a: Self::F, b: Self::F) -> Self::F { zip(a, b, |a, b| a + b) }
+        fn sub(a: Self::F, b: Self::F) -> Self::F { zip(a, b, |a, b| a - b) }
+        fn mul(a: Self::F, b: Self::F) -> Self::F { zip(a, b, |a, b| a * b) }
+        fn max(a: Self::F, b: Self::F) -> Self::F { zip(a, b, |a, b| if a > b { a } else { b }) }
+        fn min(a: Self::F, b: Self::F) -> Self::F { zip(a, b, |a, b| if a < b { a } else { b }) }
+        fn if_positive(x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
+            let pick = |i: usize| if x.0[i] > 0.0 { positive.0[i] } else { other.0[i] };
+            Four([pick(0), pick(1), pick(2), pick(3)])
+        }
+        fn scale_by_power(scale: f32, shifted: Self::F) -> Self::F {
+            map(shifted, |s| f32::from_bits((s.to_bits() << 23).wrapping_add(scale.to_bits())))
+        }
+        fn sum(v: Self::F) -> f32 { (v.0[0] + v.0[2]) + (v.0[1] + v.0[3]) }
+        fn largest(v: Self::F) -> f32 { v.0[0].max(v.0[1]).max(v.0[2].max(v.0[3])) }
+        fn zero_i() -> Self::I { Four([0; 4]) }
+        fn to_f(v: Self::I) -> Self::F { map(v, |v| v as f32) }
+        fn splat_bytes(bytes: u32) -> Self::I { Four([bytes as i32; 4]) }
+        fn dot4(sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
+            let dot = |a: i32, w: i32| {
+                let product = |shift: u32| (a >> shift & 0xff) * i32::from((w >> shift) as i8);
+                product(0) + product(8) + product(16) + product(24)
+            };
+            zip(sum, zip(a, w, dot), i32::wrapping_add)
+        }
+        fn add_i(a: Self::I, b: Self::I) -> Self::I { zip(a, b, i32::wrapping_add) }
+        fn div(a: Self::F, b: Self::F) -> Self::F { zip(a, b, |a, b| a / b) }
+        fn sqrt(a: Self::F) -> Self::F { map(a, libm::sqrtf) }
+        fn lt(a: Self::F, b: Self::F) -> Self::M { Four(core::array::from_fn(|i| a.0[i] < b.0[i])) }
+        fn le(a: Self::F, b: Self::F) -> Self::M { Four(core::array::from_fn(|i| a.0[i] <= b.0[i])) }
+        fn and_m(a: Self::M, b: Self::M) -> Self::M { zip(a, b, |a, b| a & b) }
+        fn and_not_m(a: Self::M, b: Self::M) -> Self::M { zip(a, b, |a, b| a & !b) }
+        fn any(m: Self::M) -> bool { m.0[0] | m.0[1] | m.0[2] | m.0[3] }
+        fn lane_bits(m: Self::M) -> u32 { (0..4).map(|i| u32::from(m.0[i]) << i).sum() }
+        fn select(m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
+            Four(core::array::from_fn(|i| if m.0[i] { yes.0[i] } else { no.0[i] }))
+        }
+        fn select_i(m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
+            Four(core::array::from_fn(|i| if m.0[i] { yes.0[i] } else { no.0[i] }))
+        }
+        fn splat_i(x: i32) -> Self::I { Four([x; 4]) }
+        fn add_if(a: Self::I, m: Self::M, b: Self::I) -> Self::I {
+            Four(core::array::from_fn(|i| if m.0[i] { a.0[i].wrapping_add(b.0[i]) } else { a.0[i] }))
+        }
+        fn mul_i(a: Self::I, b: i32) -> Self::I { map(a, |a| a.wrapping_mul(b)) }
+        fn trunc(v: Self::F) -> Self::I { map(v, |v| v as i32) }
+        fn as_f(v: Self::I) -> Self::F { map(v, |v| f32::from_bits(v as u32)) }
+        fn gather(from: &[u32], index: Self::I) -> Self::I {
+            let last = from.len() - 1;
+            map(index, |i| from[(i as u32 as usize).min(last)] as i32)
+        }
+        fn and_i(a: Self::I, b: i32) -> Self::I { map(a, |a| a & b) }
+        fn xor_i(a: Self::I, b: Self::I) -> Self::I { zip(a, b, |a, b| a ^ b) }
+        fn nonzero(a: Self::I) -> Self::M { map(a, |a| a != 0) }
+        fn count_eight(bytes: &[u8], first: u8) -> [u32; 8] {
+            core::array::from_fn(|i| bytes.iter().map(|&b| u32::from(b == first + i as u8)).sum())
+        }
+    }
+
     #[inline(always)]
     fn prefetch(self, _: *const f32) {}
     #[inline(always)]
     fn prefetch_near(self, _: *const f32) {}
-    #[inline(always)]
-    fn splat(self, x: f32) -> Self::F {
-        Four([x; 4])
-    }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
         // SAFETY: the caller guarantees that `p` is valid for reading four floats.
@@ -59,18 +125,6 @@ impl Simd for Scalar {
         (map(words, |w| f32::from_bits(w << 16)), map(words, |w| f32::from_bits(w & 0xffff_0000)))
     }
     #[inline(always)]
-    fn add(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a + b)
-    }
-    #[inline(always)]
-    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a - b)
-    }
-    #[inline(always)]
-    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a * b)
-    }
-    #[inline(always)]
     fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
         self.add(self.mul(a, b), c)
     }
@@ -79,59 +133,10 @@ impl Simd for Scalar {
         self.sub(c, self.mul(a, b))
     }
     #[inline(always)]
-    fn max(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| if a > b { a } else { b })
-    }
-    #[inline(always)]
-    fn min(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| if a < b { a } else { b })
-    }
-    #[inline(always)]
-    fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
-        let pick = |i: usize| if x.0[i] > 0.0 { positive.0[i] } else { other.0[i] };
-        Four([pick(0), pick(1), pick(2), pick(3)])
-    }
-    #[inline(always)]
-    fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F {
-        map(shifted, |s| f32::from_bits((s.to_bits() << 23).wrapping_add(scale.to_bits())))
-    }
-    #[inline(always)]
-    fn sum(self, v: Self::F) -> f32 {
-        (v.0[0] + v.0[2]) + (v.0[1] + v.0[3])
-    }
-    #[inline(always)]
-    fn largest(self, v: Self::F) -> f32 {
-        v.0[0].max(v.0[1]).max(v.0[2].max(v.0[3]))
-    }
-    #[inline(always)]
-    fn zero_i(self) -> Self::I {
-        Four([0; 4])
-    }
-    #[inline(always)]
-    fn to_f(self, v: Self::I) -> Self::F {
-        map(v, |v| v as f32)
-    }
-    #[inline(always)]
-    fn splat_bytes(self, bytes: u32) -> Self::I {
-        Four([bytes as i32; 4])
-    }
-    #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
         // SAFETY: the caller guarantees that `p` is valid for reading sixteen bytes.
         let bytes = unsafe { p.cast::<[[u8; 4]; 4]>().read() };
         map(Four(bytes), i32::from_ne_bytes)
-    }
-    #[inline(always)]
-    fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
-        let dot = |a: i32, w: i32| {
-            let product = |shift: u32| (a >> shift & 0xff) * i32::from((w >> shift) as i8);
-            product(0) + product(8) + product(16) + product(24)
-        };
-        zip(sum, zip(a, w, dot), i32::wrapping_add)
-    }
-    #[inline(always)]
-    fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
-        zip(a, b, i32::wrapping_add)
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
@@ -146,83 +151,6 @@ impl Simd for Scalar {
         to[..4].copy_from_slice(&v.0);
     }
     #[inline(always)]
-    fn div(self, a: Self::F, b: Self::F) -> Self::F {
-        zip(a, b, |a, b| a / b)
-    }
-    #[inline(always)]
-    fn sqrt(self, a: Self::F) -> Self::F {
-        map(a, libm::sqrtf)
-    }
-    #[inline(always)]
-    fn lt(self, a: Self::F, b: Self::F) -> Self::M {
-        Four(core::array::from_fn(|i| a.0[i] < b.0[i]))
-    }
-    #[inline(always)]
-    fn le(self, a: Self::F, b: Self::F) -> Self::M {
-        Four(core::array::from_fn(|i| a.0[i] <= b.0[i]))
-    }
-    #[inline(always)]
-    fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
-        zip(a, b, |a, b| a & b)
-    }
-    #[inline(always)]
-    fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M {
-        zip(a, b, |a, b| a & !b)
-    }
-    #[inline(always)]
-    fn any(self, m: Self::M) -> bool {
-        m.0[0] | m.0[1] | m.0[2] | m.0[3]
-    }
-    #[inline(always)]
-    fn lane_bits(self, m: Self::M) -> u32 {
-        (0..4).map(|i| u32::from(m.0[i]) << i).sum()
-    }
-    #[inline(always)]
-    fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
-        Four(core::array::from_fn(|i| if m.0[i] { yes.0[i] } else { no.0[i] }))
-    }
-    #[inline(always)]
-    fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
-        Four(core::array::from_fn(|i| if m.0[i] { yes.0[i] } else { no.0[i] }))
-    }
-    #[inline(always)]
-    fn splat_i(self, x: i32) -> Self::I {
-        Four([x; 4])
-    }
-    #[inline(always)]
-    fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I {
-        Four(core::array::from_fn(|i| if m.0[i] { a.0[i].wrapping_add(b.0[i]) } else { a.0[i] }))
-    }
-    #[inline(always)]
-    fn mul_i(self, a: Self::I, b: i32) -> Self::I {
-        map(a, |a| a.wrapping_mul(b))
-    }
-    #[inline(always)]
-    fn trunc(self, v: Self::F) -> Self::I {
-        map(v, |v| v as i32)
-    }
-    #[inline(always)]
-    fn as_f(self, v: Self::I) -> Self::F {
-        map(v, |v| f32::from_bits(v as u32))
-    }
-    #[inline(always)]
-    fn gather(self, from: &[u32], index: Self::I) -> Self::I {
-        let last = from.len() - 1;
-        map(index, |i| from[(i as u32 as usize).min(last)] as i32)
-    }
-    #[inline(always)]
-    fn and_i(self, a: Self::I, b: i32) -> Self::I {
-        map(a, |a| a & b)
-    }
-    #[inline(always)]
-    fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
-        zip(a, b, |a, b| a ^ b)
-    }
-    #[inline(always)]
-    fn nonzero(self, a: Self::I) -> Self::M {
-        map(a, |a| a != 0)
-    }
-    #[inline(always)]
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {
         let mut bits = 0;
         for (i, (low, high)) in chunks::<8, _>(low).0.iter().zip(chunks::<8, _>(high).0).enumerate() {
@@ -233,10 +161,6 @@ impl Simd for Scalar {
             bits |= byte << (8 * i);
         }
         bits
-    }
-    #[inline(always)]
-    fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8] {
-        core::array::from_fn(|i| bytes.iter().map(|&b| u32::from(b == first + i as u8)).sum())
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {

@@ -27,6 +27,74 @@ impl Simd for Avx2 {
     const TILE_VECTORS: usize = 2;
     const COUNTED: usize = 48;
 
+    methods! {
+        fn splat(x: f32) -> Self::F { _mm256_set1_ps(x) }
+        fn add(a: Self::F, b: Self::F) -> Self::F { _mm256_add_ps(a, b) }
+        fn sub(a: Self::F, b: Self::F) -> Self::F { _mm256_sub_ps(a, b) }
+        fn mul(a: Self::F, b: Self::F) -> Self::F { _mm256_mul_ps(a, b) }
+        fn mul_add(a: Self::F, b: Self::F, c: Self::F) -> Self::F { _mm256_fmadd_ps(a, b, c) }
+        fn neg_mul_add(a: Self::F, b: Self::F, c: Self::F) -> Self::F { _mm256_fnmadd_ps(a, b, c) }
+        fn max(a: Self::F, b: Self::F) -> Self::F { _mm256_max_ps(a, b) }
+        fn min(a: Self::F, b: Self::F) -> Self::F { _mm256_min_ps(a, b) }
+        fn if_positive(x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
+            let mask = _mm256_cmp_ps::<_CMP_GT_OQ>(x, _mm256_setzero_ps());
+            _mm256_blendv_ps(other, positive, mask)
+        }
+        fn scale_by_power(scale: f32, shifted: Self::F) -> Self::F {
+            let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(shifted));
+            _mm256_castsi256_ps(_mm256_add_epi32(exponent, _mm256_set1_epi32(scale.to_bits() as i32)))
+        }
+        fn sum(v: Self::F) -> f32 {
+            let v = _mm_add_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
+            let v = _mm_add_ps(v, _mm_movehl_ps(v, v));
+            _mm_cvtss_f32(_mm_add_ss(v, _mm_movehdup_ps(v)))
+        }
+        fn largest(v: Self::F) -> f32 {
+            let v = _mm_max_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
+            let v = _mm_max_ps(v, _mm_movehl_ps(v, v));
+            _mm_cvtss_f32(_mm_max_ss(v, _mm_movehdup_ps(v)))
+        }
+        fn zero_i() -> Self::I { _mm256_setzero_si256() }
+        fn to_f(v: Self::I) -> Self::F { _mm256_cvtepi32_ps(v) }
+        fn splat_bytes(bytes: u32) -> Self::I { _mm256_set1_epi32(bytes as i32) }
+        fn dot4(sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
+            // Even and odd bytes are multiplied separately: the sum of two products of 255·127 would overflow
+            // the 16 bits of maddubs, but fits 32 bits.
+            let low = _mm256_set1_epi16(0xff);
+            let even = _mm256_madd_epi16(
+                _mm256_and_si256(a, low),
+                _mm256_srai_epi16::<8>(_mm256_slli_epi16::<8>(w)),
+            );
+            let odd = _mm256_madd_epi16(_mm256_srli_epi16::<8>(a), _mm256_srai_epi16::<8>(w));
+            _mm256_add_epi32(sum, _mm256_add_epi32(even, odd))
+        }
+        fn add_i(a: Self::I, b: Self::I) -> Self::I { _mm256_add_epi32(a, b) }
+        fn div(a: Self::F, b: Self::F) -> Self::F { _mm256_div_ps(a, b) }
+        fn sqrt(a: Self::F) -> Self::F { _mm256_sqrt_ps(a) }
+        fn lt(a: Self::F, b: Self::F) -> Self::M { _mm256_cmp_ps::<_CMP_LT_OQ>(a, b) }
+        fn le(a: Self::F, b: Self::F) -> Self::M { _mm256_cmp_ps::<_CMP_LE_OQ>(a, b) }
+        fn and_m(a: Self::M, b: Self::M) -> Self::M { _mm256_and_ps(a, b) }
+        fn and_not_m(a: Self::M, b: Self::M) -> Self::M { _mm256_andnot_ps(b, a) }
+        fn any(m: Self::M) -> bool { _mm256_movemask_ps(m) != 0 }
+        fn lane_bits(m: Self::M) -> u32 { _mm256_movemask_ps(m) as u32 }
+        fn select(m: Self::M, yes: Self::F, no: Self::F) -> Self::F { _mm256_blendv_ps(no, yes, m) }
+        fn select_i(m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
+            let (yes, no) = (_mm256_castsi256_ps(yes), _mm256_castsi256_ps(no));
+            _mm256_castps_si256(_mm256_blendv_ps(no, yes, m))
+        }
+        fn splat_i(x: i32) -> Self::I { _mm256_set1_epi32(x) }
+        fn mul_i(a: Self::I, b: i32) -> Self::I { _mm256_mullo_epi32(a, _mm256_set1_epi32(b)) }
+        fn trunc(v: Self::F) -> Self::I { _mm256_cvttps_epi32(v) }
+        fn as_f(v: Self::I) -> Self::F { _mm256_castsi256_ps(v) }
+        fn and_i(a: Self::I, b: i32) -> Self::I { _mm256_and_si256(a, _mm256_set1_epi32(b)) }
+        fn xor_i(a: Self::I, b: Self::I) -> Self::I { _mm256_xor_si256(a, b) }
+        fn nonzero(a: Self::I) -> Self::M {
+            // The comparison marks the lanes that are zero; the exclusive or inverts the mask.
+            let zero = _mm256_cmpeq_epi32(a, _mm256_setzero_si256());
+            _mm256_castsi256_ps(_mm256_xor_si256(zero, _mm256_set1_epi32(-1)))
+        }
+    }
+
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
         // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
@@ -36,11 +104,6 @@ impl Simd for Avx2 {
     fn prefetch_near(self, p: *const f32) {
         // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
-    }
-    #[inline(always)]
-    fn splat(self, x: f32) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_set1_ps(x) }
     }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
@@ -69,113 +132,9 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn add(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_add_ps(a, b) }
-    }
-    #[inline(always)]
-    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_sub_ps(a, b) }
-    }
-    #[inline(always)]
-    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_mul_ps(a, b) }
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has FMA.
-        unsafe { _mm256_fmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has FMA.
-        unsafe { _mm256_fnmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    fn max(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_max_ps(a, b) }
-    }
-    #[inline(always)]
-    fn min(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_min_ps(a, b) }
-    }
-    #[inline(always)]
-    fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe {
-            let mask = _mm256_cmp_ps::<_CMP_GT_OQ>(x, _mm256_setzero_ps());
-            _mm256_blendv_ps(other, positive, mask)
-        }
-    }
-    #[inline(always)]
-    fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe {
-            let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(shifted));
-            _mm256_castsi256_ps(_mm256_add_epi32(exponent, _mm256_set1_epi32(scale.to_bits() as i32)))
-        }
-    }
-    #[inline(always)]
-    fn sum(self, v: Self::F) -> f32 {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe {
-            let v = _mm_add_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
-            let v = _mm_add_ps(v, _mm_movehl_ps(v, v));
-            _mm_cvtss_f32(_mm_add_ss(v, _mm_movehdup_ps(v)))
-        }
-    }
-    #[inline(always)]
-    fn largest(self, v: Self::F) -> f32 {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe {
-            let v = _mm_max_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
-            let v = _mm_max_ps(v, _mm_movehl_ps(v, v));
-            _mm_cvtss_f32(_mm_max_ss(v, _mm_movehdup_ps(v)))
-        }
-    }
-    #[inline(always)]
-    fn zero_i(self) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_setzero_si256() }
-    }
-    #[inline(always)]
-    fn to_f(self, v: Self::I) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_cvtepi32_ps(v) }
-    }
-    #[inline(always)]
-    fn splat_bytes(self, bytes: u32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_set1_epi32(bytes as i32) }
-    }
-    #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
         // SAFETY: the token proves AVX2; the caller guarantees that `p` is valid for reading 32 bytes.
         unsafe { _mm256_loadu_si256(p.cast()) }
-    }
-    #[inline(always)]
-    fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe {
-            // Even and odd bytes are multiplied separately: the sum of two products of 255·127 would overflow
-            // the 16 bits of maddubs, but fits 32 bits.
-            let low = _mm256_set1_epi16(0xff);
-            let even = _mm256_madd_epi16(
-                _mm256_and_si256(a, low),
-                _mm256_srai_epi16::<8>(_mm256_slli_epi16::<8>(w)),
-            );
-            let odd = _mm256_madd_epi16(_mm256_srli_epi16::<8>(a), _mm256_srai_epi16::<8>(w));
-            _mm256_add_epi32(sum, _mm256_add_epi32(even, odd))
-        }
-    }
-    #[inline(always)]
-    fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_add_epi32(a, b) }
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
@@ -192,81 +151,8 @@ impl Simd for Avx2 {
         unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), v) }
     }
     #[inline(always)]
-    fn div(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_div_ps(a, b) }
-    }
-    #[inline(always)]
-    fn sqrt(self, a: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_sqrt_ps(a) }
-    }
-    #[inline(always)]
-    fn lt(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(a, b) }
-    }
-    #[inline(always)]
-    fn le(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_cmp_ps::<_CMP_LE_OQ>(a, b) }
-    }
-    #[inline(always)]
-    fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_and_ps(a, b) }
-    }
-    #[inline(always)]
-    fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_andnot_ps(b, a) }
-    }
-    #[inline(always)]
-    fn any(self, m: Self::M) -> bool {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_movemask_ps(m) != 0 }
-    }
-    #[inline(always)]
-    fn lane_bits(self, m: Self::M) -> u32 {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_movemask_ps(m) as u32 }
-    }
-    #[inline(always)]
-    fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_blendv_ps(no, yes, m) }
-    }
-    #[inline(always)]
-    fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe {
-            let (yes, no) = (_mm256_castsi256_ps(yes), _mm256_castsi256_ps(no));
-            _mm256_castps_si256(_mm256_blendv_ps(no, yes, m))
-        }
-    }
-    #[inline(always)]
-    fn splat_i(self, x: i32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_set1_epi32(x) }
-    }
-    #[inline(always)]
     fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I {
         self.select_i(m, self.add_i(a, b), a)
-    }
-    #[inline(always)]
-    fn mul_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_mullo_epi32(a, _mm256_set1_epi32(b)) }
-    }
-    #[inline(always)]
-    fn trunc(self, v: Self::F) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_cvttps_epi32(v) }
-    }
-    #[inline(always)]
-    fn as_f(self, v: Self::I) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_castsi256_ps(v) }
     }
     #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
@@ -275,25 +161,6 @@ impl Simd for Avx2 {
         unsafe {
             let index = _mm256_min_epu32(index, _mm256_set1_epi32(from.len() as i32 - 1));
             _mm256_i32gather_epi32::<4>(from.as_ptr().cast(), index)
-        }
-    }
-    #[inline(always)]
-    fn and_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_and_si256(a, _mm256_set1_epi32(b)) }
-    }
-    #[inline(always)]
-    fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe { _mm256_xor_si256(a, b) }
-    }
-    #[inline(always)]
-    fn nonzero(self, a: Self::I) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX2.
-        unsafe {
-            // The comparison marks the lanes that are zero; the exclusive or inverts the mask.
-            let zero = _mm256_cmpeq_epi32(a, _mm256_setzero_si256());
-            _mm256_castsi256_ps(_mm256_xor_si256(zero, _mm256_set1_epi32(-1)))
         }
     }
     #[inline(always)]

@@ -36,6 +36,55 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     const TILE_VECTORS: usize = 4;
     const COUNTED: usize = 128;
 
+    methods! {
+        fn splat(x: f32) -> Self::F { _mm512_set1_ps(x) }
+        fn add(a: Self::F, b: Self::F) -> Self::F { _mm512_add_ps(a, b) }
+        fn sub(a: Self::F, b: Self::F) -> Self::F { _mm512_sub_ps(a, b) }
+        fn mul(a: Self::F, b: Self::F) -> Self::F { _mm512_mul_ps(a, b) }
+        fn mul_add(a: Self::F, b: Self::F, c: Self::F) -> Self::F { _mm512_fmadd_ps(a, b, c) }
+        fn neg_mul_add(a: Self::F, b: Self::F, c: Self::F) -> Self::F { _mm512_fnmadd_ps(a, b, c) }
+        fn max(a: Self::F, b: Self::F) -> Self::F { _mm512_max_ps(a, b) }
+        fn min(a: Self::F, b: Self::F) -> Self::F { _mm512_min_ps(a, b) }
+        fn if_positive(x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
+            let mask = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(x, _mm512_setzero_ps());
+            _mm512_mask_blend_ps(mask, other, positive)
+        }
+        fn scale_by_power(scale: f32, shifted: Self::F) -> Self::F {
+            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(shifted));
+            _mm512_castsi512_ps(_mm512_add_epi32(exponent, _mm512_set1_epi32(scale.to_bits() as i32)))
+        }
+        fn sum(v: Self::F) -> f32 {
+            let v = _mm256_add_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps::<1>(v));
+            let v = _mm_add_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
+            let v = _mm_add_ps(v, _mm_movehl_ps(v, v));
+            _mm_cvtss_f32(_mm_add_ss(v, _mm_movehdup_ps(v)))
+        }
+        fn largest(v: Self::F) -> f32 {
+            let v = _mm256_max_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps::<1>(v));
+            let v = _mm_max_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
+            let v = _mm_max_ps(v, _mm_movehl_ps(v, v));
+            _mm_cvtss_f32(_mm_max_ss(v, _mm_movehdup_ps(v)))
+        }
+        fn zero_i() -> Self::I { _mm512_setzero_si512() }
+        fn to_f(v: Self::I) -> Self::F { _mm512_cvtepi32_ps(v) }
+        fn splat_bytes(bytes: u32) -> Self::I { _mm512_set1_epi32(bytes as i32) }
+        fn add_i(a: Self::I, b: Self::I) -> Self::I { _mm512_add_epi32(a, b) }
+        fn div(a: Self::F, b: Self::F) -> Self::F { _mm512_div_ps(a, b) }
+        fn sqrt(a: Self::F) -> Self::F { _mm512_sqrt_ps(a) }
+        fn lt(a: Self::F, b: Self::F) -> Self::M { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b) }
+        fn le(a: Self::F, b: Self::F) -> Self::M { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b) }
+        fn select(m: Self::M, yes: Self::F, no: Self::F) -> Self::F { _mm512_mask_blend_ps(m, no, yes) }
+        fn select_i(m: Self::M, yes: Self::I, no: Self::I) -> Self::I { _mm512_mask_blend_epi32(m, no, yes) }
+        fn splat_i(x: i32) -> Self::I { _mm512_set1_epi32(x) }
+        fn add_if(a: Self::I, m: Self::M, b: Self::I) -> Self::I { _mm512_mask_add_epi32(a, m, a, b) }
+        fn mul_i(a: Self::I, b: i32) -> Self::I { _mm512_mullo_epi32(a, _mm512_set1_epi32(b)) }
+        fn trunc(v: Self::F) -> Self::I { _mm512_cvttps_epi32(v) }
+        fn as_f(v: Self::I) -> Self::F { _mm512_castsi512_ps(v) }
+        fn and_i(a: Self::I, b: i32) -> Self::I { _mm512_and_si512(a, _mm512_set1_epi32(b)) }
+        fn xor_i(a: Self::I, b: Self::I) -> Self::I { _mm512_xor_si512(a, b) }
+        fn nonzero(a: Self::I) -> Self::M { _mm512_test_epi32_mask(a, a) }
+    }
+
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
         // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
@@ -45,11 +94,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     fn prefetch_near(self, p: *const f32) {
         // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
-    }
-    #[inline(always)]
-    fn splat(self, x: f32) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_set1_ps(x) }
     }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
@@ -78,92 +122,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         }
     }
     #[inline(always)]
-    fn add(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_add_ps(a, b) }
-    }
-    #[inline(always)]
-    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_sub_ps(a, b) }
-    }
-    #[inline(always)]
-    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_mul_ps(a, b) }
-    }
-    #[inline(always)]
-    fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_fmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_fnmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    fn max(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_max_ps(a, b) }
-    }
-    #[inline(always)]
-    fn min(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_min_ps(a, b) }
-    }
-    #[inline(always)]
-    fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe {
-            let mask = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(x, _mm512_setzero_ps());
-            _mm512_mask_blend_ps(mask, other, positive)
-        }
-    }
-    #[inline(always)]
-    fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe {
-            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(shifted));
-            _mm512_castsi512_ps(_mm512_add_epi32(exponent, _mm512_set1_epi32(scale.to_bits() as i32)))
-        }
-    }
-    #[inline(always)]
-    fn sum(self, v: Self::F) -> f32 {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe {
-            let v = _mm256_add_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps::<1>(v));
-            let v = _mm_add_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
-            let v = _mm_add_ps(v, _mm_movehl_ps(v, v));
-            _mm_cvtss_f32(_mm_add_ss(v, _mm_movehdup_ps(v)))
-        }
-    }
-    #[inline(always)]
-    fn largest(self, v: Self::F) -> f32 {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe {
-            let v = _mm256_max_ps(_mm512_castps512_ps256(v), _mm512_extractf32x8_ps::<1>(v));
-            let v = _mm_max_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps::<1>(v));
-            let v = _mm_max_ps(v, _mm_movehl_ps(v, v));
-            _mm_cvtss_f32(_mm_max_ss(v, _mm_movehdup_ps(v)))
-        }
-    }
-    #[inline(always)]
-    fn zero_i(self) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_setzero_si512() }
-    }
-    #[inline(always)]
-    fn to_f(self, v: Self::I) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_cvtepi32_ps(v) }
-    }
-    #[inline(always)]
-    fn splat_bytes(self, bytes: u32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_set1_epi32(bytes as i32) }
-    }
-    #[inline(always)]
     unsafe fn load_bytes(self, p: *const i8) -> Self::I {
         // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for reading 64 bytes.
         unsafe { _mm512_loadu_si512(p.cast()) }
@@ -187,11 +145,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         }
     }
     #[inline(always)]
-    fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_add_epi32(a, b) }
-    }
-    #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
         // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for writing 16 bytes.
         unsafe {
@@ -203,26 +156,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
         // SAFETY: the token proves AVX-512; `to` has 16 elements, and 16 are written.
         unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), v) }
-    }
-    #[inline(always)]
-    fn div(self, a: Self::F, b: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_div_ps(a, b) }
-    }
-    #[inline(always)]
-    fn sqrt(self, a: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_sqrt_ps(a) }
-    }
-    #[inline(always)]
-    fn lt(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b) }
-    }
-    #[inline(always)]
-    fn le(self, a: Self::F, b: Self::F) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b) }
     }
     #[inline(always)]
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
@@ -241,41 +174,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         u32::from(m)
     }
     #[inline(always)]
-    fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_mask_blend_ps(m, no, yes) }
-    }
-    #[inline(always)]
-    fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_mask_blend_epi32(m, no, yes) }
-    }
-    #[inline(always)]
-    fn splat_i(self, x: i32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_set1_epi32(x) }
-    }
-    #[inline(always)]
-    fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_mask_add_epi32(a, m, a, b) }
-    }
-    #[inline(always)]
-    fn mul_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_mullo_epi32(a, _mm512_set1_epi32(b)) }
-    }
-    #[inline(always)]
-    fn trunc(self, v: Self::F) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_cvttps_epi32(v) }
-    }
-    #[inline(always)]
-    fn as_f(self, v: Self::I) -> Self::F {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_castsi512_ps(v) }
-    }
-    #[inline(always)]
     fn gather(self, from: &[u32], index: Self::I) -> Self::I {
         assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "`from` is empty or too long");
         // SAFETY: the token proves AVX-512; `from` is not empty, and each index is clamped to its last word.
@@ -288,21 +186,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
             let [low, high] = [eight_words(from, &at, 0), eight_words(from, &at, 8)];
             _mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high)
         }
-    }
-    #[inline(always)]
-    fn and_i(self, a: Self::I, b: i32) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_and_si512(a, _mm512_set1_epi32(b)) }
-    }
-    #[inline(always)]
-    fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_xor_si512(a, b) }
-    }
-    #[inline(always)]
-    fn nonzero(self, a: Self::I) -> Self::M {
-        // SAFETY: the token proves that the CPU has AVX-512.
-        unsafe { _mm512_test_epi32_mask(a, a) }
     }
     #[inline(always)]
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {

@@ -1,5 +1,16 @@
 //! One file per instruction set of x86-64.
 
+/// Defines methods of a token, in terms of intrinsics. The first argument, `self`, is added.
+macro_rules! methods {
+    ($(fn $name:ident($($argument:ident: $type:ty),*) -> $result:ty { $($body:tt)* })*) => {$(
+        #[inline(always)]
+        fn $name(self, $($argument: $type),*) -> $result {
+            // SAFETY: the token proves that the CPU has the instructions.
+            unsafe { $($body)* }
+        }
+    )*};
+}
+
 pub(crate) mod avx2;
 // Compilers before 1.89 lack the AVX-512 intrinsics.
 #[cfg(entire_avx512)]
