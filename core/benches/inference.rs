@@ -200,34 +200,41 @@ mod limits {
     use super::{Instant, black_box};
     use std::arch::x86_64::*;
 
-    macro_rules! probes {
-        ($fma:ident, $sum:ident, $feature:literal, $zero:ident, $fmadd:ident, $load:ident, $add:ident, $lanes:literal) => {
+    /// Defines a function that returns the arithmetic operations per second of twelve independent chains of an
+    /// instruction, each of which does `$operations` of them.
+    macro_rules! rate {
+        ($name:ident, $feature:literal, $zero:ident, $operations:literal, [$($i:literal)*],
+         |$x:ident, $y:ident, $sum:ident| $next:expr) => {
             #[target_feature(enable = $feature)]
-            fn $fma(rounds: usize) -> f64 {
-                let (x, y) = (black_box($zero()), black_box($zero()));
-                let mut s = [$zero(); 12];
+            fn $name(rounds: usize) -> f64 {
+                let ($x, $y) = (black_box($zero()), black_box($zero()));
+                let mut sums = [$zero(); 12];
                 let start = Instant::now();
                 for _ in 0..rounds {
-                    s[0] = $fmadd(x, y, s[0]);
-                    s[1] = $fmadd(x, y, s[1]);
-                    s[2] = $fmadd(x, y, s[2]);
-                    s[3] = $fmadd(x, y, s[3]);
-                    s[4] = $fmadd(x, y, s[4]);
-                    s[5] = $fmadd(x, y, s[5]);
-                    s[6] = $fmadd(x, y, s[6]);
-                    s[7] = $fmadd(x, y, s[7]);
-                    s[8] = $fmadd(x, y, s[8]);
-                    s[9] = $fmadd(x, y, s[9]);
-                    s[10] = $fmadd(x, y, s[10]);
-                    s[11] = $fmadd(x, y, s[11]);
+                    $(
+                        let $sum = sums[$i];
+                        sums[$i] = $next;
+                    )*
                 }
                 let seconds = start.elapsed().as_secs_f64();
-                black_box(s);
-                (rounds * 24 * $lanes) as f64 / seconds
+                black_box(sums);
+                (rounds * 12 * $operations) as f64 / seconds
             }
+        };
+    }
 
+    rate!(fma512, "avx512f", _mm512_setzero_ps, 32, [0 1 2 3 4 5 6 7 8 9 10 11],
+          |x, y, sum| _mm512_fmadd_ps(x, y, sum));
+    rate!(fma256, "avx2,fma", _mm256_setzero_ps, 16, [0 1 2 3 4 5 6 7 8 9 10 11],
+          |x, y, sum| _mm256_fmadd_ps(x, y, sum));
+    rate!(dot512, "avx512f,avx512vnni", _mm512_setzero_si512, 128, [0 1 2 3 4 5 6 7 8 9 10 11],
+          |x, y, sum| _mm512_dpbusd_epi32(sum, x, y));
+
+    /// Defines a function that reads floats once, as four sums of vectors of `$lanes` floats.
+    macro_rules! read {
+        ($name:ident, $feature:literal, $zero:ident, $load:ident, $add:ident, $lanes:literal) => {
             #[target_feature(enable = $feature)]
-            fn $sum(data: &[f32]) {
+            fn $name(data: &[f32]) {
                 let (mut a, mut b, mut c, mut d) = ($zero(), $zero(), $zero(), $zero());
                 for chunk in data.chunks_exact(4 * $lanes) {
                     let p = chunk.as_ptr();
@@ -244,50 +251,8 @@ mod limits {
         };
     }
 
-    probes!(
-        fma512,
-        sum512,
-        "avx512f",
-        _mm512_setzero_ps,
-        _mm512_fmadd_ps,
-        _mm512_loadu_ps,
-        _mm512_add_ps,
-        16
-    );
-    probes!(
-        fma256,
-        sum256,
-        "avx2,fma",
-        _mm256_setzero_ps,
-        _mm256_fmadd_ps,
-        _mm256_loadu_ps,
-        _mm256_add_ps,
-        8
-    );
-
-    #[target_feature(enable = "avx512f,avx512vnni")]
-    fn dot512(rounds: usize) -> f64 {
-        let (x, y) = (black_box(_mm512_setzero_si512()), black_box(_mm512_setzero_si512()));
-        let mut s = [_mm512_setzero_si512(); 12];
-        let start = Instant::now();
-        for _ in 0..rounds {
-            s[0] = _mm512_dpbusd_epi32(s[0], x, y);
-            s[1] = _mm512_dpbusd_epi32(s[1], x, y);
-            s[2] = _mm512_dpbusd_epi32(s[2], x, y);
-            s[3] = _mm512_dpbusd_epi32(s[3], x, y);
-            s[4] = _mm512_dpbusd_epi32(s[4], x, y);
-            s[5] = _mm512_dpbusd_epi32(s[5], x, y);
-            s[6] = _mm512_dpbusd_epi32(s[6], x, y);
-            s[7] = _mm512_dpbusd_epi32(s[7], x, y);
-            s[8] = _mm512_dpbusd_epi32(s[8], x, y);
-            s[9] = _mm512_dpbusd_epi32(s[9], x, y);
-            s[10] = _mm512_dpbusd_epi32(s[10], x, y);
-            s[11] = _mm512_dpbusd_epi32(s[11], x, y);
-        }
-        let seconds = start.elapsed().as_secs_f64();
-        black_box(s);
-        (rounds * 24 * 64) as f64 / seconds
-    }
+    read!(sum512, "avx512f", _mm512_setzero_ps, _mm512_loadu_ps, _mm512_add_ps, 16);
+    read!(sum256, "avx2,fma", _mm256_setzero_ps, _mm256_loadu_ps, _mm256_add_ps, 8);
 
     /// Returns the peak rate in FLOP per second (with `int8`: integer operations per second), or `None` if
     /// the level lacks such instructions.
