@@ -10,6 +10,16 @@ fn number(v: &Value) -> f64 {
     v.as_f64().expect("a number")
 }
 
+fn read_nodes<V>(nodes: &Value, value: impl Fn(&Value) -> V) -> Vec<Node<V>> {
+    let node = |n: &Value| Node {
+        position: number(&n[0]),
+        value: value(&n[1]),
+        midpoint: number(&n[2]),
+        sharpness: number(&n[3]),
+    };
+    nodes.as_array().unwrap().iter().map(node).collect()
+}
+
 #[test]
 fn tables_equal_those_of_vtk() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/vtk_transfer/values.json");
@@ -18,29 +28,9 @@ fn tables_equal_those_of_vtk() {
     assert!(cases.len() >= 12);
     let mut bent = 0;
     for (index, case) in cases.iter().enumerate() {
-        let opacity: Vec<_> = case["opacity_nodes"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|n| Node {
-                position: number(&n[0]),
-                value: number(&n[1]),
-                midpoint: number(&n[2]),
-                sharpness: number(&n[3]),
-            })
-            .collect();
+        let opacity = read_nodes(&case["opacity_nodes"], number);
         bent += opacity.iter().filter(|n| n.sharpness >= 0.01 && n.sharpness <= 0.99).count();
-        let color: Vec<_> = case["color_nodes"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|n| Node {
-                position: number(&n[0]),
-                value: [0, 1, 2].map(|c| number(&n[1][c])),
-                midpoint: number(&n[2]),
-                sharpness: number(&n[3]),
-            })
-            .collect();
+        let color = read_nodes(&case["color_nodes"], |color| [0, 1, 2].map(|c| number(&color[c])));
         let (low, high) = (number(&case["range"][0]), number(&case["range"][1]));
         let nodes = Nodes { opacity, color, range: (low, high), clamp: case["clamp"].as_bool().unwrap() };
         let table = TransferFunction::Nodes(nodes).to_table().unwrap();

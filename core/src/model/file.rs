@@ -89,7 +89,7 @@ impl<'a> Source<'a> {
 /// The bytes depend only on the content, not on the order of insertion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelFile {
-    tensors: BTreeMap<String, TensorData<'static>>,
+    pub(super) tensors: BTreeMap<String, TensorData<'static>>,
     /// All metadata: the entries of [`Key`] and any other.
     pub metadata: BTreeMap<String, String>,
 }
@@ -113,12 +113,6 @@ impl ModelFile {
             (name, TensorData { dtype: t.dtype, shape: t.shape, data: Cow::Owned(t.data.into_owned()) })
         };
         Ok(Self { tensors: source.tensors.into_iter().map(own).collect(), metadata: source.metadata })
-    }
-
-    /// Names of the tensors, in alphabetical order.
-    #[cfg(test)]
-    pub(crate) fn tensor_names(&self) -> impl Iterator<Item = &str> {
-        self.tensors.keys().map(String::as_str)
     }
 
     /// Inserts a tensor, rounded to `dtype` (to nearest, ties to even).
@@ -167,12 +161,6 @@ impl ModelFile {
         self.tensors
             .insert(name.to_owned(), TensorData { dtype, shape: shape.to_vec(), data: Cow::Owned(data) });
         Ok(self)
-    }
-
-    /// Removes one tensor; returns true where it existed.
-    #[cfg(test)]
-    pub(crate) fn remove_tensor(&mut self, name: &str) -> bool {
-        self.tensors.remove(name).is_some()
     }
 
     /// Replaces every tensor under `prednet.`, the target and the input groups. Weights are stored in each

@@ -2,12 +2,12 @@
 
 use super::file::TensorData;
 use super::key::{FORMAT, GroupKind, Key};
+use crate::Result;
 use crate::error::bail;
 use crate::memory::{collected, room};
 use crate::nn::{
     ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts, check_volumenet,
 };
-use crate::{Error, ErrorKind, Result};
 use alloc::borrow::ToOwned;
 use alloc::collections::{BTreeMap, BTreeSet};
 use alloc::format;
@@ -56,10 +56,10 @@ impl Model {
     ///
     /// # Errors
     ///
-    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not a model file or for invalid metadata;
-    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, has a wrong shape or is not
-    /// finite; [`OutOfMemory`](ErrorKind::OutOfMemory) if the weights cannot be allocated. An invalid file is
-    /// refused as a whole.
+    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are not a model file or for invalid
+    /// metadata; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) for a tensor that is missing, has a wrong
+    /// shape or is not finite; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the weights cannot be
+    /// allocated. An invalid file is refused as a whole.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         source.model()
@@ -232,10 +232,8 @@ impl Source<'_> {
             );
         }
         let mut seen = BTreeSet::new();
-        for name in &names {
-            if !seen.insert(name.as_str()) {
-                bail!(InvalidModel, "{key} names {name:?} twice");
-            }
+        if let Some(name) = names.iter().find(|name| !seen.insert(name.as_str())) {
+            bail!(InvalidModel, "{key} names {name:?} twice");
         }
         Ok(names)
     }
@@ -453,14 +451,12 @@ impl TensorData<'_> {
             ),
         };
         if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-            return Err(Error::new(
-                ErrorKind::InvalidTensor,
-                format!(
-                    "{name}{} is {}: every number in a model must be finite",
-                    index_of(i, &self.shape),
-                    values[i]
-                ),
-            ));
+            bail!(
+                InvalidTensor,
+                "{name}{} is {}: every number in a model must be finite",
+                index_of(i, &self.shape),
+                values[i]
+            );
         }
         Ok((values, dtype))
     }
@@ -469,16 +465,11 @@ impl TensorData<'_> {
 /// Converts a flat index to the tensor's own indices, such as `[3, 17]`.
 fn index_of(flat: usize, shape: &[usize]) -> String {
     let mut rest = flat;
-    let mut indices: Vec<usize> = shape
-        .iter()
-        .rev()
-        .map(|&n| {
-            let i = rest % n.max(1);
-            rest /= n.max(1);
-            i
-        })
-        .collect();
-    indices.reverse();
+    let mut indices = shape.to_vec();
+    for size in indices.iter_mut().rev() {
+        let n = (*size).max(1);
+        (*size, rest) = (rest % n, rest / n);
+    }
     format!("{indices:?}")
 }
 

@@ -42,30 +42,9 @@ fn file() -> ModelFile {
 }
 
 fn with_volumenet() -> ModelFile {
-    let mut file = file();
-    let ones = |n: usize| vec![0.5f32; n];
-    for (name, shape) in [
-        ("volumenet.encoder.0.conv.weight", vec![2, 1, 3, 3, 3]),
-        ("volumenet.encoder.0.conv.bias", vec![2]),
-        ("volumenet.encoder.0.bn.weight", vec![2]),
-        ("volumenet.encoder.0.bn.bias", vec![2]),
-        ("volumenet.encoder.0.bn.running_mean", vec![2]),
-        ("volumenet.encoder.0.bn.running_var", vec![2]),
-        ("volumenet.encoder.1.conv.weight", vec![3, 2, 2, 2, 2]),
-        ("volumenet.encoder.1.bn.weight", vec![3]),
-        ("volumenet.encoder.1.bn.bias", vec![3]),
-        ("volumenet.encoder.1.bn.running_mean", vec![3]),
-        ("volumenet.encoder.1.bn.running_var", vec![3]),
-        ("volumenet.fc.weight", vec![4, 24]),
-        ("volumenet.fc.bias", vec![4]),
-    ] {
-        let n = shape.iter().product();
-        file.set_tensor(name, Dtype::F32, &shape, &ones(n)).unwrap();
-    }
-    file.metadata.insert(
-        Key::VolumeNet.into(),
-        r#"{"input":8,"blocks":[{"stride":2,"padding":1},{"stride":2,"padding":0}]}"#.into(),
-    );
+    let mut file = encoder_file(8, &[(2, 3, 2, 1), (3, 2, 2, 0)], 4);
+    file.set_prednet(&prednet(Dtype::F32), &groups()).unwrap();
+    file.set_tensor("volumenet.encoder.0.conv.bias", Dtype::F32, &[2], &[0.5; 2]).unwrap();
     file
 }
 
@@ -115,9 +94,8 @@ fn unknown_tensors_and_metadata_survive_fine_tuning() {
     let before = ModelFile::from_bytes(&file.to_bytes().unwrap()).unwrap();
     let mut tuned = before.clone();
     tuned.set_prednet(&prednet(Dtype::F16), &groups()).unwrap();
-    let kept: Vec<_> = before.tensor_names().filter(|n| !n.starts_with("prednet.")).collect();
-    for name in &kept {
-        assert!(tuned.tensor_names().any(|n| n == *name), "{name} was lost");
+    for name in before.tensors.keys().filter(|n| !n.starts_with("prednet.")) {
+        assert!(tuned.tensors.contains_key(name), "{name} was lost");
     }
     assert_eq!(tuned.metadata, before.metadata);
     assert_eq!(tuned.to_model().unwrap().volumenet, before.to_model().unwrap().volumenet);
@@ -225,30 +203,18 @@ fn metadata_is_checked() {
     }
     fails(&set(Key::Format, "2"), invalid, &["\"2\"", "\"1\""]);
     fails(&set(Key::Target, "ms"), invalid, &["\"ms\"", "log_seconds"]);
-    fails(&set(Key::Inputs, "camera"), invalid, &[Key::Inputs.name(), "JSON"]);
-    fails(
-        &set(Key::Inputs, r#"[{"name":"camera","size":4},{"name":"x","size":2}]"#),
-        invalid,
-        &["camera", "4", "3"],
-    );
-    fails(&set(Key::Inputs, r#"[{"name":"x","size":3},{"name":"x","size":3}]"#), invalid, &["twice"]);
-    fails(&set(Key::Inputs, r#"[{"name":"x","size":5}]"#), invalid, &["5", "6"]);
-    fails(&set(Key::Inputs, r#"[{"name":"x","size":6},{"name":"y","size":0}]"#), invalid, &["\"y\""]);
-    fails(
-        &set(Key::Inputs, r#"[{"name":"x","size":18446744073709551615},{"name":"y","size":7}]"#),
-        invalid,
-        &["adds up"],
-    );
-    fails(
-        &set(Key::Inputs, r#"[{"name":"transfer_function","size":4},{"name":"x","size":2}]"#),
-        invalid,
-        &["lobe"],
-    );
-    fails(
-        &set(Key::Inputs, r#"[{"name":"volume_features","size":5},{"name":"x","size":1}]"#),
-        invalid,
-        &["volume_features", "5", "4"],
-    );
+    for (inputs, says) in [
+        ("camera", &[Key::Inputs.name(), "JSON"][..]),
+        (r#"[{"name":"camera","size":4},{"name":"x","size":2}]"#, &["camera", "4", "3"]),
+        (r#"[{"name":"x","size":3},{"name":"x","size":3}]"#, &["twice"]),
+        (r#"[{"name":"x","size":5}]"#, &["5", "6"]),
+        (r#"[{"name":"x","size":6},{"name":"y","size":0}]"#, &["\"y\""]),
+        (r#"[{"name":"x","size":18446744073709551615},{"name":"y","size":7}]"#, &["adds up"]),
+        (r#"[{"name":"transfer_function","size":4},{"name":"x","size":2}]"#, &["lobe"]),
+        (r#"[{"name":"volume_features","size":5},{"name":"x","size":1}]"#, &["volume_features", "5", "4"]),
+    ] {
+        fails(&set(Key::Inputs, inputs), invalid, says);
+    }
     let scene = r#"[{"name":"scene_features","size":6}]"#;
     fails(&set(Key::Inputs, scene), invalid, &[Key::SceneFeatures.name()]);
     for (names, says) in
@@ -273,27 +239,25 @@ fn metadata_is_checked() {
     fails(&set(Key::VolumeNet, &two(padded, good)), invalid, &["padding 3"]);
 }
 
-/// Returns a file with an encoder. A block is (outputs, kernel, stride, padding); the dense layer has
-/// `features` outputs.
+/// Returns a file with an encoder, all of whose numbers are 0.5. A block is (outputs, kernel, stride, padding); the
+/// dense layer has `features` outputs.
 fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features: usize) -> ModelFile {
     let mut file = ModelFile::default();
+    let mut set = |name: &str, shape: &[usize]| {
+        file.set_tensor(name, Dtype::F32, shape, &vec![0.5; shape.iter().product()]).unwrap();
+    };
     let (mut edge, mut channels, mut layout) = (input, 1, Vec::new());
     for (i, &(outputs, kernel, stride, padding)) in blocks.iter().enumerate() {
         let name = format!("volumenet.encoder.{i}");
-        let count = outputs * channels * kernel * kernel * kernel;
-        let shape = [outputs, channels, kernel, kernel, kernel];
-        file.set_tensor(&format!("{name}.conv.weight"), Dtype::F32, &shape, &vec![0.01; count]).unwrap();
+        set(&format!("{name}.conv.weight"), &[outputs, channels, kernel, kernel, kernel]);
         for part in ["weight", "bias", "running_mean", "running_var"] {
-            file.set_tensor(&format!("{name}.bn.{part}"), Dtype::F32, &[outputs], &vec![1.0; outputs])
-                .unwrap();
+            set(&format!("{name}.bn.{part}"), &[outputs]);
         }
         layout.push(format!(r#"{{"stride":{stride},"padding":{padding}}}"#));
         (edge, channels) = ((edge + 2 * padding - kernel) / stride + 1, outputs);
     }
-    let flat = channels * edge * edge * edge;
-    file.set_tensor("volumenet.fc.weight", Dtype::F32, &[features, flat], &vec![0.1; features * flat])
-        .unwrap();
-    file.set_tensor("volumenet.fc.bias", Dtype::F32, &[features], &vec![0.0; features]).unwrap();
+    set("volumenet.fc.weight", &[features, channels * edge * edge * edge]);
+    set("volumenet.fc.bias", &[features]);
     file.metadata
         .insert(Key::VolumeNet.into(), format!(r#"{{"input":{input},"blocks":[{}]}}"#, layout.join(",")));
     file
@@ -354,10 +318,10 @@ fn the_number_of_groups_and_their_check_are_bounded() {
 #[test]
 fn tensors_are_checked() {
     let invalid = ErrorKind::InvalidTensor;
-    for name in with_volumenet().tensor_names().map(String::from).collect::<Vec<_>>() {
+    for name in with_volumenet().tensors.into_keys() {
         // The bias of a convolution is optional; the number of blocks is checked with the metadata.
         let mut f = with_volumenet();
-        f.remove_tensor(&name);
+        f.tensors.remove(&name);
         if name == "volumenet.encoder.0.conv.bias" {
             assert!(f.to_model().is_ok());
         } else if name == "volumenet.encoder.1.conv.weight" {
@@ -376,25 +340,25 @@ fn tensors_are_checked() {
         f.set_tensor(name, Dtype::F32, shape, &vec![value; shape.iter().product()]).unwrap();
         f
     };
-    fails(&set("prednet.1.weight", &[3, 4], 1.0), invalid, &["prednet.1.weight", "[3, 4]", "[out, 5]"]);
-    fails(&set("prednet.2.weight", &[2, 3], 1.0), invalid, &["prednet.2.weight", "[2, 3]", "[1, 3]"]);
-    fails(&set("prednet.0.weight", &[0, 6], 1.0), invalid, &["prednet.0.weight", "[0, 6]"]);
-    fails(&set("prednet.input.std", &[6], 0.0), invalid, &["prednet.input.std[0]", "0"]);
-    fails(&set("prednet.output.std", &[1], -1.0), invalid, &["prednet.output.std[0]", "-1"]);
-    fails(&set("volumenet.encoder.1.conv.weight", &[3, 2, 5, 5, 5], 1.0), invalid, &["kernel 5", "4"]);
-    fails(&set("volumenet.encoder.0.bn.running_var", &[2], -0.5), invalid, &["running_var[0]", "-0.5"]);
+    for (name, shape, value, says) in [
+        ("prednet.1.weight", &[3, 4][..], 1.0, &["prednet.1.weight", "[3, 4]", "[out, 5]"][..]),
+        ("prednet.2.weight", &[2, 3], 1.0, &["prednet.2.weight", "[2, 3]", "[1, 3]"]),
+        ("prednet.0.weight", &[0, 6], 1.0, &["prednet.0.weight", "[0, 6]"]),
+        ("prednet.7.weight", &[3, 3], 1.0, &["prednet.3.weight", "missing"]),
+        ("prednet.input.std", &[6], 0.0, &["prednet.input.std[0]", "0"]),
+        ("prednet.output.std", &[1], -1.0, &["prednet.output.std[0]", "-1"]),
+        ("volumenet.encoder.1.conv.weight", &[3, 2, 5, 5, 5], 1.0, &["kernel 5", "4"]),
+        ("volumenet.encoder.0.bn.running_var", &[2], -0.5, &["running_var[0]", "-0.5"]),
+        ("volumenet.fc.weight", &[4, 23], 1.0, &["volumenet.fc.weight", "[4, 23]", "[out, 24]"]),
+    ] {
+        fails(&set(name, shape, value), invalid, says);
+    }
     let mut f = set("volumenet.encoder.0.bn.weight", &[2], 1e38);
     f.set_tensor("volumenet.encoder.0.bn.running_var", Dtype::F32, &[2], &[0.0, 0.0]).unwrap();
     fails(&f, invalid, &["encoder.0", "overflows"]);
-    fails(
-        &set("volumenet.fc.weight", &[4, 23], 1.0),
-        invalid,
-        &["volumenet.fc.weight", "[4, 23]", "[out, 24]"],
-    );
-    fails(&set("prednet.7.weight", &[3, 3], 1.0), invalid, &["prednet.3.weight", "missing"]);
     let gap = "volumenet.encoder.1.conv.weight";
     let mut f = encoder_file(4, &[(2, 1, 1, 0); 3], 1);
-    f.remove_tensor(gap);
+    f.tensors.remove(gap);
     fails(&f, invalid, &[gap, "missing", "[channels, 2, k, k, k]"]);
     let mut f = ModelFile::default();
     fails(&f, ErrorKind::InvalidModel, &["neither"]);

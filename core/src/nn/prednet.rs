@@ -215,8 +215,6 @@ mod tests {
     use super::*;
     use crate::kernels::{SELU_ALPHA, SELU_SCALE};
     use crate::nn::{DenseParts, Normalization};
-    use alloc::format;
-    use alloc::string::String;
     use alloc::vec;
     use alloc::vec::Vec;
     use proptest::prelude::*;
@@ -278,6 +276,26 @@ mod tests {
         seconds
     }
 
+    /// Compares predictions of rows, one by one and all at once, with plain loops, on every level and for every
+    /// storage. `tolerance` returns the largest relative error, from the storage and the exact seconds.
+    fn check_rows(sizes: &[usize], rows: usize, seed: u32, tolerance: impl Fn(Storage, f64) -> f64) {
+        let parts = parts(sizes, Target::LogSeconds, seed);
+        let inputs: Vec<f32> = (0..rows * sizes[0]).map(|i| (i * 7919 % 1000) as f32 / 250.0 - 2.0).collect();
+        for (level, storage) in Level::available().flat_map(|level| Storage::ALL.map(|s| (level, s))) {
+            let net = PredNet::with(&parts, level, storage).unwrap();
+            let mut scratch = net.scratch(1).unwrap();
+            let batch = predicted(&net, &inputs, rows);
+            for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
+                let exact = plain(&parts, row);
+                for found in [net.predict(row, &mut scratch), in_batch] {
+                    let error = (f64::from(found) - exact).abs() / exact;
+                    let what = storage.name();
+                    assert!(error <= tolerance(storage, exact), "{sizes:?} {level} {what}: {found} {exact}");
+                }
+            }
+        }
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
@@ -291,29 +309,13 @@ mod tests {
         ) {
             let mut sizes = sizes;
             sizes.push(1);
-            let parts = parts(&sizes, Target::LogSeconds, seed);
-            let inputs: Vec<f32> = (0..rows * sizes[0]).map(|i| (i * 7919 % 1000) as f32 / 250.0 - 2.0).collect();
-            let exact: Vec<f64> = inputs.chunks(sizes[0]).map(|row| plain(&parts, row)).collect();
-            for level in Level::available() {
-                for storage in Storage::ALL {
-                    let tolerance = PredNet::tolerance(storage, Dtype::F32);
-                    let net = PredNet::with(&parts, level, storage).unwrap();
-                    let mut scratch = net.scratch(1).unwrap();
-                    let batch = predicted(&net, &inputs, rows);
-                    for (i, row) in inputs.chunks(sizes[0]).enumerate() {
-                        let single = net.predict(row, &mut scratch);
-                        for found in [single, batch[i]] {
-                            // Errors of rounded weights are relative to the last layer's output: the
-                            // logarithm of the seconds, normalized.
-                            let size = ((libm::log(exact[i]) + 4.0) / 0.5).abs().max(1.0);
-                            let size = if storage == Storage::F32 { 1.0 } else { size };
-                            let error = (f64::from(found) - exact[i]).abs() / exact[i] / size;
-                            let what: String = format!("{sizes:?} {level} {} row {i}", storage.name());
-                            prop_assert!(error <= tolerance, "{}: {} for {}", what, found, exact[i]);
-                        }
-                    }
-                }
-            }
+            check_rows(&sizes, rows, seed, |storage, exact| {
+                // Errors of rounded weights are relative to the last layer's output: the logarithm of the
+                // seconds, normalized.
+                let size = ((libm::log(exact) + 4.0) / 0.5).abs().max(1.0);
+                let size = if storage == Storage::F32 { 1.0 } else { size };
+                PredNet::tolerance(storage, Dtype::F32) * size
+            });
         }
     }
 
@@ -322,32 +324,9 @@ mod tests {
     #[test]
     fn small_networks_agree_with_plain_loops() {
         for (sizes, rows) in [(&[3, 5, 1][..], 2), (&[7, 17, 4, 1], 7), (&[2, 1], 1)] {
-            let parts = parts(sizes, Target::LogSeconds, 11);
-            let inputs: Vec<f32> =
-                (0..rows * sizes[0]).map(|i| (i * 7919 % 1000) as f32 / 250.0 - 2.0).collect();
-            for level in Level::available() {
-                for storage in Storage::ALL {
-                    let net = PredNet::with(&parts, level, storage).unwrap();
-                    let batch = predicted(&net, &inputs, rows);
-                    for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
-                        let exact = plain(&parts, row);
-                        let single = net.predict(row, &mut net.scratch(1).unwrap());
-                        let tolerance = if storage == Storage::F32 {
-                            PredNet::tolerance(storage, Dtype::F32)
-                        } else {
-                            0.3
-                        };
-                        for found in [single, in_batch] {
-                            let error = (f64::from(found) - exact).abs() / exact;
-                            assert!(
-                                error <= tolerance,
-                                "{sizes:?} {level} {}: {found} {exact}",
-                                storage.name()
-                            );
-                        }
-                    }
-                }
-            }
+            check_rows(sizes, rows, 11, |storage, _| {
+                if storage == Storage::F32 { PredNet::tolerance(storage, Dtype::F32) } else { 0.3 }
+            });
         }
     }
 

@@ -170,12 +170,6 @@ impl TransferTable {
     pub fn is_visible(&self, index: usize) -> bool {
         corrected_opacity(self.rgba[index][3], 1.0 / self.unit_distance) >= OPACITY_FLOOR
     }
-
-    /// Largest opacity in the table.
-    #[cfg(test)]
-    pub(crate) fn max_opacity(&self) -> f32 {
-        self.rgba.iter().fold(0.0, |m, e| m.max(e[3]))
-    }
 }
 
 /// Returns the opacity over `ratio` unit distances of a medium with opacity `alpha` per unit distance:
@@ -301,9 +295,10 @@ mod tests {
     #[test]
     fn overlapping_lobes_saturate_at_one_and_none_is_transparent() {
         let lobe = GaussianLobe { center: 0.5, width: 0.1, height: 0.8 };
-        let table = TransferFunction::Gaussian(vec![lobe; 3]).to_table().unwrap();
-        assert_eq!(table.max_opacity(), 1.0);
-        assert_eq!(TransferFunction::Gaussian(vec![]).to_table().unwrap().max_opacity(), 0.0);
+        for (count, most) in [(3, 1.0), (0, 0.0)] {
+            let table = TransferFunction::Gaussian(vec![lobe; count]).to_table().unwrap();
+            assert_eq!(table.rgba().iter().map(|e| e[3]).fold(0.0, f32::max), most);
+        }
     }
 
     #[test]

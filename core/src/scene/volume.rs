@@ -260,12 +260,6 @@ impl<'a> VolumeView<'a> {
         self.strides
     }
 
-    /// True if voxels are contiguous, x fastest.
-    #[cfg(test)]
-    pub(crate) fn is_contiguous(&self) -> bool {
-        self.strides == [1, self.dims[0], self.dims[0] * self.dims[1]]
-    }
-
     /// The scalar range that maps to [0, 1].
     pub fn range(&self) -> (f32, f32) {
         self.range
@@ -451,7 +445,6 @@ mod tests {
         let v = VolumeView::with(scalars, [2, 2, 2], strided([1, 3, 12])).unwrap();
         assert_eq!(v.value(0, 0, 0), 16.0);
         assert_eq!(v.value(1, 1, 1), 32.0);
-        assert!(!v.is_contiguous());
     }
 
     #[test]
