@@ -164,23 +164,14 @@ pub(crate) fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result
 
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
-        let code = match error.kind() {
-            ErrorKind::InvalidArgument => ENTIRE_INVALID_ARGUMENT,
-            ErrorKind::SizeMismatch => ENTIRE_SIZE_MISMATCH,
-            ErrorKind::InvalidModel => ENTIRE_INVALID_MODEL,
-            ErrorKind::InvalidTensor => ENTIRE_INVALID_TENSOR,
-            ErrorKind::MissingInput => ENTIRE_MISSING_INPUT,
-            ErrorKind::NotReady => ENTIRE_NOT_READY,
-            ErrorKind::RejectedObservation => ENTIRE_REJECTED_OBSERVATION,
-            ErrorKind::OutOfMemory => ENTIRE_OUT_OF_MEMORY,
-            // `Unsupported`. No other kind is missing above: tests/suite/kinds.rs fails if one is.
-            _ => ENTIRE_UNSUPPORTED,
-        };
-        Self::new(code, error.to_string())
+        let number = error.kind() as u32;
+        let known = NAMES.into_iter().find(|(code, _)| *code as u32 == number);
+        Self::new(known.map_or(ENTIRE_UNSUPPORTED, |(code, _)| code), error.to_string())
     }
 }
 
-// Each error kind of the core has the same number there and here.
+// Each error kind of the core has the same number there and here. tests/suite/kinds.rs checks that none is
+// missing.
 const _: () = {
     assert!(ENTIRE_INVALID_ARGUMENT as u32 == ErrorKind::InvalidArgument as u32);
     assert!(ENTIRE_SIZE_MISMATCH as u32 == ErrorKind::SizeMismatch as u32);
