@@ -2,7 +2,7 @@
 //! mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
 
 use crate::abi::write_text;
-use crate::handle::{Handle, Owner, Status};
+use crate::handle::{Handle, Status, borrow, release};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use crate::sink;
@@ -56,17 +56,10 @@ pub(crate) unsafe fn reading<H: Handle>(
     handle: *const H,
     body: impl FnOnce(&H::Value) -> Outcome,
 ) -> entire_result {
-    let mut status = None;
-    let result = contained(|| {
-        // SAFETY: the caller guarantees that `handle` is NULL or live.
-        let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
-        status = Some(handle.status());
-        if handle.status().is_unusable() {
-            return Err(Failure::unusable(H::NAME));
-        }
-        body(handle.value())
-    });
-    ended(result, status)
+    // SAFETY: the caller guarantees that `handle` is NULL, or live and not being changed.
+    let result = contained(|| body(unsafe { borrow(handle)? }));
+    // SAFETY: the caller guarantees that `handle` is NULL or live.
+    ended(result, unsafe { handle.as_ref() }.map(H::status))
 }
 
 /// Runs a body that changes a handle; success clears the handle's last error.
@@ -100,7 +93,7 @@ pub(crate) unsafe fn freeing<H: Handle>(handle: *mut H) {
     guard(|| {
         if !handle.is_null() {
             // SAFETY: the caller guarantees that the handle is live and that nothing else uses it.
-            unsafe { H::Owner::release(handle) };
+            unsafe { release(handle) };
         }
         Ok(())
     });
@@ -221,7 +214,7 @@ mod tests {
         status: Status,
         value: u32,
     }
-    handle!(entire_probe, u32, Boxed);
+    handle!(entire_probe, u32);
 
     fn last_error() -> String {
         // SAFETY: `entire_last_error` returns a C string that is valid until the next call.

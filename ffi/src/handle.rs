@@ -1,7 +1,5 @@
-//! Opaque handles: the value of each noun, its ownership in C, and the state that every handle carries.
-//!
-//! A type states once how its pointers are owned ([`Boxed`] or [`Counted`]); making, borrowing and freeing
-//! all follow that statement, so freeing a handle in another way than it was made does not compile.
+//! Opaque handles: the value of each noun, and the state that every handle carries. The memory of a handle is
+//! reference-counted: C holds one reference, and sessions hold further ones to models.
 
 use crate::result::Failure;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -53,8 +51,6 @@ impl Status {
 pub(crate) trait Handle: Sized {
     /// Type of the value that the handle holds.
     type Value;
-    /// Ownership of the pointers that C holds.
-    type Owner: Owner<Self>;
     /// Name of the handle's type in error messages.
     const NAME: &'static str;
     /// Makes a handle from its state and its value.
@@ -67,47 +63,18 @@ pub(crate) trait Handle: Sized {
     fn parts_mut(&mut self) -> (&Status, &mut Self::Value);
 }
 
-/// Ownership of pointers to a handle.
-pub(crate) trait Owner<H> {
-    fn into_raw(handle: H) -> *mut H;
-    /// Ends the ownership that `into_raw` gave away.
-    ///
-    /// # Safety
-    /// The pointer comes from `into_raw` and is released once.
-    unsafe fn release(handle: *mut H);
-}
-
-/// One owner, the C side; used by one thread at a time unless every use is `const`.
-pub(crate) struct Boxed;
-
-impl<H> Owner<H> for Boxed {
-    fn into_raw(handle: H) -> *mut H {
-        Box::into_raw(Box::new(handle))
-    }
-
-    unsafe fn release(handle: *mut H) {
-        // SAFETY: the caller guarantees that `into_raw` made this pointer from a box.
-        drop(unsafe { Box::from_raw(handle) });
-    }
-}
-
-/// Shared and immutable: the library may hold further references.
-pub(crate) struct Counted;
-
-impl<H> Owner<H> for Counted {
-    fn into_raw(handle: H) -> *mut H {
-        Arc::into_raw(Arc::new(handle)).cast_mut()
-    }
-
-    unsafe fn release(handle: *mut H) {
-        // SAFETY: the caller guarantees that `into_raw` made this pointer from an `Arc`.
-        drop(unsafe { Arc::from_raw(handle.cast_const()) });
-    }
-}
-
 /// Hands a new handle to C.
 pub(crate) fn give<H: Handle>(value: H::Value) -> *mut H {
-    H::Owner::into_raw(H::assemble(Status::default(), value))
+    Arc::into_raw(Arc::new(H::assemble(Status::default(), value))).cast_mut()
+}
+
+/// Ends the reference that [`give`] handed to C.
+///
+/// # Safety
+/// The pointer comes from [`give`] and is released once.
+pub(crate) unsafe fn release<H: Handle>(handle: *mut H) {
+    // SAFETY: the caller guarantees that `give` made this pointer from an `Arc`.
+    drop(unsafe { Arc::from_raw(handle.cast_const()) });
 }
 
 /// The value of a further handle among a call's arguments, for reading.
@@ -124,25 +91,11 @@ pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a 
     Ok(handle.value())
 }
 
-/// A further reference to a shared handle, for the library to keep.
-///
-/// # Safety
-/// `handle` is a live handle of this library.
-pub(crate) unsafe fn share<H: Handle<Owner = Counted>>(handle: *const H) -> Arc<H> {
-    // SAFETY: `Counted::into_raw` made the pointer by `Arc::into_raw`, and its owner still holds it, so the
-    // count is at least one. The count is raised before the new `Arc` takes its share.
-    unsafe {
-        Arc::increment_strong_count(handle);
-        Arc::from_raw(handle)
-    }
-}
-
 /// Declares the [`Handle`] of a C noun with the fields `status` and `value`.
 macro_rules! handle {
-    ($noun:ident, $value:ty, $owner:ident) => {
+    ($noun:ident, $value:ty) => {
         impl crate::handle::Handle for $noun {
             type Value = $value;
-            type Owner = crate::handle::$owner;
             const NAME: &'static str = stringify!($noun);
 
             fn assemble(status: crate::handle::Status, value: $value) -> Self {

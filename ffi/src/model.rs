@@ -104,7 +104,20 @@ pub(crate) struct Loaded {
     metadata: BTreeMap<String, CString>,
 }
 
-handle!(entire_model, Loaded, Counted);
+handle!(entire_model, Loaded);
+
+/// A further reference to a model, for a session to keep. No call changes a model.
+///
+/// # Safety
+/// `model` is a live handle of this library.
+pub(crate) unsafe fn share(model: *const entire_model) -> Arc<entire_model> {
+    // SAFETY: `give` made the pointer by `Arc::into_raw`, and its owner still holds it, so the count is at
+    // least one. The count is raised before the new `Arc` takes its share.
+    unsafe {
+        Arc::increment_strong_count(model);
+        Arc::from_raw(model)
+    }
+}
 
 impl Loaded {
     fn new(model: Model, bytes: &[u8]) -> Result<Self, Failure> {

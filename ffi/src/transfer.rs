@@ -80,7 +80,7 @@ pub(crate) struct Transfer {
     pub(crate) unit: UnitDistance,
 }
 
-handle!(entire_transfer_function, Transfer, Boxed);
+handle!(entire_transfer_function, Transfer);
 
 fn at_most_points(what: &str, found: usize) -> Result<(), Failure> {
     at_most(what, found, ENTIRE_MAX_TRANSFER_POINTS, "ENTIRE_MAX_TRANSFER_POINTS")

@@ -212,7 +212,7 @@ impl Voxels {
     }
 }
 
-handle!(entire_volume, Volume, Boxed);
+handle!(entire_volume, Volume);
 
 impl Volume {
     fn voxels(&self) -> Result<&Voxels, Failure> {

@@ -12,8 +12,8 @@ pub(crate) use {calibrate::*, observe::*, options::*, plan::*, settings::*, stat
 
 use crate::abi::{ByValue, check_pointer, read_struct, write};
 use crate::guard::{freeing, guard, last_error_of};
-use crate::handle::{Status, borrow, give, handle, share};
-use crate::model::entire_model;
+use crate::handle::{Status, borrow, give, handle};
+use crate::model::{entire_model, share};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, refuse};
@@ -39,7 +39,7 @@ pub(crate) struct Loop {
     options: entire_session_options,
 }
 
-handle!(entire_session, Loop, Boxed);
+handle!(entire_session, Loop);
 
 impl Loop {
     fn radius(&self) -> Option<f32> {
