@@ -9,10 +9,10 @@ use crate::blocks::{BlockMap, EMPTY_BIT, SkipMap};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
 use crate::renderer::{FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
-use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, check, is_shaded};
+use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, check};
 use crate::table::{Classifier, StepTable};
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
-use entire_core::scene::{Frame, Skipping, TransferTable, VolumeView};
+use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use rayon::prelude::*;
 
 /// The CPU version: renders the picture that the crate documentation defines, with exact counts, on all
@@ -203,7 +203,7 @@ impl<V: Voxel> Caster<'_, V> {
                     if self.frame.shading.scatters() {
                         color = self.scatter(&p, color, counts);
                     }
-                    counts.shaded += u64::from(is_shaded(self.frame));
+                    counts.shaded += u64::from(self.frame.shading != Shading::None);
                     let weight = (1.0 - sum[3]) * alpha;
                     for c in 0..3 {
                         sum[c] += weight * color[c];

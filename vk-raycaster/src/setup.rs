@@ -3,7 +3,7 @@
 
 use crate::error::{Error, Result};
 use crate::voxels::Geometry;
-use entire_core::scene::{Frame, Shading};
+use entire_core::scene::Frame;
 
 /// Direction towards the light of single scattering, in scene space, not normalized.
 pub const LIGHT_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
@@ -149,11 +149,6 @@ pub(crate) fn check(frame: &Frame, volume: &Geometry) -> Result<()> {
         )));
     }
     Ok(())
-}
-
-/// True if samples of a frame are shaded.
-pub(crate) fn is_shaded(frame: &Frame) -> bool {
-    frame.shading != Shading::None
 }
 
 #[cfg(test)]

@@ -78,7 +78,7 @@ impl VulkanRaycaster {
         let timestamps = device.is_some();
         let is_fixed = self.is_software() && self.options.tile.is_none();
         let longest = if is_fixed { f64::INFINITY } else { LONG_DISPATCH_SECONDS };
-        let class = plan.class;
+        let class = plan.key.shading as usize;
         let windowed = plan.last_window > 0.0 || bricks.len() > 1;
         let edge = self.tile[class];
         let cut = tiles(region.width, region.height, edge);

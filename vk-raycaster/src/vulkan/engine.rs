@@ -29,6 +29,7 @@ pub(crate) const STATE_BYTES: u64 = 32;
 /// Key of a shader variant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ShaderKey {
+    /// 1 for local lighting, plus 2 for shadow rays.
     pub(crate) shading: u32,
     pub(crate) skipping: u32,
     pub(crate) fetch: u32,

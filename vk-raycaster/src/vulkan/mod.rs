@@ -154,7 +154,6 @@ pub struct VulkanRaycaster {
 /// Parameters that all dispatches of a frame share.
 struct Plan {
     setup: FrameSetup,
-    class: usize,
     key: ShaderKey,
     /// Number of samples per ray and dispatch.
     window: f32,
@@ -280,9 +279,8 @@ impl VulkanRaycaster {
                 volume.bricks.len()
             )));
         }
-        let class = shading_index(frame.shading);
         let key = ShaderKey {
-            shading: class as u32,
+            shading: u32::from(frame.shading.is_lit()) + 2 * u32::from(frame.shading.scatters()),
             skipping: match frame.skipping {
                 Skipping::None => 0,
                 Skipping::Blocks => 1,
@@ -306,7 +304,6 @@ impl VulkanRaycaster {
                 parts: self.engine.gpu().threads,
                 ..FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame)
             },
-            class,
             key,
             window,
             last_window: (longest / window).ceil().max(1.0).mul_add(window, -window).max(0.0),
@@ -464,11 +461,6 @@ fn window(step: f64, shading: Shading) -> f32 {
     // shadow sample.
     let turns = if shading.scatters() { 2.0 + 2.0 * shadow } else { 2.0 };
     (LOOP_LIMIT / turns).floor().max(1.0) as f32
-}
-
-/// The shader's number of a shading mode: 1 for local lighting, plus 2 for shadow rays.
-fn shading_index(shading: Shading) -> usize {
-    usize::from(shading.is_lit()) + 2 * usize::from(shading.scatters())
 }
 
 #[cfg(test)]
