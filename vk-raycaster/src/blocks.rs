@@ -4,11 +4,8 @@
 use crate::clock::Stopwatch;
 use crate::renderer::Preparation;
 use crate::table::Classifier;
-use crate::voxels::{PreparedVolume, Voxel, with_voxels};
+use crate::voxels::{BLOCK_EDGE, PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;
-
-/// Number of cells along a block's edge.
-pub const BLOCK_EDGE: usize = 8;
 
 /// Largest distance that a [`SkipMap`] entry holds.
 const MAX_DISTANCE: u8 = 127;
@@ -19,22 +16,18 @@ pub(crate) const EMPTY_BIT: u8 = 128;
 /// For each block, the smallest and largest table position (0…255) of the voxels that its samples
 /// interpolate: the block's voxels and one more along each axis.
 pub(crate) struct BlockMap {
-    /// Number of cells along a block's edge.
-    pub(crate) edge: usize,
     pub(crate) dims: [usize; 3],
     pub(crate) ranges: Vec<[f32; 2]>,
 }
 
 impl BlockMap {
     pub(crate) fn new(volume: &PreparedVolume) -> Self {
-        let edge = BLOCK_EDGE;
-        let dims = volume.geometry.dims.map(|n| n.div_ceil(edge));
-        let ranges = with_voxels!(&volume.voxels, v => ranges(v, volume, dims, edge));
-        Self { edge, dims, ranges }
+        let dims = volume.geometry.blocks();
+        Self { dims, ranges: with_voxels!(&volume.voxels, v => ranges(v, volume, dims)) }
     }
 }
 
-fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edge: usize) -> Vec<[f32; 2]> {
+fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3]) -> Vec<[f32; 2]> {
     let [nx, ny, nz] = volume.geometry.dims;
     let position = |v: V| (v.to_f32() * volume.geometry.scale + volume.geometry.bias).clamp(0.0, 255.0);
     let mut out = vec![[0.0; 2]; dims[0] * dims[1] * dims[2]];
@@ -42,11 +35,11 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edg
         let (by, bz) = (row % dims[1], row / dims[1]);
         // For each block of the row: minimum and maximum of the voxels visited so far.
         let mut ends: Vec<Option<(V, V)>> = vec![None; dims[0]];
-        for z in bz * edge..=((bz + 1) * edge).min(nz - 1) {
-            for y in by * edge..=((by + 1) * edge).min(ny - 1) {
+        for z in bz * BLOCK_EDGE..=((bz + 1) * BLOCK_EDGE).min(nz - 1) {
+            for y in by * BLOCK_EDGE..=((by + 1) * BLOCK_EDGE).min(ny - 1) {
                 let line = &voxels[(z * ny + y) * nx..][..nx];
                 for (bx, ends) in ends.iter_mut().enumerate() {
-                    let run = &line[bx * edge..=((bx + 1) * edge).min(nx - 1)];
+                    let run = &line[bx * BLOCK_EDGE..=((bx + 1) * BLOCK_EDGE).min(nx - 1)];
                     let (mut low, mut high) = ends.unwrap_or((run[0], run[0]));
                     for &v in run {
                         low = if v < low { v } else { low };
@@ -68,8 +61,6 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edg
 /// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest
 /// block of the other kind, 1…127. All blocks closer than that distance are of the block's own kind.
 pub(crate) struct SkipMap {
-    /// Number of cells along a block's edge.
-    pub(crate) edge: usize,
     pub(crate) dims: [usize; 3],
     pub(crate) bytes: Vec<u8>,
 }
@@ -94,7 +85,7 @@ impl SkipMap {
             .par_iter()
             .map(|&[low, high]| if classifier.is_empty(low, high) { EMPTY_BIT | 1 } else { 1 })
             .collect();
-        Self { edge: blocks.edge, dims: blocks.dims, bytes }
+        Self { dims: blocks.dims, bytes }
     }
 
     /// Computes the distances.
@@ -208,7 +199,7 @@ mod tests {
                     if (state >> 16).is_multiple_of(density) { 1 } else { EMPTY_BIT | 1 }
                 })
                 .collect();
-            let mut map = SkipMap { edge: 8, dims, bytes: bytes.clone() };
+            let mut map = SkipMap { dims, bytes: bytes.clone() };
             map.add_distances();
             let at = |x: usize, y: usize, z: usize| (z * dims[1] + y) * dims[0] + x;
             for z in 0..dims[2] {

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::renderer::{FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
 use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, check};
 use crate::table::{Classifier, StepTable};
-use crate::voxels::{PreparedVolume, Voxel, with_voxels};
+use crate::voxels::{BLOCK_EDGE, PreparedVolume, Voxel, with_voxels};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use rayon::prelude::*;
 
@@ -43,7 +43,7 @@ impl CpuRaycaster {
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
         };
         check(frame, &volume.geometry)?;
-        let setup = FrameSetup::new(&volume.geometry, skip.edge, skip.dims, frame);
+        let setup = FrameSetup::new(&volume.geometry, frame);
         let table = classifier.step_table(frame.step);
         let mut pixels = vec![[0.0; 4]; frame.width as usize * frame.height as usize];
         let counts = with_voxels!(&volume.voxels, voxels => {
@@ -236,7 +236,7 @@ impl<V: Voxel> Caster<'_, V> {
         let mut block = [0usize; 3];
         for a in 0..3 {
             let cell = (first[a] + k * advance[a] - 0.5).clamp(0.0, self.setup.dims[a] - 1.0).floor();
-            block[a] = cell as usize / self.skip.edge;
+            block[a] = cell as usize / BLOCK_EDGE;
         }
         let entry = self.skip.bytes[(block[2] * self.skip.dims[1] + block[1]) * self.skip.dims[0] + block[0]];
         let empty = entry & EMPTY_BIT != 0;

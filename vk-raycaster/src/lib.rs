@@ -63,10 +63,10 @@ mod table;
 mod voxels;
 mod vulkan;
 
-pub use blocks::BLOCK_EDGE;
 pub use cpu::CpuRaycaster;
 pub use error::{Error, Result};
 pub use probe::{Agreement, Probe, ProbeOptions, TimestampQuality, probe};
 pub use renderer::{DeviceLimits, FrameTime, Image, Preparation, Rendered, Renderer, WorkCounts};
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP};
+pub use voxels::BLOCK_EDGE;
 pub use vulkan::{Picture, Region, SharedDevice, VoxelFetch, VulkanOptions, VulkanRaycaster};

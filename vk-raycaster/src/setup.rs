@@ -2,6 +2,7 @@
 //! struct.
 
 use crate::error::{Error, Result};
+use crate::voxels::BLOCK_EDGE;
 use crate::voxels::Geometry;
 use entire_core::scene::Frame;
 
@@ -94,7 +95,7 @@ pub(crate) struct FrameSetup {
 }
 
 impl FrameSetup {
-    pub(crate) fn new(volume: &Geometry, block_edge: usize, blocks: [usize; 3], frame: &Frame) -> Self {
+    pub(crate) fn new(volume: &Geometry, frame: &Frame) -> Self {
         let (origin, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
         let dims = volume.dims.map(|n| n as f64);
         let [eye, origin_right, origin_up] = origin.map(|o| o.to_array().map(f64::from));
@@ -123,9 +124,9 @@ impl FrameSetup {
             tile_width: frame.width,
             tile_height: frame.height,
             window_end: FAR,
-            block_edge: block_edge as f32,
-            blocks: blocks.map(|n| n as u32),
-            block_shift: block_edge.trailing_zeros(),
+            block_edge: BLOCK_EDGE as f32,
+            blocks: volume.blocks().map(|n| n as u32),
+            block_shift: BLOCK_EDGE.trailing_zeros(),
             parts: 1,
             brick_high: dims.map(|n| n as f32 - 1.0),
             brick_dims: dims.map(|n| n as f32),
@@ -194,7 +195,7 @@ mod tests {
         let volume = PreparedVolume::new(&view).geometry;
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
         let frame = Frame { step: 0.5, ..Frame::new(camera, 4, 4).unwrap() };
-        let setup = FrameSetup::new(&volume, 8, [1, 1, 1], &frame);
+        let setup = FrameSetup::new(&volume, &frame);
         // The box is a cube of edge 8: half its diagonal is 4√3; the eye is twice that far from the center.
         assert!((setup.eye[0] - 4.0).abs() < 1e-5 && (setup.eye[1] - 2.0).abs() < 1e-5);
         assert!((setup.eye[2] - (1.0 + 8.0 * 3f32.sqrt() / 4.0)).abs() < 1e-4);
@@ -202,7 +203,7 @@ mod tests {
             assert!((a - want).abs() < 1e-6);
         }
         assert_eq!(setup.termination, 0.99);
-        let off = FrameSetup::new(&volume, 8, [1, 1, 1], &Frame { termination: 1.0, ..frame });
+        let off = FrameSetup::new(&volume, &Frame { termination: 1.0, ..frame });
         assert!(off.termination > 1.0);
     }
 }

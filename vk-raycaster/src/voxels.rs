@@ -4,6 +4,9 @@
 use entire_core::scene::{Scalars, VolumeView, normalize};
 use rayon::prelude::*;
 
+/// Number of cells along a block's edge.
+pub const BLOCK_EDGE: usize = 8;
+
 /// Contiguous voxels, x fastest.
 pub(crate) enum Voxels {
     U8(Vec<u8>),
@@ -57,6 +60,11 @@ impl PreparedVolume {
 }
 
 impl Geometry {
+    /// Number of blocks along each axis.
+    pub(crate) fn blocks(&self) -> [usize; 3] {
+        self.dims.map(|n| n.div_ceil(BLOCK_EDGE))
+    }
+
     /// The smallest spacing in scene space: the reference step.
     pub(crate) fn reference_step(&self) -> f64 {
         (0..3).map(|a| 2.0 * self.half_extent[a] / self.dims[a] as f64).fold(f64::INFINITY, f64::min)

@@ -302,7 +302,7 @@ impl VulkanRaycaster {
         Ok(Plan {
             setup: FrameSetup {
                 parts: self.engine.gpu().threads,
-                ..FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame)
+                ..FrameSetup::new(&volume.geometry, frame)
             },
             key,
             window,
