@@ -38,11 +38,6 @@ pub(crate) struct ShaderKey {
     pub(crate) bricks: u32,
 }
 
-/// Index of the slot that casts rays.
-const CASTS: usize = 0;
-/// Index of the slot that copies to the device.
-const COPIES: usize = 1;
-
 /// Maximum number of textures that a volume may be cut into.
 pub(crate) const MAX_BRICKS: usize = 64;
 
@@ -70,8 +65,23 @@ pub(crate) struct CastTile<'a> {
     pub(crate) work: &'a [u8],
 }
 
-/// Resources of casts or of copies, used by one submission at a time.
-struct Slot {
+/// Buffers whose size depends on the tile.
+struct TileBuffers {
+    pixels: u64,
+    windowed: bool,
+    image: Buffer,
+    work: Option<Buffer>,
+    state: Buffer,
+    read_back: Buffer,
+}
+
+/// The device's resources. One submission runs at a time.
+pub(crate) struct Engine {
+    gpu: Arc<Gpu>,
+    pipelines: HashMap<ShaderKey, Owned<vk::Pipeline>>,
+    pipeline_layout: Owned<vk::PipelineLayout>,
+    set_layout: Owned<vk::DescriptorSetLayout>,
+    sampler: Owned<vk::Sampler>,
     descriptors: Owned<vk::DescriptorPool>,
     /// The descriptor sets made so far, by brick of the volume, each with all resources of a dispatch.
     sets: HashMap<usize, vk::DescriptorSet>,
@@ -82,100 +92,14 @@ struct Slot {
     setup: Buffer,
     table_staging: Buffer,
     tile: Option<TileBuffers>,
-    /// True if the fence was submitted and not reset since.
-    pending: bool,
-}
-
-/// Buffers whose size depends on the tile.
-struct TileBuffers {
-    pixels: u64,
-    counting: bool,
-    windowed: bool,
-    image: Buffer,
-    work: Option<Buffer>,
-    state: Buffer,
-    read_back: Buffer,
-}
-
-pub(crate) struct Engine {
-    gpu: Arc<Gpu>,
-    pipelines: HashMap<ShaderKey, Owned<vk::Pipeline>>,
-    pipeline_layout: Owned<vk::PipelineLayout>,
-    set_layout: Owned<vk::DescriptorSetLayout>,
-    sampler: Owned<vk::Sampler>,
-    slots: [Slot; 2],
-    table: Option<Image>,
-    /// The volume, in bricks if it is too large for one texture.
-    volume: Vec<Image>,
-    skip_map: Option<Image>,
+    images: HashMap<Target, Image>,
     staging: Option<Buffer>,
-    /// True after a failed submission, which may still be running: nothing is freed or submitted before the
-    /// engine has waited for every slot.
-    broken: bool,
+    /// True if the fence was submitted and not reset since: nothing is freed or submitted before the engine
+    /// has waited for it.
+    pending: bool,
     /// True after a submission has exceeded its time limit: the engine then polls the device instead of
     /// waiting.
     hangs: bool,
-}
-
-impl Slot {
-    fn new(gpu: &Arc<Gpu>) -> Result<Self> {
-        let size =
-            |kind, count| vk::DescriptorPoolSize { ty: kind, descriptor_count: MAX_BRICKS as u32 * count };
-        let sizes = [
-            size(vk::DescriptorType::SAMPLED_IMAGE, 3),
-            size(vk::DescriptorType::SAMPLER, 1),
-            size(vk::DescriptorType::STORAGE_BUFFER, 4),
-            size(vk::DescriptorType::STORAGE_IMAGE, 3),
-        ];
-        let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
-        let descriptors =
-            owned!(gpu, create_descriptor_pool(&info), destroy_descriptor_pool, "vkCreateDescriptorPool")?;
-        let info = vk::CommandPoolCreateInfo::default()
-            .queue_family_index(gpu.family)
-            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
-        let pool = owned!(gpu, create_command_pool(&info), destroy_command_pool, "vkCreateCommandPool")?;
-        let info = vk::CommandBufferAllocateInfo::default()
-            .command_pool(pool.get())
-            .level(vk::CommandBufferLevel::PRIMARY)
-            .command_buffer_count(1);
-        // SAFETY: the command pool was made above and is alive.
-        let commands =
-            unsafe { gpu.device.allocate_command_buffers(&info) }.on(gpu, "vkAllocateCommandBuffers")?[0];
-        let info = vk::FenceCreateInfo::default();
-        let fence = owned!(gpu, create_fence(&info), destroy_fence, "vkCreateFence")?;
-        let queries = if gpu.timestamps.is_some() {
-            let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
-            Some(owned!(gpu, create_query_pool(&info), destroy_query_pool, "vkCreateQueryPool")?)
-        } else {
-            None
-        };
-        let setup = Buffer::new(
-            gpu,
-            "frame setup",
-            size_of::<FrameSetup>() as u64,
-            vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_DST,
-            MemoryLocation::GpuOnly,
-        )?;
-        let table_staging = Buffer::new(
-            gpu,
-            "transfer table staging",
-            TABLE_BYTES,
-            vk::BufferUsageFlags::TRANSFER_SRC | vk::BufferUsageFlags::TRANSFER_DST,
-            MemoryLocation::GpuOnly,
-        )?;
-        Ok(Self {
-            descriptors,
-            sets: HashMap::new(),
-            pool,
-            commands,
-            fence,
-            queries,
-            setup,
-            table_staging,
-            tile: None,
-            pending: false,
-        })
-    }
 }
 
 impl Engine {
@@ -220,18 +144,61 @@ impl Engine {
             .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE);
         let sampler = owned!(&gpu, create_sampler(&info), destroy_sampler, "vkCreateSampler")?;
-        let slots = [Slot::new(&gpu)?, Slot::new(&gpu)?];
+        let size =
+            |kind, count| vk::DescriptorPoolSize { ty: kind, descriptor_count: MAX_BRICKS as u32 * count };
+        let sizes = [
+            size(vk::DescriptorType::SAMPLED_IMAGE, 3),
+            size(vk::DescriptorType::SAMPLER, 1),
+            size(vk::DescriptorType::STORAGE_BUFFER, 4),
+            size(vk::DescriptorType::STORAGE_IMAGE, 3),
+        ];
+        let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
+        let descriptors =
+            owned!(&gpu, create_descriptor_pool(&info), destroy_descriptor_pool, "vkCreateDescriptorPool")?;
+        let info = vk::CommandPoolCreateInfo::default()
+            .queue_family_index(gpu.family)
+            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
+        let pool = owned!(&gpu, create_command_pool(&info), destroy_command_pool, "vkCreateCommandPool")?;
+        let info = vk::CommandBufferAllocateInfo::default()
+            .command_pool(pool.get())
+            .level(vk::CommandBufferLevel::PRIMARY)
+            .command_buffer_count(1);
+        // SAFETY: the command pool was made above and is alive.
+        let commands =
+            unsafe { gpu.device.allocate_command_buffers(&info) }.on(&gpu, "vkAllocateCommandBuffers")?[0];
+        let info = vk::FenceCreateInfo::default();
+        let fence = owned!(&gpu, create_fence(&info), destroy_fence, "vkCreateFence")?;
+        let queries = if gpu.timestamps.is_some() {
+            let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
+            Some(owned!(&gpu, create_query_pool(&info), destroy_query_pool, "vkCreateQueryPool")?)
+        } else {
+            None
+        };
+        let on_device = |name, bytes, usage: vk::BufferUsageFlags| {
+            let usage = usage | vk::BufferUsageFlags::TRANSFER_DST;
+            Buffer::new(&gpu, name, bytes, usage, MemoryLocation::GpuOnly)
+        };
+        let setup_bytes = size_of::<FrameSetup>() as u64;
+        let setup = on_device("frame setup", setup_bytes, vk::BufferUsageFlags::STORAGE_BUFFER)?;
+        let table_staging =
+            on_device("transfer table staging", TABLE_BYTES, vk::BufferUsageFlags::TRANSFER_SRC)?;
         Ok(Self {
             pipelines: HashMap::new(),
             pipeline_layout,
             set_layout,
             sampler,
-            slots,
-            table: None,
-            volume: Vec::new(),
-            skip_map: None,
+            descriptors,
+            sets: HashMap::new(),
+            pool,
+            commands,
+            fence,
+            queries,
+            setup,
+            table_staging,
+            tile: None,
+            images: HashMap::new(),
             staging: None,
-            broken: false,
+            pending: false,
             hangs: false,
             gpu,
         })
@@ -247,39 +214,31 @@ impl Engine {
         if self.image(target).is_ok_and(|i| i.shape == shape) {
             return Ok(());
         }
-        self.forget_sets();
+        self.sets.clear();
         let name = match target {
             Target::Volume(_) => "volume texture",
             Target::SkipMap => "skip map",
             Target::Table => "transfer table",
         };
         // The old image is freed first: the device's memory may not hold both.
-        match target {
-            Target::Volume(brick) => self.volume.truncate(brick),
-            Target::SkipMap => self.skip_map = None,
-            Target::Table => self.table = None,
+        if let Target::Volume(brick) = target {
+            self.keep_bricks(brick);
         }
+        self.images.remove(&target);
         let [x, y, z] = shape.extent;
         let image = Image::new(&self.gpu, name, shape)
             .map_err(|e| Error::new(format!("the {name} of {x} x {y} x {z} texels does not fit: {e}")))?;
-        match target {
-            Target::Volume(_) => self.volume.push(image),
-            Target::SkipMap => self.skip_map = Some(image),
-            Target::Table => self.table = Some(image),
-        }
+        self.images.insert(target, image);
         Ok(())
     }
 
     /// Keeps the first `bricks` textures of the volume. No submission may be running.
     pub(crate) fn keep_bricks(&mut self, bricks: usize) {
-        if self.volume.len() > bricks {
-            self.forget_sets();
-            self.volume.truncate(bricks);
+        let more = |target: &Target| matches!(target, Target::Volume(brick) if *brick >= bricks);
+        if self.images.keys().any(more) {
+            self.sets.clear();
+            self.images.retain(|target, _| !more(target));
         }
-    }
-
-    fn forget_sets(&mut self) {
-        self.slots.iter_mut().for_each(|s| s.sets.clear());
     }
 
     /// Fills a reserved image slice by slice: `fill` gets the first slice of a run and the bytes to write.
@@ -305,8 +264,7 @@ impl Engine {
             if let Some(staging) = &mut self.staging {
                 fill(first as usize, &mut staging.bytes_mut()?[..(slice * u64::from(slices)) as usize]);
             }
-            self.submit(COPIES, "copy to the device", None, &record_slices(target, depth, first, slices))?;
-            self.wait(COPIES, "copy to the device")?;
+            self.run("copy to the device", None, &record_slices(target, depth, first, slices))?;
             first += slices;
         }
         // A large staging buffer is not kept for later small uses.
@@ -323,20 +281,16 @@ impl Engine {
 
     /// Casts the rays of a tile and waits for the result.
     pub(crate) fn cast(&mut self, cast: &Cast<'_>, commands: &[Command]) -> Result<CastTile<'_>> {
-        self.gpu.check()?;
-        if self.broken {
-            self.drain()?;
-        }
+        self.drain()?;
         let pixels = u64::from(cast.tile.width) * u64::from(cast.tile.height);
         let counting = cast.key.counting != 0;
         self.reserve_tile(pixels, counting, cast.windowed)?;
         self.prepare_pipeline(cast.key)?;
         let set = self.prepare_set(cast.brick)?;
         let shader = self.pipelines.get(&cast.key).map(|p| (p.get(), set));
-        self.submit(CASTS, cast.pass, shader, commands)?;
-        self.wait(CASTS, cast.pass)?;
+        self.run(cast.pass, shader, commands)?;
         let seconds = self.read_seconds()?;
-        let Some(buffers) = &self.slots[CASTS].tile else { return Err(Error::new("no tile buffers")) };
+        let Some(buffers) = &self.tile else { return Err(Error::new("no tile buffers")) };
         let bytes = buffers.read_back.bytes()?;
         let image_bytes = (pixels * IMAGE_BYTES) as usize;
         let work_bytes = if counting { (pixels * WORK_BYTES) as usize } else { 0 };
@@ -345,16 +299,13 @@ impl Engine {
     }
 
     fn reserve_tile(&mut self, pixels: u64, counting: bool, windowed: bool) -> Result<()> {
-        let slot = &mut self.slots[CASTS];
-        if slot
-            .tile
-            .as_ref()
-            .is_some_and(|t| t.pixels >= pixels && t.counting >= counting && t.windowed >= windowed)
-        {
+        let fits =
+            |t: &TileBuffers| t.pixels >= pixels && t.work.is_some() >= counting && t.windowed >= windowed;
+        if self.tile.as_ref().is_some_and(fits) {
             return Ok(());
         }
-        slot.sets.clear();
-        slot.tile = None;
+        self.sets.clear();
+        self.tile = None;
         let storage = vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_SRC;
         let make = |name, bytes| Buffer::new(&self.gpu, name, bytes, storage, MemoryLocation::GpuOnly);
         let image = make("image buffer", pixels * IMAGE_BYTES)?;
@@ -367,7 +318,7 @@ impl Engine {
             vk::BufferUsageFlags::TRANSFER_DST,
             MemoryLocation::GpuToCpu,
         )?;
-        slot.tile = Some(TileBuffers { pixels, counting, windowed, image, work, state, read_back });
+        self.tile = Some(TileBuffers { pixels, windowed, image, work, state, read_back });
         Ok(())
     }
 
@@ -407,14 +358,13 @@ impl Engine {
     /// exist. Sets are never rewritten: some drivers read every descriptor of a set, including those that the
     /// shader does not use and whose resources are freed.
     fn prepare_set(&mut self, brick: usize) -> Result<vk::DescriptorSet> {
-        let slot = &mut self.slots[CASTS];
-        if let Some(set) = slot.sets.get(&brick) {
+        if let Some(set) = self.sets.get(&brick) {
             return Ok(*set);
         }
         let device = &self.gpu.device;
-        let pool = slot.descriptors.get();
-        if slot.sets.is_empty() {
-            // SAFETY: the device does not use the pool's sets: the slot's last submission was waited for.
+        let pool = self.descriptors.get();
+        if self.sets.is_empty() {
+            // SAFETY: the device does not use the pool's sets: the last submission was waited for.
             unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
                 .on(&self.gpu, "vkResetDescriptorPool")?;
         }
@@ -436,8 +386,8 @@ impl Engine {
                     .buffer_info(&info),
             );
         };
-        write_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &slot.setup);
-        if let Some(tile) = &slot.tile {
+        write_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &self.setup);
+        if let Some(tile) = &self.tile {
             write_buffer(5, vk::DescriptorType::STORAGE_BUFFER, &tile.image);
             write_buffer(10, vk::DescriptorType::STORAGE_BUFFER, &tile.state);
             if let Some(work) = &tile.work {
@@ -452,10 +402,9 @@ impl Engine {
                 .image_info(&sampler),
         );
         // Each image with its binding as a sampled and as a storage image.
-        let images =
-            [(self.table.as_ref(), 1, 7), (self.volume.get(brick), 2, 8), (self.skip_map.as_ref(), 4, 9)];
-        for (image, sampled, storage) in images {
-            let Some(image) = image else { continue };
+        let targets = [(Target::Table, 1, 7), (Target::Volume(brick), 2, 8), (Target::SkipMap, 4, 9)];
+        for (target, sampled, storage) in targets {
+            let Some(image) = self.images.get(&target) else { continue };
             let info =
                 [vk::DescriptorImageInfo::default().image_view(image.view()).image_layout(image.layout())];
             let (binding, kind) = if image.shape.storage {
@@ -470,23 +419,15 @@ impl Engine {
                     .image_info(&info),
             );
         }
-        slot.sets.insert(brick, set);
+        self.sets.insert(brick, set);
         Ok(set)
     }
 
-    /// Submits a recording.
-    fn submit(
-        &mut self,
-        slot: usize,
-        pass: &str,
-        shader: Option<Shader>,
-        commands: &[Command],
-    ) -> Result<()> {
-        self.broken = true;
-        self.try_submit(&self.slots[slot], shader, commands).map_err(|e| with_pass(&e, pass))?;
-        self.slots[slot].pending = true;
-        self.broken = false;
-        Ok(())
+    /// Submits a recording and waits for its end.
+    fn run(&mut self, pass: &str, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
+        self.submit(shader, commands).map_err(|e| with_pass(&e, pass))?;
+        self.pending = true;
+        self.wait(pass)
     }
 }
 

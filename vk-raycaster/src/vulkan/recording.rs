@@ -11,7 +11,7 @@ pub(crate) const IMAGE_BYTES: u64 = 4;
 pub(crate) const WORK_BYTES: u64 = 16;
 
 /// Images that commands write.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Target {
     /// A brick of the volume.
     Volume(usize),

@@ -1,6 +1,6 @@
 //! Translation of a recording to a command buffer: one Vulkan call, or a few, for each command.
 
-use super::{CASTS, Engine, Shader, Slot};
+use super::{Engine, Shader};
 use crate::error::{Error, Result};
 use crate::vulkan::gpu::{NamedCall, seconds_between};
 use crate::vulkan::recording::{Command, Hazard, Target};
@@ -8,41 +8,35 @@ use crate::vulkan::resources::{COLOR_RANGE, Image, Shape};
 use ash::vk;
 
 impl Engine {
-    pub(super) fn try_submit(&self, slot: &Slot, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
+    pub(super) fn submit(&self, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
         let device = &self.gpu.device;
-        // SAFETY: the device does not use the pool's one command buffer: the slot's submission was waited
-        // for, or `drain` has waited for the device.
-        unsafe { device.reset_command_pool(slot.pool.get(), vk::CommandPoolResetFlags::empty()) }
+        // SAFETY: the device does not use the pool's one command buffer: the last submission was waited for.
+        unsafe { device.reset_command_pool(self.pool.get(), vk::CommandPoolResetFlags::empty()) }
             .on(&self.gpu, "vkResetCommandPool")?;
         let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: resetting its pool has put the command buffer into its initial state.
-        unsafe { device.begin_command_buffer(slot.commands, &begin) }
+        unsafe { device.begin_command_buffer(self.commands, &begin) }
             .on(&self.gpu, "vkBeginCommandBuffer")?;
         for command in commands {
-            self.play(slot, shader, command)?;
+            self.play(shader, command)?;
         }
         // SAFETY: the command buffer is being recorded since `begin_command_buffer`.
-        unsafe { device.end_command_buffer(slot.commands) }.on(&self.gpu, "vkEndCommandBuffer")?;
-        let buffers = [slot.commands];
+        unsafe { device.end_command_buffer(self.commands) }.on(&self.gpu, "vkEndCommandBuffer")?;
+        let buffers = [self.commands];
         let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
         // SAFETY: the command buffer is complete, everything that it uses lives until the fence has signaled,
         // the fence is unsignaled, and the lock keeps other threads from the queue.
-        unsafe { device.queue_submit(*self.gpu.queue(), &submit, slot.fence.get()) }
+        unsafe { device.queue_submit(*self.gpu.queue(), &submit, self.fence.get()) }
             .on(&self.gpu, "vkQueueSubmit")
     }
 
     pub(super) fn image(&self, target: Target) -> Result<&Image> {
-        match target {
-            Target::Volume(brick) => self.volume.get(brick),
-            Target::SkipMap => self.skip_map.as_ref(),
-            Target::Table => self.table.as_ref(),
-        }
-        .ok_or_else(|| Error::new("an image that a command names was not reserved"))
+        self.images.get(&target).ok_or_else(|| Error::new("an image that a command names was not reserved"))
     }
 
-    fn play(&self, slot: &Slot, shader: Option<Shader>, command: &Command) -> Result<()> {
+    fn play(&self, shader: Option<Shader>, command: &Command) -> Result<()> {
         let device = &self.gpu.device;
-        let commands = slot.commands;
+        let commands = self.commands;
         // SAFETY: the command buffer is being recorded. Every resource that a command names belongs to this
         // engine and lives until the submission was waited for. All ranges lie inside their buffers and
         // images, since these were reserved with the same tile and image sizes from which recordings are
@@ -50,10 +44,10 @@ impl Engine {
         unsafe {
             match command {
                 Command::WriteSetup(setup) => {
-                    device.cmd_update_buffer(commands, slot.setup.get(), 0, bytemuck::bytes_of(&**setup));
+                    device.cmd_update_buffer(commands, self.setup.get(), 0, bytemuck::bytes_of(&**setup));
                 }
                 Command::WriteTable(table) => {
-                    device.cmd_update_buffer(commands, slot.table_staging.get(), 0, table);
+                    device.cmd_update_buffer(commands, self.table_staging.get(), 0, table);
                 }
                 Command::PrepareCopy { target, keep } => self.layout_barrier(
                     commands,
@@ -92,7 +86,7 @@ impl Engine {
                     let image = self.image(Target::Table)?;
                     device.cmd_copy_buffer_to_image(
                         commands,
-                        slot.table_staging.get(),
+                        self.table_staging.get(),
                         image.get(),
                         vk::ImageLayout::TRANSFER_DST_OPTIMAL,
                         &[copy_region(&image.shape, 0, image.shape.slices().0)],
@@ -113,12 +107,12 @@ impl Engine {
                     );
                 }
                 Command::ResetTimestamps => {
-                    if let Some(queries) = &slot.queries {
+                    if let Some(queries) = &self.queries {
                         device.cmd_reset_query_pool(commands, queries.get(), 0, 2);
                     }
                 }
                 Command::Timestamp(index) => {
-                    if let Some(queries) = &slot.queries {
+                    if let Some(queries) = &self.queries {
                         // At the bottom of the pipeline, a timestamp is written once all earlier work is
                         // done.
                         let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
@@ -142,7 +136,7 @@ impl Engine {
                     device.cmd_dispatch(commands, groups[0], groups[1], 1);
                 }
                 Command::CopyToPicture { image, fresh, tile: at } => {
-                    let Some(tile) = &slot.tile else {
+                    let Some(tile) = &self.tile else {
                         return Err(Error::new(
                             "the commands copy a tile to a picture, but there are no tile buffers",
                         ));
@@ -181,7 +175,7 @@ impl Engine {
                     );
                 }
                 Command::ReadBack { image_bytes, work_bytes } => {
-                    let Some(tile) = &slot.tile else {
+                    let Some(tile) = &self.tile else {
                         return Err(Error::new(
                             "the commands read a tile back, but there are no tile buffers",
                         ));
@@ -238,7 +232,7 @@ impl Engine {
 
     /// Returns the seconds between the two timestamps of the last cast, or `None` without timestamps.
     pub(super) fn read_seconds(&self) -> Result<Option<f64>> {
-        let (Some(queries), Some(clock)) = (&self.slots[CASTS].queries, self.gpu.timestamps) else {
+        let (Some(queries), Some(clock)) = (&self.queries, self.gpu.timestamps) else {
             return Ok(None);
         };
         let mut ticks = [0u64; 2];

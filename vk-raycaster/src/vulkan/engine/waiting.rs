@@ -8,39 +8,25 @@ use ash::vk;
 impl Engine {
     /// Waits until no submission is running.
     pub(crate) fn drain(&mut self) -> Result<()> {
+        if self.pending { self.wait("an earlier pass") } else { self.gpu.check() }
+    }
+
+    /// Waits for the end of the submission.
+    pub(super) fn wait(&mut self, pass: &str) -> Result<()> {
         self.gpu.check()?;
-        for slot in 0..self.slots.len() {
-            if self.slots[slot].pending {
-                self.wait_for_fence(slot, "an earlier pass")?;
-            }
-        }
-        if self.broken {
-            for slot in 0..self.slots.len() {
-                if self.slots[slot].pending {
-                    self.reset_fence(slot)?;
-                }
-            }
-            self.broken = false;
-        }
+        self.wait_for_fence(pass)?;
+        // SAFETY: the fence has signaled, so no pending submission uses it.
+        unsafe { self.gpu.device.reset_fences(&[self.fence.get()]) }.on(&self.gpu, "vkResetFences")?;
+        self.pending = false;
         Ok(())
     }
 
-    /// Waits for the end of a submission.
-    pub(super) fn wait(&mut self, slot: usize, pass: &str) -> Result<()> {
-        self.gpu.check()?;
-        self.broken = true;
-        self.wait_for_fence(slot, pass)?;
-        self.reset_fence(slot)?;
-        self.broken = false;
-        Ok(())
-    }
-
-    /// Waits for a slot's fence up to the time limit of a submission, and leaves the fence signaled. After a
+    /// Waits for the fence up to the time limit of a submission, and leaves the fence signaled. After a
     /// submission has exceeded the limit, only polls the fence.
-    fn wait_for_fence(&mut self, slot: usize, pass: &str) -> Result<()> {
+    fn wait_for_fence(&mut self, pass: &str) -> Result<()> {
         let longest = self.gpu.longest_wait;
         let nanoseconds = if self.hangs { 0 } else { u64::try_from(longest.as_nanos()).unwrap_or(u64::MAX) };
-        let fences = [self.slots[slot].fence.get()];
+        let fences = [self.fence.get()];
         // SAFETY: the fence is alive, and only this thread waits for it or resets it.
         match unsafe { self.gpu.device.wait_for_fences(&fences, true, nanoseconds) } {
             Err(vk::Result::TIMEOUT) => {
@@ -60,29 +46,18 @@ impl Engine {
             }
         }
     }
-
-    fn reset_fence(&mut self, slot: usize) -> Result<()> {
-        let fences = [self.slots[slot].fence.get()];
-        // SAFETY: the fence has signaled, so no pending submission uses it.
-        unsafe { self.gpu.device.reset_fences(&fences) }.on(&self.gpu, "vkResetFences")?;
-        self.slots[slot].pending = false;
-        Ok(())
-    }
 }
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        for slot in 0..self.slots.len() {
-            // Nothing runs on a lost device. Submissions on a hanging device may still use resources, which
-            // therefore are not freed.
-            if !self.gpu.is_lost()
-                && self.slots[slot].pending
-                && self.wait_for_fence(slot, "its last pass").is_err()
-                && !self.gpu.is_lost()
-            {
-                self.gpu.abandon();
-                return;
-            }
+        // Nothing runs on a lost device. A submission on a hanging device may still use resources, which
+        // therefore are not freed.
+        if self.pending
+            && !self.gpu.is_lost()
+            && self.wait_for_fence("its last pass").is_err()
+            && !self.gpu.is_lost()
+        {
+            self.gpu.abandon();
         }
     }
 }
