@@ -1,10 +1,11 @@
 //! Loader, instance, device, queue and allocator.
 
+use super::VulkanOptions;
 use crate::error::{Error, Result};
 use crate::renderer::DeviceLimits;
 use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
-use std::ffi::{CStr, CString, c_char, c_void};
+use std::ffi::{CStr, c_char, c_void};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,18 +26,6 @@ const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 /// Function that replaces functions of the device by those of a test.
 pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 
-/// Options of opening a device.
-pub(crate) struct GpuOptions<'a> {
-    /// Time limit of a submission; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
-    pub(crate) longest_wait: Option<Duration>,
-    /// Part of a device's name (case is ignored), or its index among all devices.
-    pub(crate) device: Option<&'a str>,
-    pub(crate) validation: bool,
-    /// Instance extensions of a window system; if there are any, the device can present (see
-    /// [`super::VulkanOptions::surface_extensions`]).
-    pub(crate) surface_extensions: &'a [CString],
-}
-
 /// Seconds from one timestamp to a later one; the counter may have wrapped once in between. The clock is
 /// [`DeviceLimits::timestamps`].
 pub(crate) fn seconds_between((valid_bits, period): (u32, f64), begin: u64, end: u64) -> f64 {
@@ -49,9 +38,18 @@ pub(crate) fn seconds_between((valid_bits, period): (u32, f64), begin: u64, end:
 #[derive(Default)]
 struct Messages(Mutex<Vec<String>>);
 
+/// An instance with the messenger of the validation layer, if it is enabled.
+pub(crate) struct Instance {
+    pub(crate) functions: ash::Instance,
+    debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    messages: Arc<Messages>,
+    /// Keeps the loader's library open.
+    pub(crate) entry: ash::Entry,
+}
+
 /// An open device. Everything made from it holds an `Arc` of it, so it is freed last.
 pub(crate) struct Gpu {
-    pub(crate) instance: ash::Instance,
+    pub(crate) instance: ManuallyDrop<Instance>,
     pub(crate) device: ash::Device,
     properties: Properties,
     /// Locked while something is submitted to it or presented by it.
@@ -67,10 +65,6 @@ pub(crate) struct Gpu {
     /// True if a submission never ended: resources that the device may still use are never freed.
     abandoned: AtomicBool,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
-    debug: Option<Messenger>,
-    messages: Arc<Messages>,
-    /// Keeps the loader's library open.
-    entry: ManuallyDrop<ash::Entry>,
 }
 
 /// Returns the error of a failed Vulkan call, with the remedy. `device` is the name of the open device, if
@@ -132,7 +126,7 @@ impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
 
 impl Gpu {
     /// Opens a device. `wrap` may replace its functions.
-    pub(crate) fn open(options: &GpuOptions<'_>, wrap: WrapDevice<'_>) -> Result<Self> {
+    pub(crate) fn open(options: &VulkanOptions, wrap: WrapDevice<'_>) -> Result<Self> {
         // SAFETY: the loaded library is the system's Vulkan loader, whose initializers are safe to run.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
             Error::new(format!(
@@ -141,24 +135,23 @@ impl Gpu {
             ))
         })?;
         let messages = Arc::<Messages>::default();
-        let mut unfinished =
-            Unfinished { instance: Some(create_instance(&entry, options, &messages)?), debug: None };
-        let instance = unfinished.instance.clone().expect("made above");
-
+        let functions = create_instance(&entry, options, &messages)?;
+        let mut instance = Instance { functions, debug: None, messages, entry };
         if options.validation {
-            let loader = ash::ext::debug_utils::Instance::new(&entry, &instance);
-            let info = messenger_info(&messages);
+            let loader = ash::ext::debug_utils::Instance::new(&instance.entry, &instance.functions);
+            let info = messenger_info(&instance.messages);
             // SAFETY: the instance was made with VK_EXT_debug_utils, and `messages`, to which `info` points,
             // outlives the messenger.
             let messenger = unsafe { loader.create_debug_utils_messenger(&info, None) }
                 .named("vkCreateDebugUtilsMessengerEXT")?;
-            unfinished.debug = Some((loader, messenger));
+            instance.debug = Some((loader, messenger));
         }
 
-        let properties = choose_device(&instance, options)?;
-        let device = wrap(create_device(&instance, &properties, !options.surface_extensions.is_empty())?);
+        let properties = choose_device(&instance.functions, options)?;
+        let presents = !options.surface_extensions.is_empty();
+        let device = wrap(create_device(&instance.functions, &properties, presents)?);
         let allocator = Allocator::new(&AllocatorCreateDesc {
-            instance: instance.clone(),
+            instance: instance.functions.clone(),
             device: device.clone(),
             physical_device: properties.physical,
             debug_settings: Default::default(),
@@ -173,9 +166,8 @@ impl Gpu {
         // SAFETY: the device was made with one queue of this family.
         let queue = unsafe { device.get_device_queue(properties.family, 0) };
         let is_software = properties.is_software;
-        unfinished.instance = None;
         Ok(Self {
-            instance,
+            instance: ManuallyDrop::new(instance),
             device,
             properties,
             queue: Mutex::new(queue),
@@ -188,25 +180,17 @@ impl Gpu {
             lost: AtomicBool::new(false),
             abandoned: AtomicBool::new(false),
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
-            debug: unfinished.debug.take(),
-            messages,
-            entry: ManuallyDrop::new(entry),
         })
     }
 
     /// Warnings and errors of the validation layer so far.
     pub(crate) fn messages(&self) -> Vec<String> {
-        self.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.instance.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The queue, locked during the lifetime of the guard.
     pub(crate) fn queue(&self) -> MutexGuard<'_, vk::Queue> {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The loader.
-    pub(crate) fn entry(&self) -> &ash::Entry {
-        &self.entry
     }
 
     /// Records `VK_ERROR_DEVICE_LOST`.
@@ -245,7 +229,7 @@ impl Gpu {
     pub(crate) fn sampling(&self, format: vk::Format) -> (bool, bool) {
         // SAFETY: the physical device was enumerated from this instance.
         let properties =
-            unsafe { self.instance.get_physical_device_format_properties(self.physical, format) };
+            unsafe { self.instance.functions.get_physical_device_format_properties(self.physical, format) };
         let found = properties.optimal_tiling_features;
         (
             found.contains(vk::FormatFeatureFlags::SAMPLED_IMAGE | vk::FormatFeatureFlags::TRANSFER_DST),
@@ -266,48 +250,29 @@ fn software_threads() -> u32 {
 impl Drop for Gpu {
     fn drop(&mut self) {
         if self.is_abandoned() {
-            // Validation may still call the messenger, so its messages are never freed.
-            std::mem::forget(Arc::clone(&self.messages));
             return;
         }
         // SAFETY: everything made from the device holds an `Arc` of this value and is destroyed. All
         // submissions were waited for, or the device is lost and runs nothing. The calls destroy each object
-        // once: allocator, device, messenger and instance, and then the library.
+        // once: allocator, device, and then the instance.
         unsafe {
             ManuallyDrop::drop(&mut self.allocator);
             self.device.destroy_device(None);
-            destroy_messenger(self.debug.as_ref());
-            self.instance.destroy_instance(None);
-            ManuallyDrop::drop(&mut self.entry);
+            ManuallyDrop::drop(&mut self.instance);
         }
     }
 }
 
-/// Loader and handle of the messenger of the validation layer.
-type Messenger = (ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT);
-
-/// Destroys messenger and instance when opening fails half-way.
-struct Unfinished {
-    /// `None` once the device is open.
-    instance: Option<ash::Instance>,
-    debug: Option<Messenger>,
-}
-
-impl Drop for Unfinished {
+impl Drop for Instance {
     fn drop(&mut self) {
-        if let Some(instance) = &self.instance {
-            destroy_messenger(self.debug.as_ref());
-            // SAFETY: `Gpu::open` has destroyed the device of this instance, if it was made.
-            unsafe { instance.destroy_instance(None) };
+        // SAFETY: the device of this instance is destroyed, if it was made. The messenger and the instance
+        // are destroyed once; the library is closed after them.
+        unsafe {
+            if let Some((loader, messenger)) = &self.debug {
+                loader.destroy_debug_utils_messenger(*messenger, None);
+            }
+            self.functions.destroy_instance(None);
         }
-    }
-}
-
-fn destroy_messenger(debug: Option<&Messenger>) {
-    if let Some((loader, messenger)) = debug {
-        // SAFETY: the messenger was made by this loader and is destroyed once, while its instance still
-        // exists.
-        unsafe { loader.destroy_debug_utils_messenger(*messenger, None) };
     }
 }
 
@@ -344,7 +309,7 @@ unsafe extern "system" fn on_message(
 
 fn create_instance(
     entry: &ash::Entry,
-    options: &GpuOptions<'_>,
+    options: &VulkanOptions,
     messages: &Arc<Messages>,
 ) -> Result<ash::Instance> {
     let validation = options.validation;
@@ -413,8 +378,8 @@ impl Deref for Properties {
 }
 
 /// Returns the device that the options name, otherwise the first device of the best kind.
-fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<Properties> {
-    let wanted = options.device;
+fn choose_device(instance: &ash::Instance, options: &VulkanOptions) -> Result<Properties> {
+    let wanted = options.device.as_deref();
     let presents = !options.surface_extensions.is_empty();
     // SAFETY: the instance is alive.
     let all = unsafe { instance.enumerate_physical_devices() }.named("vkEnumeratePhysicalDevices")?;

@@ -22,12 +22,14 @@ use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
 use engine::{Engine, STATE_BYTES, ShaderKey};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
-use gpu::{Gpu, GpuOptions, WrapDevice};
+use gpu::{Gpu, WrapDevice};
 pub use picture::{Picture, Region};
 use recording::{Target, WORK_BYTES};
 use resources::Shape;
 pub use shared::SharedDevice;
 use std::ffi::CString;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 use upload::Brick;
@@ -107,28 +109,26 @@ impl VulkanOptions {
                 return Err(Error::new(format!("ENTIRE_VALIDATION is {other:?}; it must be 1 or 0")));
             }
         };
-        let tile = match get("ENTIRE_TILE").as_deref() {
-            None | Some("") => None,
-            Some(text) => match text.parse::<u32>() {
-                Ok(edge) if (8..=16384).contains(&edge) => Some(edge),
-                _ => {
-                    return Err(Error::new(format!("ENTIRE_TILE is {text:?}; it must be 8…16384 pixels")));
-                }
-            },
-        };
-        let longest_wait = match get("ENTIRE_DEVICE_WAIT").as_deref() {
-            None | Some("") => None,
-            Some(text) => match text.parse::<f64>() {
-                Ok(seconds) if (0.001..=86400.0).contains(&seconds) => Some(Duration::from_secs_f64(seconds)),
-                _ => {
-                    return Err(Error::new(format!(
-                        "ENTIRE_DEVICE_WAIT is {text:?}; it must be 0.001…86400 seconds"
-                    )));
-                }
-            },
-        };
-        let device = get("ENTIRE_DEVICE").filter(|d| !d.is_empty());
-        Ok(Self { device, validation, tile, longest_wait, ..Self::default() })
+        let set = |name: &str| get(name).filter(|text| !text.is_empty());
+        let tile = number("ENTIRE_TILE", set("ENTIRE_TILE"), 8..=16384, "8…16384 pixels")?;
+        let wait = set("ENTIRE_DEVICE_WAIT");
+        let wait = number("ENTIRE_DEVICE_WAIT", wait, 0.001..=86400.0, "0.001…86400 seconds")?;
+        let longest_wait = wait.map(Duration::from_secs_f64);
+        Ok(Self { device: set("ENTIRE_DEVICE"), validation, tile, longest_wait, ..Self::default() })
+    }
+}
+
+/// Reads the number in an environment variable, which must lie in `range`; `accepted` describes the range.
+fn number<T: FromStr + PartialOrd>(
+    name: &str,
+    text: Option<String>,
+    range: RangeInclusive<T>,
+    accepted: &str,
+) -> Result<Option<T>> {
+    let Some(text) = text else { return Ok(None) };
+    match text.parse::<T>() {
+        Ok(value) if range.contains(&value) => Ok(Some(value)),
+        _ => Err(Error::new(format!("{name} is {text:?}; it must be {accepted}"))),
     }
 }
 
@@ -202,13 +202,7 @@ impl VulkanRaycaster {
     }
 
     fn open(options: VulkanOptions, wrap: WrapDevice<'_>) -> Result<Self> {
-        let gpu = GpuOptions {
-            device: options.device.as_deref(),
-            validation: options.validation,
-            longest_wait: options.longest_wait,
-            surface_extensions: &options.surface_extensions,
-        };
-        Self::on(Arc::new(Gpu::open(&gpu, wrap)?), options)
+        Self::on(Arc::new(Gpu::open(&options, wrap)?), options)
     }
 
     /// Makes a raycaster on an open device.

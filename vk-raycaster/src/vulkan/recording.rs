@@ -84,17 +84,9 @@ pub(crate) struct Tile {
 
 /// Cuts an image into tiles of at most `edge` × `edge` pixels, row by row.
 pub(crate) fn tiles(width: u32, height: u32, edge: u32) -> Vec<Tile> {
-    let mut out = Vec::new();
-    let mut y = 0;
-    while y < height {
-        let mut x = 0;
-        while x < width {
-            out.push(Tile { x, y, width: edge.min(width - x), height: edge.min(height - y) });
-            x += edge;
-        }
-        y += edge;
-    }
-    out
+    let starts = |side: u32| (0..side).step_by(edge as usize);
+    let tile = |x, y| Tile { x, y, width: edge.min(width - x), height: edge.min(height - y) };
+    starts(height).flat_map(|y| starts(width).map(move |x| tile(x, y))).collect()
 }
 
 /// Records one tile of a frame, with the table if the step or the transfer function changed.

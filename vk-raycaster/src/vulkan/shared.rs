@@ -23,12 +23,12 @@ impl SharedDevice {
 
     /// The loader.
     pub fn entry(&self) -> &ash::Entry {
-        self.gpu.entry()
+        &self.gpu.instance.entry
     }
 
     /// The instance, made with [`VulkanOptions::surface_extensions`].
     pub fn instance(&self) -> &ash::Instance {
-        &self.gpu.instance
+        &self.gpu.instance.functions
     }
 
     /// The physical device.
