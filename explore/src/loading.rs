@@ -4,7 +4,7 @@
 use crate::camera::Placement;
 use crate::histogram::Histogram;
 use crate::host::{Host, Progress, Steering, VolumeSource};
-use crate::scene::{Crop, Facts, Part, Scene};
+use crate::scene::{Crop, Facts, Scene, part};
 use crate::transfer::Curve;
 use anyhow::{Context, Result};
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
@@ -131,14 +131,10 @@ impl Worker {
         };
         self.enter(1)?;
         let facts = Facts::of(&whole.view());
-        let (part, placement) = match job.crop {
-            Some(crop) => {
-                let (part, placement) = Part::new(&whole.view(), crop)?;
-                (Some(part), placement)
-            }
-            None => (None, Placement::WHOLE),
+        let (view, placement) = match job.crop {
+            Some(crop) => part(&whole.view(), crop)?,
+            None => (whole.view(), Placement::WHOLE),
         };
-        let view = part.as_ref().map_or_else(|| whole.view(), VolumeSource::view);
         let mut raycaster = VulkanRaycaster::on_device(&self.device, self.options.clone())?;
         let drawn_by = raycaster.device();
         // The processor summarizes the volume while its voxels are uploaded to the device, in separate

@@ -95,70 +95,31 @@ impl VolumeSource for Spanned {
     }
 }
 
-/// A copied part of a volume, which renderer and predictor treat as a volume.
-pub(crate) struct Part {
-    voxels: Voxels,
-    dims: [usize; 3],
-    spacing: Vec3,
-    range: (f32, f32),
-}
-
-enum Voxels {
-    U8(Vec<u8>),
-    U16(Vec<u16>),
-    I16(Vec<i16>),
-    F32(Vec<f32>),
-}
-
-impl Part {
-    /// Copies the voxels of a part; the value range stays that of the whole volume.
-    pub(crate) fn new(view: &VolumeView<'_>, crop: Crop) -> Result<(Self, Placement)> {
-        for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(view.shape().dims)) {
-            ensure!(
-                low <= high && *high < n,
-                "the part has voxels {low} to {high} along {axis}; the volume has 0 to {}",
-                n - 1
-            );
-        }
-        let dims = crop.map(|[low, high]| high - low + 1);
-        let voxels = match view.scalars() {
-            Scalars::U8(v) => Voxels::U8(copy(v, view, crop)),
-            Scalars::U16(v) => Voxels::U16(copy(v, view, crop)),
-            Scalars::I16(v) => Voxels::I16(copy(v, view, crop)),
-            Scalars::F32(v) => Voxels::F32(copy(v, view, crop)),
-        };
-        let part = Self { voxels, dims, spacing: view.shape().spacing, range: view.range() };
-        let corners = Facts::of(view).corners(Some(crop));
-        let radius = part.view().shape().bounding_radius / view.shape().bounding_radius;
-        Ok((part, Placement { center: 0.5 * (corners[0] + corners[1]), radius }))
+/// Returns the view of a part of a volume, and where the part lies; the value range stays that of the whole
+/// volume.
+pub(crate) fn part<'a>(view: &VolumeView<'a>, crop: Crop) -> Result<(VolumeView<'a>, Placement)> {
+    let (shape, strides) = (view.shape(), view.strides());
+    for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(shape.dims)) {
+        ensure!(
+            low <= high && *high < n,
+            "the part has voxels {low} to {high} along {axis}; the volume has 0 to {}",
+            n - 1
+        );
     }
-}
-
-fn copy<T: Copy>(all: &[T], view: &VolumeView<'_>, crop: Crop) -> Vec<T> {
-    let [x, y, z] = crop;
-    let mut out = Vec::with_capacity(crop.iter().map(|[l, h]| h - l + 1).product());
-    for k in z[0]..=z[1] {
-        for j in y[0]..=y[1] {
-            let [stride, along_y, along_z] = view.strides();
-            let row = x[0] * stride + j * along_y + k * along_z;
-            out.extend((0..=x[1] - x[0]).map(|i| all[row + i * stride]));
-        }
-    }
-    out
-}
-
-impl VolumeSource for Part {
-    fn view(&self) -> VolumeView<'_> {
-        let scalars = match &self.voxels {
-            Voxels::U8(v) => Scalars::U8(v),
-            Voxels::U16(v) => Scalars::U16(v),
-            Voxels::I16(v) => Scalars::I16(v),
-            Voxels::F32(v) => Scalars::F32(v),
-        };
-        let options =
-            VolumeOptions { strides: None, spacing: self.spacing.to_array(), range: Some(self.range) };
-        VolumeView::with(scalars, self.dims, options).expect("a part of a checked volume")
-    }
+    let first: usize = crop.iter().zip(strides).map(|([low, _], stride)| low * stride).sum();
+    let scalars = match view.scalars() {
+        Scalars::U8(v) => Scalars::U8(&v[first..]),
+        Scalars::U16(v) => Scalars::U16(&v[first..]),
+        Scalars::I16(v) => Scalars::I16(&v[first..]),
+        Scalars::F32(v) => Scalars::F32(&v[first..]),
+    };
+    let dims = crop.map(|[low, high]| high - low + 1);
+    let spacing = shape.spacing.to_array();
+    let options = VolumeOptions { strides: Some(strides), spacing, range: Some(view.range()) };
+    let part = VolumeView::with(scalars, dims, options)?;
+    let [low, high] = Facts::of(view).corners(Some(crop));
+    let radius = part.shape().bounding_radius / shape.bounding_radius;
+    Ok((part, Placement { center: 0.5 * (low + high), radius }))
 }
 
 #[cfg(test)]
@@ -174,8 +135,7 @@ mod tests {
             VolumeOptions { spacing: [1.0, 2.0, 0.5], ..VolumeOptions::default() },
         )
         .unwrap();
-        let (part, placement) = Part::new(&view, [[1, 2], [0, 3], [4, 7]]).unwrap();
-        let cut = part.view();
+        let (cut, placement) = part(&view, [[1, 2], [0, 3], [4, 7]]).unwrap();
         assert_eq!((cut.shape().dims, cut.range()), ([2, 4, 4], view.range()));
         for (x, y, z) in [(0, 0, 0), (1, 3, 3), (1, 0, 2)] {
             assert_eq!(cut.value(x, y, z), view.value(x + 1, y, z + 4));
@@ -189,7 +149,7 @@ mod tests {
         let of_part =
             world(&cut, Vec3::ZERO) / cut.shape().bounding_radius * placement.radius + placement.center;
         assert!((of_whole - of_part).length() < 1e-6, "{of_whole} {of_part}");
-        assert!(Part::new(&view, [[1, 4], [0, 3], [4, 7]]).is_err());
-        assert!(Part::new(&view, [[2, 1], [0, 3], [4, 7]]).is_err());
+        assert!(part(&view, [[1, 4], [0, 3], [4, 7]]).is_err());
+        assert!(part(&view, [[2, 1], [0, 3], [4, 7]]).is_err());
     }
 }
