@@ -203,7 +203,7 @@ impl App {
         drop(first);
         let presenter = Presenter::new(&device, window)?;
         if let Some(input) = &mut self.input {
-            input.set_max_texture_side(presenter.max_texture_side());
+            input.set_max_texture_side(device.max_image_side() as usize);
         }
         (self.presenter, self.device) = (Some(presenter), Some(device));
         window.request_redraw();

@@ -17,7 +17,7 @@ use std::path::Path;
 
 const FORMAT: &str = "entire-transfer-1";
 
-/// Largest file that is read, bytes.
+/// Largest transfer function or script that is read, bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
 /// Number of linear pieces that replace a curved segment between two of ParaView's nodes.
@@ -40,11 +40,16 @@ enum FileOpacity {
 
 /// Reads a file of either format. `range`: the scalars that map to 0 and 1.
 pub(crate) fn load(path: &Path, range: (f32, f32)) -> Result<Curve> {
+    let text = read_text(path, "a transfer function")?;
+    parse(&text, range).with_context(|| format!("{} is no transfer function", path.display()))
+}
+
+/// Reads a text file of at most [`MOST_BYTES`]; `what` is its content in the error message.
+pub(crate) fn read_text(path: &Path, what: &str) -> Result<String> {
     let shown = path.display();
     let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
-    ensure!(size <= MOST_BYTES, "{shown} has {size} bytes; a transfer function has at most {MOST_BYTES}");
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {shown}"))?;
-    parse(&text, range).with_context(|| format!("{shown} is no transfer function"))
+    ensure!(size <= MOST_BYTES, "{shown} has {size} bytes; {what} has at most {MOST_BYTES}");
+    std::fs::read_to_string(path).with_context(|| format!("cannot read {shown}"))
 }
 
 fn parse(text: &str, range: (f32, f32)) -> Result<Curve> {

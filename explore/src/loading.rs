@@ -17,12 +17,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Instant;
 use winit::event_loop::EventLoopProxy;
 
-/// Messages of other threads to the event loop.
+/// Message to the event loop that a load has ended.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Wake {
-    /// A load has ended.
-    Loaded,
-}
+pub(crate) struct Wake;
 
 /// A volume to load.
 #[derive(Clone)]
@@ -88,7 +85,7 @@ impl Loading {
                 let loaded = worker.load(job, begin).with_context(|| shown);
                 // The receiver is gone if the window was closed.
                 let _ = send.send(loaded.map(Box::new));
-                let _ = wake.send_event(Wake::Loaded);
+                let _ = wake.send_event(Wake);
             })
             .context("cannot start a thread")?;
         Ok(Self { job: started, progress, stage, result })

@@ -30,14 +30,12 @@
 //! | `lose_device` | true: simulates the loss of the device; as first action at frame 0: during the load |
 //! | `quit` | true: closes the window |
 
+use crate::exchange::read_text;
 use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
-
-/// Largest script, bytes.
-const MOST_BYTES: u64 = 16 << 20;
 
 /// Action of an event.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -95,11 +93,7 @@ pub(crate) struct Script {
 impl Script {
     /// Reads a script.
     pub(crate) fn open(path: &Path) -> Result<Self> {
-        let shown = path.display();
-        let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
-        ensure!(size <= MOST_BYTES, "{shown} has {size} bytes; a script has at most {MOST_BYTES}");
-        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {shown}"))?;
-        Self::parse(&text).with_context(|| format!("{shown}"))
+        Self::parse(&read_text(path, "a script")?).with_context(|| path.display().to_string())
     }
 
     fn parse(text: &str) -> Result<Self> {

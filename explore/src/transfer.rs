@@ -94,27 +94,15 @@ impl Curve {
                 .sum::<f32>()
                 .clamp(0.0, 1.0),
             Opacity::Points(points) => {
-                let at = points.partition_point(|p| p[0] <= s);
-                match (at.checked_sub(1).and_then(|i| points.get(i)), points.get(at)) {
-                    (Some(a), Some(b)) if b[0] > a[0] => a[1] + (s - a[0]) / (b[0] - a[0]) * (b[1] - a[1]),
-                    (Some(p), _) | (None, Some(p)) => p[1],
-                    (None, None) => 0.0,
-                }
+                neighbors(points, |p| p[0], s).map_or(0.0, |(a, b, t)| a[1] + t * (b[1] - a[1]))
             }
         }
     }
 
     /// The color at a normalized scalar.
     pub(crate) fn color_at(&self, s: f32) -> [f32; 3] {
-        let at = self.colors.partition_point(|c| c.0 <= s);
-        match (at.checked_sub(1).and_then(|i| self.colors.get(i)), self.colors.get(at)) {
-            (Some(a), Some(b)) if b.0 > a.0 => {
-                let t = (s - a.0) / (b.0 - a.0);
-                [0, 1, 2].map(|i| a.1[i] + t * (b.1[i] - a.1[i]))
-            }
-            (Some(c), _) | (None, Some(c)) => c.1,
-            (None, None) => [1.0; 3],
-        }
+        neighbors(&self.colors, |c| c.0, s)
+            .map_or([1.0; 3], |(a, b, t)| [0, 1, 2].map(|i| a.1[i] + t * (b.1[i] - a.1[i])))
     }
 
     /// True if the color map is the color ramp of the core, which Gaussian transfer functions use.
@@ -199,6 +187,17 @@ impl Curve {
         at.dedup_by(|a, b| (*a - *b).abs() < 1e-3);
         let points = at.into_iter().map(|s| [s, self.opacity_at(s)]).collect();
         Self { opacity: Opacity::Points(points), colors: self.colors.clone() }
+    }
+}
+
+/// Returns the points before and after a scalar, and the share of the way from the first to the second; twice
+/// the same point beyond the ends. `at` is the scalar of a point.
+fn neighbors<P>(points: &[P], at: impl Fn(&P) -> f32, s: f32) -> Option<(&P, &P, f32)> {
+    let next = points.partition_point(|p| at(p) <= s);
+    match (next.checked_sub(1).and_then(|i| points.get(i)), points.get(next)) {
+        (Some(a), Some(b)) if at(b) > at(a) => Some((a, b, (s - at(a)) / (at(b) - at(a)))),
+        (Some(p), _) | (None, Some(p)) => Some((p, p, 0.0)),
+        (None, None) => None,
     }
 }
 

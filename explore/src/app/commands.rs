@@ -128,18 +128,12 @@ impl App {
         while self.waiting == Waiting::Nothing
             && let Some(action) = self.script.as_mut().and_then(|s| s.next(self.number))
         {
-            match (action, &mut self.script) {
-                (Action::Quit(_), _) => {
-                    event_loop.exit();
-                    return Ok(false);
-                }
-                (Action::Spin(spin), Some(script)) => script.spin = spin,
-                (Action::Drag(drag), Some(script)) => script.drag = drag,
-                (other, _) => {
-                    let said = format!("frame {}: {other:?}", self.number);
-                    self.act(other).context(said)?;
-                }
+            if matches!(action, Action::Quit(_)) {
+                event_loop.exit();
+                return Ok(false);
             }
+            let said = format!("frame {}: {action:?}", self.number);
+            self.act(action).context(said)?;
         }
         let Some(script) = &self.script else { return Ok(true) };
         if script.spin != [0.0; 2] {
@@ -256,7 +250,9 @@ impl App {
                 let device = self.device.as_ref().context("there is no device")?;
                 return Err(device.error("the script", vk::Result::ERROR_DEVICE_LOST).into());
             }
-            Action::Spin(_) | Action::Drag(_) | Action::Quit(_) => {}
+            Action::Spin(spin) => self.script.iter_mut().for_each(|script| script.spin = spin),
+            Action::Drag(drag) => self.script.iter_mut().for_each(|script| script.drag = drag),
+            Action::Quit(_) => {}
         }
         Ok(())
     }

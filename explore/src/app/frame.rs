@@ -80,13 +80,13 @@ impl App {
         }
         let Some(presenter) = &mut self.presenter else { return Ok(()) };
         let presented = presenter.show(output.pixels_per_point, &primitives, &mut self.textures)?;
+        let waited = if presenter.waits_for_display() { presented.display } else { 0.0 };
         interface += thread_seconds() - cpu - presented.handing;
         if !presented.shown {
             self.redraw();
         }
         self.shown += u64::from(presented.shown);
         if let Some(drawn) = drawn {
-            let waited = if presenter_waits(&self.presenter) { presented.display } else { 0.0 };
             let seconds = begin.elapsed().as_secs_f64() - waited;
             let lag = event_at.map_or(0, |at| self.shown - at);
             self.note(&drawn, seconds, interface, &presented, lag)?;
@@ -292,10 +292,6 @@ impl App {
         self.number += 1;
         Ok(())
     }
-}
-
-fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
-    presenter.as_ref().is_some_and(crate::present::Presenter::waits_for_display)
 }
 
 /// Replaces the placeholders [`STEERED`] and [`FULL`] by the texture ids of the pictures, and shows only the

@@ -208,11 +208,6 @@ impl Presenter {
         self.swapchain.as_ref().is_some_and(|s| s.waits)
     }
 
-    /// Longest side of a texture, pixels.
-    pub(crate) fn max_texture_side(&self) -> usize {
-        self.device.max_image_side() as usize
-    }
-
     /// Draws the interface and presents it. Returns once the device has finished. Takes out of `textures` the changes
     /// that were made.
     ///

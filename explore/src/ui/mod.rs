@@ -47,14 +47,10 @@ fn bar(ui: &mut Ui, state: &mut State) {
                 }
             }
         });
-        if ui.add_enabled(state.edited.can_undo(), egui::Button::new("Undo")).clicked() && state.edited.undo()
-        {
-            state.changed.transfer = true;
-        }
-        if ui.add_enabled(state.edited.can_redo(), egui::Button::new("Redo")).clicked() && state.edited.redo()
-        {
-            state.changed.transfer = true;
-        }
+        let undo = ui.add_enabled(state.edited.can_undo(), egui::Button::new("Undo"));
+        state.changed.transfer |= undo.clicked() && state.edited.undo();
+        let redo = ui.add_enabled(state.edited.can_redo(), egui::Button::new("Redo"));
+        state.changed.transfer |= redo.clicked() && state.edited.redo();
         ui.separator();
         if let Some((file, stage, share)) = &state.loading {
             let bar = egui::ProgressBar::new(*share).desired_width(90.0);
