@@ -7,7 +7,7 @@ use entire_core::model::{GroupKind, Key, Model};
 use entire_core::nn::{PredNet, VolumeNet, VolumeNetParts};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, VolumeView};
 use entire_steer::features::{Changes, FrameFeatures, Setting};
-use entire_steer::predict::{Inputs, check_predictions, load};
+use entire_steer::predict::{Inputs, Prediction, check_predictions, load};
 use serde_json::{Map, Value, json};
 
 /// Largest number of multiplications of an encoding that is run; a larger encoder is built but not run.
@@ -165,6 +165,12 @@ impl Mutants {
         (0..n).flat_map(|_| each(self).to_le_bytes()).collect()
     }
 
+    /// Adds a tensor of random weights.
+    fn put(&mut self, parts: &mut Parts, name: String, shape: Vec<u64>) {
+        let data = self.floats(shape.iter().product::<u64>() as usize);
+        parts.tensors.push(Tensor { name, dtype: "F32".into(), shape, data, offsets: None });
+    }
+
     /// Adds the tensors and the layout of an encoder with consistent sizes; input size, channels, kernels and
     /// strides are random.
     fn encoder(&mut self, parts: &mut Parts) {
@@ -175,11 +181,6 @@ impl Mutants {
             _ => self.one(&[1, 2, 127, 128, 256, 500, 511, 512, 513]),
         };
         let (mut edge, mut channels, mut layout) = (input, 1usize, Vec::new());
-        let mut put = |this: &mut Self, name: String, shape: Vec<u64>| {
-            let n = shape.iter().product::<u64>() as usize;
-            let data = this.floats(n);
-            parts.tensors.push(Tensor { name, dtype: "F32".into(), shape, data, offsets: None });
-        };
         for i in 0..1 + self.below(4) {
             let kernel = self.one(&[1, 1, 2, 3, 3, 5, 8]).min(edge.max(1));
             let padding = if self.below(8) == 0 { self.below(4) } else { self.below(kernel) };
@@ -195,9 +196,9 @@ impl Mutants {
             let outputs = wide.min(room.max(1));
             let name = format!("volumenet.encoder.{i}");
             let cubes = [outputs, channels, kernel, kernel, kernel].map(|n| n as u64);
-            put(self, format!("{name}.conv.weight"), cubes.to_vec());
+            self.put(parts, format!("{name}.conv.weight"), cubes.to_vec());
             for part in ["weight", "bias", "running_mean", "running_var"] {
-                put(self, format!("{name}.bn.{part}"), vec![outputs as u64]);
+                self.put(parts, format!("{name}.bn.{part}"), vec![outputs as u64]);
             }
             layout.push(json!({"stride": stride, "padding": padding}));
             edge = (padded.saturating_sub(kernel) as u64 / stride.max(1)) as usize + 1;
@@ -206,8 +207,8 @@ impl Mutants {
         let flat = (edge as u64).pow(3) * channels as u64;
         let room = MOST_TENSOR as u64 / 4;
         let features = if flat < room { 1 + self.below((room / flat).min(300) as usize) as u64 } else { 1 };
-        put(self, "volumenet.fc.weight".into(), vec![features, flat.min(room)]);
-        put(self, "volumenet.fc.bias".into(), vec![features]);
+        self.put(parts, "volumenet.fc.weight".into(), vec![features, flat.min(room)]);
+        self.put(parts, "volumenet.fc.bias".into(), vec![features]);
         let layout = json!({"input": input, "blocks": layout}).to_string();
         parts.metadata.insert(Key::VolumeNet.into(), layout.into());
         parts.metadata.insert(Key::Format.into(), "1".into());
@@ -237,13 +238,8 @@ impl Mutants {
                 0 => 1 + self.below((MOST_TENSOR / 4 / width).max(1)),
                 _ => 1 + self.below(12),
             };
-            for (name, shape) in
-                [("weight", vec![outputs as u64, width as u64]), ("bias", vec![outputs as u64])]
-            {
-                let data = self.floats(shape.iter().product::<u64>() as usize);
-                let name = format!("prednet.{i}.{name}");
-                parts.tensors.push(Tensor { name, dtype: "F32".into(), shape, data, offsets: None });
-            }
+            self.put(parts, format!("prednet.{i}.weight"), vec![outputs as u64, width as u64]);
+            self.put(parts, format!("prednet.{i}.bias"), vec![outputs as u64]);
             width = outputs;
         }
         parts.metadata.insert(Key::Inputs.into(), groups.to_string().into());
@@ -411,7 +407,10 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
         if check_predictions(&mut batch).is_ok() {
             batch.into_iter().for_each(usable);
         }
-        predict_one(&model, usable);
+        if let Ok(prediction) = predict(&model) {
+            usable(prediction.seconds);
+            assert!(!(prediction.upper < prediction.seconds), "{prediction:?}");
+        }
     }
     if let Some(parts) = model.volumenet.as_ref() {
         let net = VolumeNet::new(parts).expect("a checked encoder can be built");
@@ -427,28 +426,25 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
     out
 }
 
-/// Predicts through the predictor that a session would use.
-fn predict_one(model: &Model, usable: impl Fn(f32)) {
-    let Ok(mut predictor) = load(model) else { return };
+/// Predicts a frame through the predictor that a session would use.
+///
+/// # Errors
+/// When the model has no predictor, or its result is not a time.
+pub fn predict(model: &Model) -> entire_core::Result<Prediction> {
     let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).expect("a camera");
     let frame = Frame::new(camera, 640, 480).expect("a frame");
-    let size = |group| model.input_size(group).unwrap_or(0);
-    let volume_features = vec![0.5; size(GroupKind::VolumeFeatures)];
+    let volume_features = model.input_size(GroupKind::VolumeFeatures).map(|n| vec![0.5; n]);
     let lobe = GaussianLobe { center: 0.5, width: 0.1, height: 0.5 };
-    let lobes = vec![lobe; size(GroupKind::TransferFunction) / 3];
+    let lobes = model.input_size(GroupKind::TransferFunction).map(|n| vec![lobe; n / 3]);
     let features = FrameFeatures::default();
-    let inputs = Inputs {
+    load(model)?.predict(&Inputs {
         features: &features,
         setting: Setting::from(&frame),
         changes: Changes::default(),
         camera: camera.to_arcball(),
-        volume_features: Some(&volume_features),
-        lobes: Some(&lobes),
-    };
-    if let Ok(prediction) = predictor.predict(&inputs) {
-        usable(prediction.seconds);
-        assert!(!(prediction.upper < prediction.seconds), "{prediction:?}");
-    }
+        volume_features: volume_features.as_deref(),
+        lobes: lobes.as_deref(),
+    })
 }
 
 /// Returns the approximate number of multiplications of an encoding.

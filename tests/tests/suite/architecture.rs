@@ -6,10 +6,12 @@ use quote::ToTokens;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use syn::Item;
 use syn::parse::{ParseStream, Parser};
-use syn::visit_mut::{
-    VisitMut, visit_file_mut, visit_item_impl_mut, visit_item_mod_mut, visit_item_trait_mut,
-};
+
+/// Crates whose code is shipped.
+const PRODUCTS: [&str; 10] =
+    ["core", "steer", "ffi", "vk-raycaster", "explore", "io", "report", "train", "farm", "cli"];
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace root").to_path_buf()
@@ -38,12 +40,6 @@ fn rust_files(place: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Removes test-only code exactly, wherever it is, and lists the files that hold only such code.
-#[derive(Default)]
-struct WithoutTests {
-    test_modules: BTreeSet<String>,
-}
-
 /// True if an item has the attribute `#[cfg(test)]`.
 fn for_tests(item: &impl ToTokens) -> bool {
     fn outer(input: ParseStream<'_>) -> syn::Result<Vec<syn::Attribute>> {
@@ -57,51 +53,39 @@ fn for_tests(item: &impl ToTokens) -> bool {
     })
 }
 
-impl WithoutTests {
-    fn filter(&mut self, items: &mut Vec<syn::Item>) {
-        items.retain(|item| {
-            let test = for_tests(item);
-            if let syn::Item::Mod(module) = item
-                && test
-                && module.content.is_none()
-            {
-                self.test_modules.insert(module.ident.to_string());
-            }
-            !test
-        });
-    }
-}
-
-impl VisitMut for WithoutTests {
-    fn visit_file_mut(&mut self, file: &mut syn::File) {
-        self.filter(&mut file.items);
-        visit_file_mut(self, file);
-    }
-
-    fn visit_item_mod_mut(&mut self, module: &mut syn::ItemMod) {
-        if let Some((_, items)) = &mut module.content {
-            self.filter(items);
+/// Removes test-only code exactly, also in modules, implementations and traits; adds the names of the files
+/// that hold only such code to `test_modules`.
+fn remove_tests(items: &mut Vec<Item>, test_modules: &mut BTreeSet<String>) {
+    items.retain(|item| {
+        let test = for_tests(item);
+        if let Item::Mod(module) = item
+            && test
+            && module.content.is_none()
+        {
+            test_modules.insert(module.ident.to_string());
         }
-        visit_item_mod_mut(self, module);
-    }
-
-    fn visit_item_impl_mut(&mut self, item: &mut syn::ItemImpl) {
-        item.items.retain(|i| !for_tests(i));
-        visit_item_impl_mut(self, item);
-    }
-
-    fn visit_item_trait_mut(&mut self, item: &mut syn::ItemTrait) {
-        item.items.retain(|i| !for_tests(i));
-        visit_item_trait_mut(self, item);
+        !test
+    });
+    for item in items {
+        match item {
+            Item::Mod(module) => {
+                if let Some((_, items)) = &mut module.content {
+                    remove_tests(items, test_modules);
+                }
+            }
+            Item::Impl(item) => item.items.retain(|i| !for_tests(i)),
+            Item::Trait(item) => item.items.retain(|i| !for_tests(i)),
+            _ => {}
+        }
     }
 }
 
 /// Returns the tokens of a text without test-only code, and the names of test-only modules.
 fn product_tokens(text: &str) -> syn::Result<(TokenStream, BTreeSet<String>)> {
     let mut file = syn::parse_file(text)?;
-    let mut without = WithoutTests::default();
-    without.visit_file_mut(&mut file);
-    Ok((file.into_token_stream(), without.test_modules))
+    let mut test_modules = BTreeSet::new();
+    remove_tests(&mut file.items, &mut test_modules);
+    Ok((file.into_token_stream(), test_modules))
 }
 
 /// Returns the code of a folder or file, file by file, without test items and without files that are test
@@ -352,8 +336,7 @@ fn arrows_between_the_rooms_of_a_crate_never_point_back() {
 #[test]
 fn the_product_knows_nothing_of_the_laboratory() {
     let root = root();
-    for product in ["core", "steer", "ffi", "vk-raycaster", "explore", "io", "report", "train", "farm", "cli"]
-    {
+    for product in PRODUCTS {
         let manifest = fs::read_to_string(root.join(product).join("Cargo.toml")).expect("a manifest");
         for study in ["entire-lab", "forust"] {
             assert!(!manifest.contains(study), "{product}/Cargo.toml names {study}");
@@ -379,20 +362,8 @@ fn unsafe_stays_behind_its_fences() {
     let root = root();
     let fences = ["core/src/kernels", "ffi/src", "vk-raycaster/src/vulkan", "explore/src/present"];
     let mut wrong = Vec::new();
-    for folder in [
-        "core/src",
-        "steer/src",
-        "ffi/src",
-        "vk-raycaster/src",
-        "explore/src",
-        "io/src",
-        "report/src",
-        "train/src",
-        "farm/src",
-        "cli/src",
-        "lab/src",
-    ] {
-        for (file, code) in product(&root.join(folder)) {
+    for name in PRODUCTS.into_iter().chain(["lab"]) {
+        for (file, code) in product(&root.join(name).join("src")) {
             let fenced = fences.iter().any(|fence| file.starts_with(root.join(fence)));
             if !fenced && says("unsafe", code) {
                 wrong.push(file.display().to_string());

@@ -5,9 +5,8 @@ use entire_core::ErrorKind;
 use entire_core::kernels::Executor;
 use entire_core::model::{InputGroup, Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, PredNet, PredNetParts, Target};
-use entire_core::scene::{Arcball, Camera, Frame};
-use entire_steer::features::{Changes, FrameFeatures, Setting};
-use entire_steer::predict::{Inputs, Prediction, check_predictions, load};
+use entire_steer::predict::check_predictions;
+use entire_tests::mutants::predict;
 use std::path::Path;
 
 fn model(first: f32, last: [f32; 4], target: Target) -> Model {
@@ -29,20 +28,6 @@ fn model(first: f32, last: [f32; 4], target: Target) -> Model {
     let mut file = ModelFile::default();
     file.set_prednet(&parts, &groups).expect("finite weights");
     file.to_model().expect("a model")
-}
-
-fn predict(model: &Model) -> entire_core::Result<Prediction> {
-    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).expect("a camera");
-    let frame = Frame::new(camera, 640, 480).expect("a frame");
-    let features = FrameFeatures::default();
-    load(model).expect("a predictor").predict(&Inputs {
-        features: &features,
-        setting: Setting::from(&frame),
-        changes: Changes::default(),
-        camera: camera.to_arcball(),
-        volume_features: None,
-        lobes: None,
-    })
 }
 
 #[test]
