@@ -135,7 +135,6 @@ impl Dispatcher {
         self.waits.iter().enumerate().filter(|(_, w)| **w).map(|(i, _)| i as u32)
     }
 
-    /// Queues tasks.
     pub(crate) fn add(&mut self, tasks: impl IntoIterator<Item = u32>) {
         for task in tasks {
             if self.wait(task) {
@@ -145,7 +144,6 @@ impl Dispatcher {
         self.sort();
     }
 
-    /// Queues a task again.
     pub(crate) fn add_again(&mut self, task: u32) {
         if !self.wait(task) {
             return;

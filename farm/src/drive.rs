@@ -310,7 +310,6 @@ impl Drive<'_, '_> {
         waits
     }
 
-    /// Processes events of the engine.
     fn take(&mut self, events: Vec<Event>) -> Result<()> {
         for event in events {
             if matches!(event, Event::Line(..)) {

@@ -273,7 +273,6 @@ impl Job {
         x ^ (x >> 31)
     }
 
-    /// The task numbers of a volume.
     pub(crate) fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
         let each = self.len() / self.volumes.len();
         volume * each..(volume + 1) * each

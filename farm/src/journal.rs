@@ -8,7 +8,6 @@ use std::fs::{File, OpenOptions};
 use std::io::{BufRead, BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// An open journal and its lock.
 #[derive(Debug)]
 pub(crate) struct Journal {
     file: File,

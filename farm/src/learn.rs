@@ -159,7 +159,6 @@ impl Shape {
         }
     }
 
-    /// Number of tasks.
     pub(crate) fn len(&self) -> usize {
         self.base.len()
     }
@@ -169,7 +168,6 @@ impl Shape {
         self.volume[task] as usize
     }
 
-    /// Number of volumes.
     pub(crate) fn volumes(&self) -> usize {
         self.volumes
     }
@@ -303,7 +301,6 @@ impl Learner {
         (log + 0.5 * self.sigma2 / self.calm(task).powi(2)).exp()
     }
 
-    /// Expected seconds of all tasks.
     pub(crate) fn all_seconds(&self) -> Vec<f32> {
         (0..self.shape.len()).into_par_iter().with_min_len(4096).map(|t| self.seconds(t) as f32).collect()
     }

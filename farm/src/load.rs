@@ -29,7 +29,6 @@ impl Loads {
         Self { fixed: Some(seconds.clone()), ..Self::new(seconds, false) }
     }
 
-    /// Adds an observed loading time.
     pub(crate) fn observe(&mut self, volume: usize, warm: bool, seconds: f64) {
         if !(seconds.is_finite() && seconds > 0.0) || self.fixed.is_some() {
             return;

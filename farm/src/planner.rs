@@ -47,7 +47,6 @@ pub struct Setting {
     pub learn: bool,
 }
 
-/// A slot.
 #[derive(Clone, Debug, Default)]
 struct Slot {
     held: Option<usize>,
@@ -161,7 +160,6 @@ impl Planner {
         }
     }
 
-    /// Records that a task was quarantined.
     pub(crate) fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
         if let Some(bundle) = bundle {
             self.fail(bundle, task);
@@ -351,7 +349,6 @@ impl Planner {
         self.running.get(&bundle).map_or(&[], |r| &r.open)
     }
 
-    /// The slot of a bundle.
     pub(crate) fn slot_of(&self, bundle: u64) -> Option<usize> {
         self.running.get(&bundle).and_then(|r| r.sent.slot)
     }

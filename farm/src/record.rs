@@ -66,7 +66,6 @@ pub(crate) struct BundleOrder {
     pub(crate) bundle: u64,
     /// Number of the run that sent the bundle. If another run has begun, the worker stops.
     pub(crate) run: u64,
-    /// The tasks.
     pub(crate) tasks: Vec<Order>,
 }
 
@@ -129,24 +128,18 @@ pub enum Line {
 pub(crate) enum Entry {
     /// A run has started.
     Run {
-        /// The journal's format.
         format: String,
         /// The job's name.
         job: String,
         /// Date and time of the start, UTC, ISO 8601.
         date: String,
-        /// Engine that runs the tasks.
         engine: String,
-        /// Number of slots.
         slots: usize,
         /// Time of the start, seconds since 1970.
         at: f64,
     },
     /// Identities of the files of all volumes, by path. They are valid until the next line of this kind.
-    Inputs {
-        /// The files.
-        files: BTreeMap<String, Vec<Identity>>,
-    },
+    Inputs { files: BTreeMap<String, Vec<Identity>> },
     /// A task is finished, and its image is complete.
     Done {
         /// Measured times and result.
@@ -158,14 +151,12 @@ pub(crate) enum Entry {
     Failed {
         /// Its id.
         task: String,
-        /// Reason of the failure.
         error: String,
     },
     /// A task was lost with its worker.
     Lost {
         /// Its id.
         task: String,
-        /// Reason of the loss.
         why: String,
     },
     /// A task was given up.
@@ -188,7 +179,6 @@ pub(crate) enum Entry {
     },
 }
 
-/// The journal's format.
 pub(crate) const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
 
 /// Seconds since 1970.

@@ -18,7 +18,6 @@ pub(crate) struct View {
     pub(crate) done: usize,
     /// Number of all tasks.
     pub(crate) all: usize,
-    /// Number of quarantined tasks.
     pub(crate) quarantined: usize,
     /// Tasks per second of this run.
     pub(crate) rate: f64,
@@ -30,7 +29,6 @@ pub(crate) struct View {
     pub(crate) nodes: Vec<String>,
 }
 
-/// The display.
 pub(crate) struct Show {
     bar: ProgressBar,
     lines: bool,
@@ -40,7 +38,6 @@ pub(crate) struct Show {
 }
 
 impl Show {
-    /// A new display.
     pub(crate) fn begin() -> Self {
         let terminal = std::io::stderr().is_terminal();
         Self {
@@ -51,7 +48,6 @@ impl Show {
         }
     }
 
-    /// Updates the display.
     pub(crate) fn update(&mut self, view: &View) {
         self.bar.set_length(view.all as u64);
         self.bar.set_position(view.done as u64);

@@ -57,7 +57,6 @@ pub(crate) struct Spool {
 }
 
 impl Spool {
-    /// The spool of a state folder.
     pub(crate) fn new(state: &Path) -> Self {
         Self { state: state.to_owned(), open: HashMap::new() }
     }

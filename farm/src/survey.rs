@@ -12,7 +12,6 @@ const MOST: usize = 4096;
 /// A number of nodes, with its end and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Offer {
-    /// Number of nodes.
     nodes: usize,
     /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds.
     end: [f64; 3],

@@ -94,7 +94,6 @@ impl Settings {
 
 /// Result of a calibration.
 pub(crate) struct Calibrated {
-    /// The model file.
     pub(crate) file: ModelFile,
     /// Inputs of the fit, and its error on held-out volumes.
     pub(crate) report: Report,

@@ -55,7 +55,6 @@ pub(crate) struct Candidate {
     pub(crate) volume: usize,
     /// Enlargement factor of the volume along every axis.
     pub(crate) factor: usize,
-    /// Scene of the frame.
     pub(crate) scene: Scene,
     /// Estimated work: 1, then the values of [`COST_QUANTITIES`].
     pub(crate) work: [f64; COSTS],
@@ -76,7 +75,6 @@ impl Candidate {
 
 /// All candidates, and the prior.
 pub(crate) struct Pool {
-    /// The volume files.
     pub(crate) volumes: Vec<PathBuf>,
     /// Identities of each volume's files.
     pub(crate) files: Vec<Vec<Identity>>,
@@ -84,7 +82,6 @@ pub(crate) struct Pool {
     pub(crate) reading: Reading,
     /// The candidates; a frame's number is its index.
     pub(crate) candidates: Vec<Candidate>,
-    /// The prior.
     pub(crate) prior: PriorModel,
     /// Seconds of each candidate on the prior's own machine, predicted by the prior.
     pub(crate) expected: Vec<f64>,

@@ -118,7 +118,6 @@ pub(crate) struct Options {
     pub(crate) threads: Option<usize>,
 }
 
-/// Returns the values of --shade.
 fn shades_or_all() -> PossibleValuesParser {
     let all = "Unshaded, local lighting and single scattering, one after another";
     let mut values = shades();

@@ -98,7 +98,6 @@ pub(crate) struct Options {
     pub(crate) resume: bool,
 }
 
-/// Protocol from the options.
 fn protocol(options: &Options) -> Protocol {
     Protocol {
         frames: options.frames,

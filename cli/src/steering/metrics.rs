@@ -44,7 +44,6 @@ impl Played {
 /// A controller's figures over a path. Shares are 0 to 1, times are in seconds; t is a frame time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Metrics {
-    /// Frames played.
     pub(crate) frames: usize,
     /// Share of frames that took over 1.1 times the target.
     pub(crate) missed_by_10_percent: f64,

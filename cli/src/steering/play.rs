@@ -105,7 +105,6 @@ pub(crate) struct Reference {
 /// Results of a played path.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Playback {
-    /// The controllers' names.
     pub(crate) names: Vec<String>,
     /// Quantity that each controller sets.
     pub(crate) acts_on: Vec<ActsOn>,
@@ -121,7 +120,6 @@ pub(crate) struct Playback {
     pub(crate) sizes: Vec<(u32, u32)>,
     /// Index of each frame's volume.
     pub(crate) volumes: Vec<usize>,
-    /// The allowed steps.
     pub(crate) limits: StepLimits,
 }
 
@@ -162,7 +160,6 @@ impl Playback {
 pub(crate) struct Shown<'a> {
     /// Voxels of the volume.
     pub(crate) view: &'a VolumeView<'a>,
-    /// Summary of the volume.
     pub(crate) summary: VolumeSummary,
     /// VolumeNet's output for the volume, if a model uses it.
     pub(crate) volume_features: Option<Vec<f32>>,
@@ -180,7 +177,6 @@ pub(crate) struct Course<'a> {
     /// Largest image sample distance (pixels between rays along each side) of contenders that choose it; 1
     /// keeps the full image.
     pub(crate) max_image_sample_distance: f32,
-    /// Allowed steps.
     pub(crate) limits: StepLimits,
 }
 
@@ -189,7 +185,6 @@ pub(crate) struct Course<'a> {
 pub(crate) struct Task<'a> {
     /// The volume, or the volumes of a series in order.
     pub(crate) volumes: &'a [Shown<'a>],
-    /// The path.
     pub(crate) path: &'a FlightPath,
     /// Target at the first frame, seconds.
     pub(crate) target: f64,

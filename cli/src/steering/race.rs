@@ -24,7 +24,6 @@ use entire_vk_raycaster::Renderer;
 /// Settings of a comparison of controllers.
 #[derive(Clone, Debug)]
 pub(crate) struct Race<'a> {
-    /// The volume.
     pub(crate) volume: &'a VolumeView<'a>,
     /// The further volumes of a series; random scenes are of the first volume only.
     pub(crate) series: &'a [VolumeView<'a>],
@@ -34,11 +33,9 @@ pub(crate) struct Race<'a> {
     pub(crate) seed_name: &'a str,
     /// Seed of the random scenes.
     pub(crate) seed: u64,
-    /// Settings of drawing.
     pub(crate) draw: DrawSettings,
     /// Number of random scenes, and of their renderings at each step.
     pub(crate) scenes: (usize, usize),
-    /// The controllers to compare.
     pub(crate) controllers: &'a [ControllerKind],
     /// Target, seconds; `None` to choose it by [`sane_target`].
     pub(crate) target: Option<f64>,
@@ -129,7 +126,6 @@ fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
 /// Results of the random scenes.
 #[derive(Clone, Debug)]
 pub(crate) struct Prepared {
-    /// The volume's summary.
     pub(crate) summary: VolumeSummary,
     /// One sample per random scene and step.
     pub(crate) samples: Vec<Sample>,

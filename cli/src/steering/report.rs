@@ -49,7 +49,6 @@ impl ResponseCurve {
 /// Contents of a report besides the playback.
 #[derive(Clone, Debug)]
 pub(crate) struct Story {
-    /// The page's title.
     pub(crate) title: String,
     /// The sentence below the title.
     pub(crate) lead: String,
@@ -59,13 +58,11 @@ pub(crate) struct Story {
     pub(crate) volume: String,
     /// Description of the path.
     pub(crate) path: String,
-    /// The predictor and its errors.
     pub(crate) predictor: Steers,
     /// G: relative frame time over ray step.
     pub(crate) response: ResponseCurve,
     /// Further remarks, a paragraph each.
     pub(crate) remarks: Vec<String>,
-    /// Provenance of the numbers.
     pub(crate) provenance: Provenance,
 }
 

@@ -174,7 +174,6 @@ pub(crate) fn workshop() -> tempfile::TempDir {
     folder
 }
 
-/// The model in a file.
 pub(crate) fn model_of(path: &Path) -> Model {
     Model::from_bytes(&std::fs::read(path).unwrap()).unwrap()
 }

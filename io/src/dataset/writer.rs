@@ -182,7 +182,6 @@ impl Writer {
     }
 }
 
-/// Locks the table for this process.
 fn lock(file: &File, path: &Path) -> Result<()> {
     lock_alone(
         file,

@@ -197,7 +197,6 @@ impl CameraPose {
         }
     }
 
-    /// Returns the core's camera position.
     fn arcball(self) -> Arcball {
         Arcball { rx: self.rx_deg, ry: self.ry_deg, dz: self.dz_radii }
     }

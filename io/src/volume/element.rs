@@ -8,25 +8,15 @@ use std::io::{self, Read};
 /// The scalar types that files hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Element {
-    /// Signed bytes.
     I8,
-    /// Unsigned bytes.
     U8,
-    /// Signed 16-bit integers.
     I16,
-    /// Unsigned 16-bit integers.
     U16,
-    /// Signed 32-bit integers.
     I32,
-    /// Unsigned 32-bit integers.
     U32,
-    /// Signed 64-bit integers.
     I64,
-    /// Unsigned 64-bit integers.
     U64,
-    /// 32-bit floats.
     F32,
-    /// 64-bit floats.
     F64,
 }
 
@@ -53,9 +43,7 @@ impl Element {
 /// Byte order of stored numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Endian {
-    /// Least significant byte first.
     Little,
-    /// Most significant byte first.
     Big,
 }
 

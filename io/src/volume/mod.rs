@@ -125,7 +125,6 @@ pub enum Format {
 }
 
 impl Format {
-    /// Every format.
     const ALL: [Self; 6] = [Self::Nrrd, Self::MetaImage, Self::VtkImage, Self::Nifti, Self::Json, Self::Raw];
 
     /// Returns the endings of file names in this format.

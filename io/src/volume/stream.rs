@@ -45,7 +45,6 @@ pub trait Watcher: Send + Sync {
     fn advance(&self, bytes: u64) -> io::Result<()>;
 }
 
-/// A watched file.
 struct Watched<R> {
     inner: R,
     watcher: Arc<dyn Watcher>,

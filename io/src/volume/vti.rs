@@ -213,7 +213,6 @@ fn joined(parts: &[Part], dims: [usize; 3]) -> Result<VolumeData> {
     })
 }
 
-/// Reads the voxels of an array.
 fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<VolumeData> {
     let shown = shown(array);
     let Some(element) = array.element else {

@@ -75,7 +75,6 @@ fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
     }
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let volume = open_volume(&options.volume, &Reading::default())?;
     let stop = interrupt::flag()?;

@@ -43,7 +43,6 @@ pub(crate) struct Options {
     pub(crate) bars: bool,
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let trace = options.trace.as_ref().map(|file| Trace::open(file)).transpose()?;
     let tasks = match (&options.tasks, &trace) {

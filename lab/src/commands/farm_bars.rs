@@ -24,7 +24,6 @@ pub(crate) struct BarsOptions {
     pub(crate) out: PathBuf,
 }
 
-/// Runs `entire-lab farm-bars`.
 pub(crate) fn run_bars(options: &BarsOptions) -> Result<()> {
     bars::print(&studies::all(&options.out)?)
 }
@@ -62,7 +61,6 @@ pub(crate) struct SimulateOptions {
     pub(crate) uniform: bool,
 }
 
-/// Runs `entire-lab farm-simulate`.
 pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     ensure!(options.slots > 0, "--slots is 0; at least one is needed");
     let tasks = read_tasks(&options.tasks)?;
@@ -115,7 +113,6 @@ pub(crate) struct StandInOptions {
     pub(crate) scale: f64,
 }
 
-/// Runs `entire-lab farm-stand-in`.
 pub(crate) fn run_stand_in(options: &StandInOptions) -> Result<()> {
     ensure!(options.scale.is_finite() && options.scale >= 0.0, "--scale is {}", options.scale);
     stand_in::serve(&options.tasks, options.scale)

@@ -133,7 +133,6 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     (values.map(f64::ln).sum::<f64>() / n).exp()
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let (tables, judged, models) = (options.data.len(), options.judged.len(), options.priors.len());
     ensure!(

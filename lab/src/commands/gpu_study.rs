@@ -167,7 +167,6 @@ fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     half(of(true)).or_else(|| half(of(false)))
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let extent = if options.short { Extent::SHORT } else { Extent::FULL };
     let volumes = held_out(&options.data)?;

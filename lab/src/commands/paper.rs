@@ -149,7 +149,6 @@ struct HowToReport {
     bars: bool,
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let none = HowToTrain::default();
     match &options.step {

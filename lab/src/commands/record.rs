@@ -89,7 +89,6 @@ pub(crate) struct Options {
     pub(crate) enlarge: usize,
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.repeats >= 1, "--repeats is 0; every point must be drawn at least once");
     if let Some(scenes) = options.calibration {

@@ -99,7 +99,6 @@ pub(crate) struct Options {
     pub(crate) bars: bool,
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.rounds >= 1, "--rounds is 0; at least one round is needed");
     let targets = options.paths.targets()?;

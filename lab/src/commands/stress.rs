@@ -42,7 +42,6 @@ pub(crate) struct Options {
     pub(crate) out: PathBuf,
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let all: Vec<usize> = stress::scenes().map(|s| s.0).collect();
     let scenes = if options.scenes.is_empty() { &all } else { &options.scenes };

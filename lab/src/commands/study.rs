@@ -43,7 +43,6 @@ pub(crate) struct Options {
     pub(crate) threads: Option<usize>,
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut study = read(&options.study)?;
     if let Some(clock) = options.clock {

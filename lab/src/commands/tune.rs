@@ -67,7 +67,6 @@ fn worth_table(worth: &[Removed]) -> Table {
     table
 }
 
-/// Runs the command.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut first = Constants::default();
     for given in &options.set {

@@ -45,12 +45,10 @@ impl State {
 /// Outcome of a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Outcome {
-    /// The step's name.
     pub(crate) step: String,
     /// The step's arguments.
     #[serde(default)]
     pub(crate) arguments: Vec<String>,
-    /// State of the step at its end.
     pub(crate) state: State,
     /// Wall seconds of the step.
     pub(crate) seconds: f64,

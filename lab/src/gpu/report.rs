@@ -14,7 +14,6 @@ pub(crate) const MODES: [&str; 3] = ["none", "local", "scatter"];
 
 /// Results of a run. A result is missing if its step did not run or failed.
 pub(crate) struct Found {
-    /// Outcomes of the steps.
     pub(crate) outcomes: Outcomes,
     /// Output of `entire probe --json`.
     pub(crate) probe: Option<Value>,
@@ -129,7 +128,6 @@ impl Found {
         self.pictures.iter().map(|d| d.largest).max()
     }
 
-    /// The report as a page.
     pub(crate) fn page(&self, device: String) -> Page {
         let mut page = Page::new(
             "Study of a device",

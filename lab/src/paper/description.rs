@@ -20,7 +20,6 @@ pub(super) const BY_MODALITY: &str = "modality";
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Paper {
-    /// Title of the report.
     pub(crate) title: String,
     /// True if the study measures only a part of the paper: goals that it does not measure are those of another
     /// study, and are not printed.
@@ -30,7 +29,6 @@ pub(crate) struct Paper {
     pub(crate) clock: String,
     /// Seed of the scenes.
     pub(crate) seed: u64,
-    /// Frames per volume.
     pub(crate) frames: FrameCounts,
     /// Number of renderings of each frame.
     pub(crate) repeats: u32,
@@ -40,16 +38,12 @@ pub(crate) struct Paper {
     pub(crate) enlarge: usize,
     /// Voxels per side of the volumes of the low-resolution proxy (LVRP).
     pub(crate) proxy: usize,
-    /// Distribution of the scenes.
     pub(crate) scenes: SceneDistribution,
     /// Other settings for modes whose frames take far longer.
     #[serde(default)]
     pub(crate) in_mode: BTreeMap<String, InMode>,
-    /// Data sets.
     pub(crate) data_sets: Vec<DataSet>,
-    /// Collection of frames that yt draws.
     pub(crate) yt: YtFrames,
-    /// VolumeNets to train, and their training.
     pub(crate) encoders: Encoders,
     /// Number of training runs of each network, with different seeds.
     pub(crate) runs: usize,
@@ -66,17 +60,12 @@ pub(crate) struct Paper {
     /// The two architectures of the final selection: the encoder's input side and number of features,
     /// PredNet's preset.
     pub(crate) finalists: Vec<(usize, usize, String)>,
-    /// Fine-tuning.
     pub(crate) tuning: Tuning,
-    /// Load balancing.
     pub(crate) orbit: Orbit,
-    /// Experiments on the causes of the network's error.
     pub(crate) trials: Trials,
     /// Data sets and modes of each part of the study; `overall` uses all of them.
     pub(crate) panels: BTreeMap<Panel, Vec<(String, String)>>,
-    /// The paper's tables and figures.
     pub(crate) labels: Vec<Label>,
-    /// Goals that `make bars-paper` checks.
     pub(crate) limits: Limits,
 }
 
@@ -214,7 +203,6 @@ pub(crate) struct Encoders {
     pub(crate) main: (usize, usize),
     /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main encoder.
     pub(crate) shipped: Vec<PathBuf>,
-    /// The capacity sweep.
     pub(crate) capacity: Capacity,
 }
 
@@ -222,7 +210,6 @@ pub(crate) struct Encoders {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Capacity {
-    /// Data sets.
     pub(crate) data_sets: Vec<String>,
     /// Side of the input, voxels.
     pub(crate) size: usize,
@@ -286,7 +273,6 @@ pub(crate) struct Trials {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct TrialTables {
-    /// The mode.
     pub(crate) mode: String,
     /// Training and validation frames.
     pub(crate) training: PathBuf,
@@ -452,7 +438,6 @@ pub(crate) const BASE_MODE: &str = "local";
 pub(crate) const YT: &str = "yt";
 
 impl Paper {
-    /// A data set by its name.
     pub(crate) fn data_set(&self, name: &str) -> Option<&DataSet> {
         self.data_sets.iter().find(|d| d.name == name)
     }
@@ -462,7 +447,6 @@ impl Paper {
         self.data_set(set).map_or_else(Rule::default, |d| d.rule)
     }
 
-    /// Recipe of our predictor for a mode.
     pub(crate) fn ours_for(&self, mode: &str) -> Result<&Recipe> {
         self.ours.get(mode).with_context(|| format!("the description has no recipe `ours` for mode {mode:?}"))
     }
@@ -486,7 +470,6 @@ fn values(path: &Path) -> Result<serde_json::Map<String, serde_json::Value>> {
     Ok(all)
 }
 
-/// Reads a description.
 pub(crate) fn read(path: &Path) -> Result<Paper> {
     let mut paper: Paper = serde_json::from_value(values(path)?.into())
         .with_context(|| format!("{} is no description of the paper's study", path.display()))?;

@@ -53,7 +53,6 @@ impl Encoder {
         pairs.chain(sweep.channels.iter().map(|c| one(sweep.size, sweep.features, c))).collect()
     }
 
-    /// True if the training was completed.
     pub(crate) fn is_trained(&self, out: &Path) -> Result<bool> {
         Ok(self.record(out)?.is_some_and(|r| r.complete()))
     }
@@ -80,7 +79,6 @@ impl Encoder {
 /// Record that the training script writes beside a model.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Record {
-    /// Inputs and results of the training.
     pub(crate) provenance: Provenance,
     /// Seconds of the training.
     pub(crate) seconds: f64,
@@ -91,7 +89,6 @@ pub(crate) struct Record {
 pub(crate) struct Provenance {
     /// Mean peak signal-to-noise ratio over volumes, dB, by part and data set.
     pub(crate) psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
-    /// Number of epochs that the training ran.
     pub(crate) epochs_run: usize,
     /// Reason for the end of the training.
     pub(crate) stopped: String,

@@ -32,13 +32,10 @@ pub(super) struct Loaded {
     pub(super) low: Low,
 }
 
-/// Frames of a split.
 pub(super) struct SplitFrames<'a> {
-    /// Training frames.
     pub(super) training: TimedFrames<'a>,
     /// Frames that decide when training stops.
     pub(super) validation: TimedFrames<'a>,
-    /// Test frames.
     pub(super) test: TimedFrames<'a>,
 }
 
@@ -96,7 +93,6 @@ impl Loaded {
         }
     }
 
-    /// All frames of a table.
     pub(super) fn all(&self, table: usize, clock: Clock) -> TimedFrames<'_> {
         TimedFrames::of(&self.tables[table].frames, clock)
     }

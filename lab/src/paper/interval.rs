@@ -16,7 +16,6 @@ const SEED: u64 = 1;
 /// Squared errors on the frames of one volume.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Errors {
-    /// Number of frames.
     pub(crate) frames: usize,
     /// Sum of squared errors over the frames, seconds squared, by training run.
     pub(crate) squared: Vec<f64>,

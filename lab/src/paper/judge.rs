@@ -26,19 +26,14 @@ pub(super) const OURS: &str = "ours: analytic × factor";
 
 /// Context of a data set and mode.
 pub(super) struct At<'a> {
-    /// Context of every step.
     pub(super) work: &'a Work<'a>,
-    /// The data set.
     pub(super) place: &'a Place,
-    /// The mode.
     pub(super) mode: &'a str,
-    /// The frames of data set and mode.
     pub(super) loaded: &'a Loaded,
     /// Clock of the frame times.
     pub(super) clock: Clock,
     /// Trains models and stores them.
     pub(super) runner: &'a Runner<'a>,
-    /// Context of fitting.
     pub(super) context: FitContext<'a>,
 }
 

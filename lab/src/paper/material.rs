@@ -15,9 +15,7 @@ use std::path::Path;
 /// An encoder, with its quality of reconstruction.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Reconstruction {
-    /// The encoder.
     pub(crate) encoder: Encoder,
-    /// Record of the encoder's training.
     pub(crate) record: Record,
 }
 
@@ -31,9 +29,7 @@ impl Reconstruction {
 /// Inputs of the report.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Material {
-    /// Results of all parts.
     pub(crate) all: Vec<Results>,
-    /// Encoders with their quality of reconstruction.
     pub(crate) reconstructions: Vec<Reconstruction>,
     /// PNG files by name, as base64 text.
     pub(crate) pictures: BTreeMap<String, String>,

@@ -35,9 +35,7 @@ use std::time::Instant;
 
 /// Context of every step of the study.
 pub(crate) struct Work<'a> {
-    /// Description of the study.
     pub(crate) paper: &'a Paper,
-    /// Selected data sets and modes.
     pub(crate) selection: &'a Selection,
     /// The folder of the volumes.
     pub(crate) data: &'a std::path::Path,

@@ -24,7 +24,6 @@ pub(crate) struct Row {
     pub(crate) split: String,
     /// Number of test frames.
     pub(crate) frames: usize,
-    /// Number of training runs.
     pub(crate) runs: usize,
     /// Mean RMSE over the runs, seconds.
     pub(crate) rmse: f64,
@@ -59,11 +58,9 @@ pub(crate) struct Row {
 pub(crate) struct Curve {
     /// Name of the curve's chart.
     pub(crate) chart: String,
-    /// Name of the curve.
     pub(crate) name: String,
     /// Quantity along x.
     pub(crate) x: String,
-    /// Points (x, y) of the curve.
     pub(crate) points: Vec<(f64, f64)>,
 }
 
@@ -107,7 +104,6 @@ pub(super) fn box_of(values: &BTreeMap<String, f64>) -> [f64; 5] {
 pub(crate) struct Fact {
     /// Name of the group of numbers.
     pub(crate) name: String,
-    /// The numbers by name.
     pub(crate) values: BTreeMap<String, f64>,
 }
 
@@ -116,11 +112,8 @@ pub(crate) struct Fact {
 pub(crate) struct Results {
     /// Hash of the inputs of the computation.
     pub(crate) identity: String,
-    /// The part of the study.
     pub(crate) panel: Panel,
-    /// The data set.
     pub(crate) set: String,
-    /// The mode.
     pub(crate) mode: String,
     /// Training, validation and test frames, by split.
     pub(crate) frames: BTreeMap<String, [usize; 3]>,
@@ -130,11 +123,8 @@ pub(crate) struct Results {
     pub(crate) device: String,
     /// Machine that holds the device.
     pub(crate) machine: String,
-    /// Errors of predictors.
     pub(crate) rows: Vec<Row>,
-    /// Lines of charts.
     pub(crate) curves: Vec<Curve>,
-    /// Other numbers.
     pub(crate) facts: Vec<Fact>,
     /// Names of the pictures' files, with captions.
     #[serde(default)]
@@ -142,7 +132,6 @@ pub(crate) struct Results {
 }
 
 impl Results {
-    /// Empty results.
     pub(crate) fn new(panel: Panel, set: &str, mode: &str, identity: String) -> Self {
         Self { identity, panel, set: set.to_owned(), mode: mode.to_owned(), ..Self::default() }
     }
@@ -183,7 +172,6 @@ pub(super) fn path(out: &Path, panel: Panel, set: &str, mode: &str) -> PathBuf {
     out.join("results").join(format!("{}-{set}-{mode}.json", panel.name()))
 }
 
-/// Writes results.
 pub(super) fn write(out: &Path, results: &Results) -> Result<()> {
     make_folder(&out.join("results"))?;
     write_json(&path(out, results.panel, &results.set, &results.mode), results)

@@ -9,13 +9,10 @@ use entire_report::{Chart, Table};
 /// Contents of the report for one table or figure of the paper.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Section {
-    /// Tables with captions.
     pub(super) tables: Vec<(Table, String)>,
-    /// Charts with captions.
     pub(super) charts: Vec<(Chart, String)>,
     /// Pictures' files with captions.
     pub(super) pictures: Vec<(String, String)>,
-    /// Paragraphs.
     pub(super) notes: Vec<String>,
     /// One line for the overview.
     pub(super) summary: String,

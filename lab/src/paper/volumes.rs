@@ -10,19 +10,15 @@ use std::path::{Path, PathBuf};
 /// Selected data sets and modes; an empty list selects all.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Selection {
-    /// Data sets.
     pub(crate) data_sets: Vec<String>,
-    /// Modes.
     pub(crate) modes: Vec<String>,
 }
 
 impl Selection {
-    /// True if a data set is selected.
     pub(crate) fn has(&self, set: &str) -> bool {
         self.data_sets.is_empty() || self.data_sets.iter().any(|n| n == set)
     }
 
-    /// True if a mode is selected.
     pub(crate) fn has_mode(&self, mode: &str) -> bool {
         self.modes.is_empty() || self.modes.iter().any(|n| n == mode)
     }
@@ -33,11 +29,9 @@ impl Selection {
 pub(crate) struct Parts {
     /// Name of the split: `volumes` or `members`.
     pub(crate) name: &'static str,
-    /// Training volumes.
     pub(crate) training: BTreeSet<String>,
     /// Volumes that decide when training stops.
     pub(crate) validation: BTreeSet<String>,
-    /// Test volumes.
     pub(crate) test: BTreeSet<String>,
 }
 
@@ -53,7 +47,6 @@ pub(super) fn in_words(split: &str) -> &str {
 /// A data set with its folder, volumes and splits.
 #[derive(Clone, Debug)]
 pub(crate) struct Place {
-    /// The data set.
     pub(crate) set: DataSet,
     /// Folder to which the names of the data set's volumes are relative.
     pub(crate) root: PathBuf,
@@ -93,7 +86,6 @@ impl Place {
         self.split(self.set.rule.split()).or_else(|| self.splits.first())
     }
 
-    /// The split with a name.
     pub(crate) fn split(&self, name: &str) -> Option<&Parts> {
         self.splits.iter().find(|s| s.name == name)
     }

@@ -16,13 +16,9 @@ use std::path::Path;
 
 /// Results of all replays, for reports.
 pub(crate) struct Results<'a> {
-    /// Controllers.
     pub(crate) players: &'a [Player],
-    /// Recorded paths.
     pub(crate) traces: &'a [Replayable],
-    /// Paths with their targets.
     pub(crate) trials: &'a [Trial],
-    /// Outcome of each trial.
     pub(crate) outcomes: &'a [Outcome],
     /// Scores over all trials, per controller.
     pub(crate) scores: &'a [Score],
@@ -190,7 +186,6 @@ impl Results<'_> {
         write_json(path, &all)
     }
 
-    /// The report.
     pub(crate) fn page(&self, response: &StepResponse, samples: &[Sample], frontier: Option<&str>) -> Page {
         let frames = self.scores.first().map_or(0, |s| s.frames);
         let mut page = Page::new(

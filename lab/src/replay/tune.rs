@@ -39,7 +39,6 @@ const COLD_FRAMES: usize = 6;
 /// All constants that the search varies.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Constants {
-    /// Constants of the controller.
     pub(crate) hybrid: HybridConstants,
     /// Constants of the controller's online correction.
     pub(crate) correction: CorrectionConstants,
@@ -82,9 +81,7 @@ const WITHOUT: [(&str, f64); 10] = [
 /// Effect of a constant on the cost.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Removed {
-    /// Name of the constant.
     pub(crate) name: &'static str,
-    /// Its value.
     pub(crate) value: f64,
     /// The value at which the constant has no effect, or the least effect that its valid range allows.
     pub(crate) without: f64,
@@ -215,11 +212,8 @@ impl Coarse {
 /// A change of a constant that the search has taken.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Taken {
-    /// Name of the constant.
     pub(crate) name: &'static str,
-    /// Value before.
     pub(crate) from: f64,
-    /// Value after.
     pub(crate) to: f64,
     /// Mean cost of the paths before and after.
     pub(crate) cost: [f64; 2],

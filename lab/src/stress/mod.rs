@@ -109,7 +109,6 @@ impl Limits {
 pub(crate) struct Verdict {
     /// The scene's number.
     pub(crate) scene: usize,
-    /// The method.
     pub(crate) method: &'static str,
     /// Failures, in words; empty if the method passed.
     pub(crate) failures: Vec<String>,
@@ -129,7 +128,6 @@ impl Verdict {
         self.method == ControllerKind::Hybrid.name()
     }
 
-    /// True if the method passed the scene.
     pub(crate) fn passed(&self) -> bool {
         self.failures.is_empty()
     }

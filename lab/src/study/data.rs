@@ -24,7 +24,6 @@ pub(super) struct SetTables {
 }
 
 impl SetTables {
-    /// Reads the tables of a set.
     pub(super) fn read(set: &Set) -> Result<Self> {
         let mut paths = Vec::new();
         let mut add = |tables: &[std::path::PathBuf]| {
@@ -45,7 +44,6 @@ impl SetTables {
 /// Frames for the training of a predictor: frames that its weights are fitted to, and frames that decide when
 /// training stops.
 pub(super) struct Learned<'a> {
-    /// All frames.
     pub(super) all: TimedFrames<'a>,
     /// Frames that decide when training stops.
     pub(super) validation: TimedFrames<'a>,
@@ -106,13 +104,9 @@ impl<'a> SetData<'a> {
 /// Context of a set: its frames, and the inputs of fitting.
 #[derive(Clone, Copy)]
 pub(super) struct OnSet<'a> {
-    /// The study.
     pub(super) study: &'a Study,
-    /// The set.
     pub(super) set: &'a Set,
-    /// Frames of the data set.
     pub(super) data: &'a SetData<'a>,
-    /// Context of fitting.
     pub(super) context: &'a FitContext<'a>,
 }
 

@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Study {
-    /// Title of the report.
     pub(crate) title: String,
     /// Clock of the frame times.
     #[serde(default = "cpu")]
@@ -100,7 +99,6 @@ impl Set {
 pub(crate) struct SplitTables {
     /// Name of the split: `member`, `time step`, `modality`.
     pub(crate) name: String,
-    /// Tables of the split.
     pub(crate) tables: Vec<PathBuf>,
     /// True for the main split, to which all [`Limits`] except `modality` apply.
     #[serde(default)]
@@ -158,7 +156,6 @@ impl Named {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }
 
-    /// Recipe for a set.
     pub(crate) fn recipe_for(&self, set: &str) -> &Recipe {
         self.in_set.get(set).unwrap_or(&self.recipe)
     }
@@ -173,7 +170,6 @@ fn yes() -> bool {
     true
 }
 
-/// Reads a study.
 pub(crate) fn read(path: &Path) -> Result<Study> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut study: Study =

@@ -20,7 +20,6 @@ pub(crate) const LEVEL: f64 = 0.9;
 /// volumes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Intervals {
-    /// Interval of RMSE/SD.
     pub(crate) rmse_over_sd: (f64, f64),
     /// Interval of the median error.
     pub(crate) mdape: (f64, f64),
@@ -58,9 +57,7 @@ impl Intervals {
 /// Errors of a predictor on its training frames, and in cross-validation on the training tables.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Fit {
-    /// Name of the data set.
     pub(crate) set: String,
-    /// Name of the predictor.
     pub(crate) predictor: String,
     /// Errors on its training frames.
     pub(crate) seen: Metrics,
@@ -84,16 +81,12 @@ pub(crate) struct Fit {
 /// Errors of a predictor on a split.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct SplitResult {
-    /// Name of the data set.
     pub(crate) set: String,
-    /// Name of the split.
     pub(crate) split: String,
-    /// Name of the predictor.
     pub(crate) predictor: String,
     /// Table in which the predictor is listed ([`super::Named::panel`]); `baseline` for the constant and the
     /// proxy.
     pub(crate) panel: String,
-    /// Errors.
     pub(crate) metrics: Metrics,
     /// Intervals of RMSE/SD and of the median error.
     pub(crate) intervals: Option<Intervals>,
@@ -104,11 +97,8 @@ pub(crate) struct SplitResult {
 /// Error of a predictor on other data after calibration to a hundred frames of that data.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct CalibratedResult {
-    /// Name of the data set.
     pub(crate) set: String,
-    /// Name of the split.
     pub(crate) split: String,
-    /// Name of the predictor.
     pub(crate) predictor: String,
     /// Errors on volumes that were not used for calibration.
     pub(crate) metrics: Metrics,

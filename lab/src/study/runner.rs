@@ -32,7 +32,6 @@ use std::path::PathBuf;
 pub(crate) enum Bounds<'a> {
     /// These frames; the validation frames if there are none.
     Frames(&'a TimedFrames<'a>),
-    /// The frames of a cross-validation.
     Crossed(&'a Crossed),
 }
 
@@ -61,7 +60,6 @@ pub(super) struct KeptModel {
     path: PathBuf,
 }
 
-/// A predictor of a study.
 pub(super) enum StudyPredictor {
     /// A predictor with a model file.
     Model(Box<KeptModel>),

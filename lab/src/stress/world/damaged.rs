@@ -12,7 +12,6 @@ use entire_steer::control::Prior;
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{Inputs, load};
 
-/// Plays the scene.
 pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     let mut broken = Vec::new();
     let model = fitted(machine)?;
