@@ -4,11 +4,18 @@ fn ask<'a>(held: Option<usize>, load: &'a dyn Fn(usize) -> f64, slots: usize) ->
     Ask { held, keeps: true, load, overhead: 0.0, slots, limit: f64::INFINITY, blind: false, explore: 0 }
 }
 
+/// A dispatcher in whose queue all tasks wait; the longest is sent first.
+fn queued(seconds: Vec<f32>, volume: Vec<u32>, volumes: usize) -> Dispatcher {
+    let tasks = 0..seconds.len() as u32;
+    let mut d = Dispatcher::new(seconds, volume, volumes, Order::LongestFirst);
+    d.add(tasks);
+    d
+}
+
 #[test]
 fn the_longest_is_first_and_every_task_comes_once() {
     let seconds: Vec<f32> = (0..500).map(|i| 1.0 + (i * 37 % 101) as f32).collect();
-    let mut d = Dispatcher::new(seconds.clone(), (0..500).map(|i| i % 7).collect(), 7, Order::LongestFirst);
-    d.add(0..500);
+    let mut d = queued(seconds.clone(), (0..500).map(|i| i % 7).collect(), 7);
     let mut out = Vec::new();
     while let Some(bundle) = d.next(&ask(None, &|_| 0.0, 3)) {
         assert_eq!(bundle.len(), 1);
@@ -27,8 +34,7 @@ fn the_longest_is_first_and_every_task_comes_once() {
 
 #[test]
 fn corrected_times_change_the_order() {
-    let mut d = Dispatcher::new(vec![1.0, 2.0, 3.0, 4.0], vec![0, 0, 1, 1], 2, Order::LongestFirst);
-    d.add(0..4);
+    let mut d = queued(vec![1.0, 2.0, 3.0, 4.0], vec![0, 0, 1, 1], 2);
     assert_eq!(d.next(&ask(None, &|_| 0.0, 1)), Some(vec![3]));
     d.reorder(vec![9.0, 2.0, 3.0, 4.0]);
     assert_eq!(d.next(&ask(None, &|_| 0.0, 1)), Some(vec![0]));
@@ -40,8 +46,7 @@ fn corrected_times_change_the_order() {
 
 #[test]
 fn bundles_are_as_large_as_their_sending_is_worth_and_shrink_at_the_end() {
-    let mut d = Dispatcher::new(vec![0.1; 10_000], vec![0; 10_000], 1, Order::LongestFirst);
-    d.add(0..10_000);
+    let mut d = queued(vec![0.1; 10_000], vec![0; 10_000], 1);
     let mut sizes = Vec::new();
     let load = |_: usize| 0.0;
     while let Some(bundle) = d.next(&Ask { overhead: 0.5, ..ask(None, &load, 4) }) {
@@ -58,8 +63,7 @@ fn bundles_are_as_large_as_their_sending_is_worth_and_shrink_at_the_end() {
 fn bundles_of_unknown_tasks_keep_to_the_limit() {
     let load = |_: usize| 0.0;
     let unknown = |limit: f64| {
-        let mut d = Dispatcher::new(vec![1.0; 1000], vec![0; 1000], 1, Order::LongestFirst);
-        d.add(0..1000);
+        let mut d = queued(vec![1.0; 1000], vec![0; 1000], 1);
         d.next(&Ask { limit, blind: true, ..ask(None, &load, 5) }).unwrap().len()
     };
     assert_eq!([f64::INFINITY, 40.0, 0.5].map(unknown), [50, 20, 1]);
@@ -69,8 +73,7 @@ fn bundles_of_unknown_tasks_keep_to_the_limit() {
 fn a_bundle_keeps_to_the_limit_with_its_loading() {
     let load = |_: usize| 60.0;
     for blind in [false, true] {
-        let mut d = Dispatcher::new(vec![1.0; 200], vec![0; 200], 1, Order::LongestFirst);
-        d.add(0..200);
+        let mut d = queued(vec![1.0; 200], vec![0; 200], 1);
         let asked = Ask { limit: 100.0, overhead: 1.0, blind, ..ask(None, &load, 1) };
         let first = d.next(&asked).unwrap().len();
         assert!((30..=39).contains(&first), "{first}");
@@ -79,8 +82,7 @@ fn a_bundle_keeps_to_the_limit_with_its_loading() {
 
 #[test]
 fn a_node_stays_with_its_volume_where_loading_costs() {
-    let mut d = Dispatcher::new(vec![1.0; 60], (0..60).map(|i| i % 3).collect(), 3, Order::LongestFirst);
-    d.add(0..60);
+    let mut d = queued(vec![1.0; 60], (0..60).map(|i| i % 3).collect(), 3);
     let load = |_: usize| 4.0;
     let mut held = None;
     let mut changes = 0;

@@ -180,13 +180,12 @@ impl Job {
                 volume.name
             );
         }
-        let told = Told::by(&renderer);
         // Task ids are computed from hashes of the following texts.
         let hash = |text: String| fnv1a(text.as_bytes());
         let transfer_text =
             |t: &NamedTransfer| serde_json::to_string(&t.transfer).unwrap_or_default() + &t.name;
         let hashes = [
-            volume_hashes(&volumes, &told),
+            volume_hashes(&volumes, &renderer),
             cameras.iter().map(|c| hash(format!("{},{},{}", c.rx, c.ry, c.dz))).collect(),
             transfers.iter().map(|t| hash(transfer_text(t))).collect(),
             sizes.iter().map(|[width, height]| hash(format!("{width}x{height}"))).collect(),
@@ -287,7 +286,7 @@ impl Job {
                 volume.files.clone_from(files);
             }
         }
-        let hashes = volume_hashes(&volumes, &Told::by(&self.renderer));
+        let hashes = volume_hashes(&volumes, &self.renderer);
         move |volume| self.tasks_of(volume).map(|t| self.id_with(hashes[volume], self.place(t))).collect()
     }
 
@@ -326,32 +325,19 @@ impl Job {
     }
 }
 
-/// Parameters of a volume file, each true if the renderer gets it besides the path of the file.
-struct Told {
-    name: bool,
-    time: bool,
-}
-
-impl Told {
-    fn by(renderer: &Renderer) -> Self {
-        match renderer {
-            Renderer::Entire { .. } => Self { name: false, time: false },
-            Renderer::Command { command, .. } => {
-                let holds = |word: &str| command.iter().any(|a| a.contains(word));
-                Self { name: holds("{volume_name}"), time: holds("{time}") }
-            }
-            Renderer::Session { .. } | Renderer::Pvbatch { .. } => Self { name: true, time: true },
-        }
-    }
-}
-
 /// Returns a hash of each volume, for the ids of its tasks. Volumes with equal inputs have equal pictures;
 /// the hash includes a counter of equal volumes, so that their tasks have different ids.
-fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
+fn volume_hashes(volumes: &[VolumeFile], renderer: &Renderer) -> Vec<u64> {
     let mut same: HashMap<String, usize> = HashMap::new();
+    // True if the renderer gets the name or the time step of a volume, besides the path of its file.
+    let [gets_name, gets_time] = ["{volume_name}", "{time}"].map(|word| match renderer {
+        Renderer::Entire { .. } => false,
+        Renderer::Command { command, .. } => command.iter().any(|a| a.contains(word)),
+        Renderer::Session { .. } | Renderer::Pvbatch { .. } => true,
+    });
     let text = |v: &VolumeFile| {
-        let name = if told.name { v.name.as_str() } else { "" };
-        let time = if told.time { v.time.to_string() } else { String::new() };
+        let name = if gets_name { v.name.as_str() } else { "" };
+        let time = if gets_time { v.time.to_string() } else { String::new() };
         format!("{}\n{}\n{name}\n{time}", identity::key(&v.files), v.reading.key())
     };
     let number = |text: String| {
@@ -436,42 +422,40 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
     Ok(out)
 }
 
+/// Returns views at each of the distances. `angles`: rotation about x and y of a view, degrees.
+fn at_each(distances: &[f32], views: u32, angles: impl Fn(u32) -> [f32; 2]) -> Result<Vec<Arcball>> {
+    let count = (views as usize).saturating_mul(distances.len());
+    ensure!(
+        count <= MAX_TASKS,
+        "cameras: {count} views are more than the {MAX_TASKS} tasks of a job; split it"
+    );
+    let mut out = Vec::with_capacity(count);
+    for &dz in distances {
+        out.extend((0..views).map(&angles).map(|[rx, ry]| Arcball { rx, ry, dz }));
+    }
+    Ok(out)
+}
+
 fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {
-    let mut out = Vec::new();
+    let mut out: Vec<Arcball> = Vec::new();
     for entry in entries {
-        if let CamerasEntry::Orbit { views, distances_radii, .. }
-        | CamerasEntry::SemiSphere { views, distances_radii } = entry
-        {
-            let views = (*views as usize).saturating_mul(distances_radii.len());
-            ensure!(
-                views <= MAX_TASKS,
-                "cameras: {views} views are more than the {MAX_TASKS} tasks of a job; split it"
-            );
-        }
-        match entry {
+        out.extend(match entry {
             CamerasEntry::Orbit { views, elevation_deg, distances_radii, from_deg, to_deg } => {
-                for &dz in distances_radii {
-                    for i in 0..*views {
-                        let ry = from_deg + (to_deg - from_deg) * i as f32 / *views as f32;
-                        out.push(Arcball { rx: *elevation_deg, ry, dz });
-                    }
-                }
+                at_each(distances_radii, *views, |i| {
+                    [*elevation_deg, from_deg + (to_deg - from_deg) * i as f32 / *views as f32]
+                })?
             }
             CamerasEntry::SemiSphere { views, distances_radii } => {
                 let golden = 180.0 * (3.0 - 5.0f64.sqrt());
-                for &dz in distances_radii {
-                    for i in 0..*views {
-                        let height = (f64::from(i) + 0.5) / f64::from(*views);
-                        let rx = height.asin().to_degrees() as f32;
-                        let ry = (f64::from(i) * golden).rem_euclid(360.0) as f32;
-                        out.push(Arcball { rx, ry, dz });
-                    }
-                }
+                at_each(distances_radii, *views, |i| {
+                    let height = (f64::from(i) + 0.5) / f64::from(*views);
+                    [height.asin().to_degrees() as f32, (f64::from(i) * golden).rem_euclid(360.0) as f32]
+                })?
             }
             CamerasEntry::List { poses } => {
-                out.extend(poses.iter().map(|&[rx, ry, dz]| Arcball { rx, ry, dz }));
+                poses.iter().map(|&[rx, ry, dz]| Arcball { rx, ry, dz }).collect()
             }
-        }
+        });
     }
     for (i, pose) in out.iter().enumerate() {
         Camera::from_arcball(*pose).with_context(|| format!("cameras: view {i}"))?;

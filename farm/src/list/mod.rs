@@ -10,12 +10,12 @@ pub use bound::lower_bound;
 pub use queue::{Span, Timeline, simulate_queue};
 
 use anyhow::{Context, Result, ensure};
+use entire_io::dataset::Groups;
 use entire_io::files::{decode_text, read_bytes};
 use entire_steer::schedule::{Assignment, assign_longest_first, longest_first};
 use exchange::exchange;
 use queue::run;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 use std::path::Path;
 
 /// Method of assigning tasks to nodes.
@@ -157,14 +157,8 @@ pub fn times(tasks: &[Task], by: By) -> Result<Vec<f64>> {
 
 /// Returns the number of each task's volume. Volumes are numbered in order of first appearance.
 pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
-    let mut numbers: HashMap<&str, usize> = HashMap::new();
-    tasks
-        .iter()
-        .map(|t| {
-            let next = numbers.len();
-            *numbers.entry(&t.volume).or_insert(next)
-        })
-        .collect()
+    let mut numbers = Groups::default();
+    tasks.iter().map(|t| numbers.number(&t.volume) as usize).collect()
 }
 
 /// Simulates a plan with the true times `seconds` on nodes of the given speeds; a node also spends a task's
