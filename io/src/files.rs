@@ -28,7 +28,7 @@ pub fn read_model_bytes(path: &Path) -> Result<Vec<u8>> {
         path.exists(),
         "cannot read {shown}: no such file; check the path, or make a model with `entire train`"
     );
-    Stream::open(path)?.all(MAX_MODEL_BYTES).with_context(|| format!("{shown}"))
+    Stream::open(path, None)?.all(MAX_MODEL_BYTES).with_context(|| format!("{shown}"))
 }
 
 /// Returns the model in the bytes of a file.
@@ -219,7 +219,7 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
 /// # Errors
 /// When the file is no regular file, is larger than 4 GiB, or cannot be read.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    Stream::open(path)?.all(MAX_TABLE_BYTES)
+    Stream::open(path, None)?.all(MAX_TABLE_BYTES)
 }
 
 /// Returns the text of a regular file of at most `most` bytes, without a byte order mark.
@@ -228,7 +228,7 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
 /// When the file is no regular file, is larger, cannot be read, or is neither UTF-8 nor UTF-16 with a byte
 /// order mark.
 pub fn read_text(path: &Path, most: u64) -> Result<String> {
-    Ok(decode_text(&Stream::open(path)?.all(most)?)?.into_owned())
+    Ok(decode_text(&Stream::open(path, None)?.all(most)?)?.into_owned())
 }
 
 /// Decodes text: UTF-8 with or without a byte order mark, or UTF-16 with a byte order mark, which some

@@ -2,7 +2,7 @@
 //! tables) store the identities of their inputs, so that they are never used for changed files.
 
 use crate::files::{fnv1a, fnv1a_after};
-use crate::volume::{Companions, Folder, Format, Stream, Volume};
+use crate::volume::{Companions, Folder, Format, Reading, Stream, Volume};
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
@@ -186,10 +186,10 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     let read = File::open(path).and_then(|f| f.take(HEADER).read_to_end(&mut head));
     let format = Format::of_name(name).or_else(|| Format::of_content(&head));
     let (Ok(_), Some(format)) = (read, format) else { return Vec::new() };
-    let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
+    let folder = Folder::new(path.parent().unwrap_or(Path::new("")), None);
     let noted = Noted { folder, names: RefCell::default() };
     // The reader stops at the latest when it opens a data file; its error does not matter here.
-    let _ = Volume::read(format, Stream::from_bytes(&head), name, &noted);
+    let _ = Volume::read(format, Stream::from_bytes(&head), name, &noted, &Reading::default());
     noted.names.into_inner()
 }
 

@@ -2,7 +2,7 @@
 
 use super::VolumeData;
 use super::stream::{Remaining, Stream};
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use std::io::{self, Read};
 
 /// The scalar types that files hold.
@@ -176,29 +176,30 @@ fn collect<const BYTES: usize, T>(
     voxels: usize,
     convert: impl Fn([u8; BYTES]) -> T,
 ) -> Result<Vec<T>> {
+    let (prefix, total) = (stream.prefix(), voxels * BYTES);
     let mut out: Vec<T> = Vec::new();
-    start(&mut out, stream, voxels)?;
-    let mut buffer = vec![0u8; CHUNK.min(voxels * BYTES)];
+    // All memory is reserved at once if the bytes are known to exist.
+    if matches!(stream.remaining(), Remaining::Exact(_)) {
+        reserve(&mut out, voxels)?;
+    }
+    let mut buffer = vec![0u8; CHUNK.min(total)];
     while out.len() < voxels {
         let more = (CHUNK / BYTES).min(voxels - out.len());
         grow(&mut out, more, voxels)?;
-        let part = &mut buffer[..more * BYTES];
-        let got =
-            fill(stream, part).map_err(|error| broken(stream, &error, out.len() * BYTES, voxels, BYTES))?;
-        if got < part.len() {
-            return Err(short(stream, out.len() * BYTES + got, voxels, BYTES));
-        }
+        let (at, part) = (out.len() * BYTES, &mut buffer[..more * BYTES]);
+        let got = fill(stream, part).map_err(|error| {
+            anyhow!(
+                "{prefix}the voxels cannot be read after byte {at} of {total}: {error}; the file is damaged"
+            )
+        })?;
+        ensure!(
+            got == part.len(),
+            "{prefix}the voxels end after {} of {total} bytes; the file is cut short or its header is wrong",
+            at + got
+        );
         out.extend(part.as_chunks::<BYTES>().0.iter().map(|&b| convert(b)));
     }
     Ok(out)
-}
-
-/// Reserves all memory at once if the bytes are known to exist.
-fn start<T>(out: &mut Vec<T>, stream: &Stream<'_>, voxels: usize) -> Result<()> {
-    if matches!(stream.remaining(), Remaining::Exact(_)) {
-        reserve(out, voxels)?;
-    }
-    Ok(())
 }
 
 /// Reserves space for `more` elements; the capacity at least doubles, but not beyond `total`.
@@ -234,22 +235,6 @@ fn fill(stream: &mut Stream<'_>, out: &mut [u8]) -> io::Result<usize> {
         }
     }
     Ok(filled)
-}
-
-fn short(stream: &Stream<'_>, got: usize, voxels: usize, bytes: usize) -> anyhow::Error {
-    anyhow::anyhow!(
-        "{}the voxels end after {got} of {} bytes; the file is cut short or its header is wrong",
-        stream.prefix(),
-        voxels * bytes
-    )
-}
-
-fn broken(stream: &Stream<'_>, error: &io::Error, at: usize, voxels: usize, bytes: usize) -> anyhow::Error {
-    anyhow::anyhow!(
-        "{}the voxels cannot be read after byte {at} of {}: {error}; the file is damaged",
-        stream.prefix(),
-        voxels * bytes
-    )
 }
 
 /// Reads voxels from numbers in text, separated by whitespace (or commas). A whole-number type takes whole
@@ -299,9 +284,8 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
     let mut token: Vec<u8> = Vec::new();
     loop {
         let mut byte = [0u8];
-        let end = fill(stream, &mut byte)
-            .map_err(|error| anyhow::anyhow!("{prefix}number {}: {error}", out.len()))?
-            == 0;
+        let end =
+            fill(stream, &mut byte).map_err(|error| anyhow!("{prefix}number {}: {error}", out.len()))? == 0;
         if !end && !byte[0].is_ascii_whitespace() && byte[0] != b',' {
             token.push(byte[0]);
             ensure!(

@@ -1,7 +1,7 @@
 //! A reader of arbitrary bytes, for the fuzz targets and for the tests that replay their findings.
 
 use super::stream::{Companions, Stream};
-use super::{Format, Volume};
+use super::{Format, Reading, Volume};
 use anyhow::Result;
 
 /// Separator between a header and the content of its data file, in one input.
@@ -35,5 +35,5 @@ pub fn read_any(format: Format, input: &[u8]) -> Result<Volume> {
         Some(at) => (&input[..at], &input[at + SEPARATOR.len()..]),
         None => (input, &[][..]),
     };
-    Volume::read(format, Stream::from_bytes(head), "input", &AnyName(data))
+    Volume::read(format, Stream::from_bytes(head), "input", &AnyName(data), &Reading::default())
 }

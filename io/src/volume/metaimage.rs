@@ -16,7 +16,6 @@ use super::stream::{Companions, Remaining, Stream};
 use super::{Element, Endian, Parts, VolumeData, checked_dims, number, numbers, three_axes};
 use anyhow::{Context, Result, bail, ensure};
 
-const MAX_LINE: usize = 1 << 16;
 const MAX_LINES: usize = 1 << 14;
 const MAX_AXES: usize = 10;
 
@@ -117,7 +116,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
     let mut header = Header { channels: 1, binary: true, ..Header::default() };
     stream.skip_mark()?;
     for number in 1..=MAX_LINES {
-        let Some(line) = stream.line(MAX_LINE)? else {
+        let Some(line) = stream.line()? else {
             bail!(
                 "MetaImage header ends after {} lines without ElementDataFile, which closes it",
                 number - 1

@@ -234,7 +234,7 @@ impl Volume {
     ) -> Result<Self> {
         let path = path.as_ref();
         let shown = path.display();
-        let mut stream = Stream::open_watched(path, watcher.as_ref())?;
+        let mut stream = Stream::open(path, watcher.as_ref())?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let format = match Format::of_name(&name) {
             Some(format) => format,
@@ -245,9 +245,9 @@ impl Volume {
                 }
             },
         };
-        let folder = Folder::new(path.parent().unwrap_or(Path::new(""))).watched(watcher);
+        let folder = Folder::new(path.parent().unwrap_or(Path::new("")), watcher);
         let mut volume =
-            Self::read_any(format, stream, &name, &folder, reading).with_context(|| format!("{shown}"))?;
+            Self::read(format, stream, &name, &folder, reading).with_context(|| format!("{shown}"))?;
         if volume.name.is_empty() {
             volume.name = stem(&name).to_owned();
         }
@@ -259,17 +259,8 @@ impl Volume {
     /// of raw and JSON files that belong together are derived. Data files come from `companions`.
     ///
     /// # Errors
-    /// Those of [`Volume::open`], without the file's name.
+    /// Those of [`Volume::open_as`], without the file's name.
     pub(crate) fn read(
-        format: Format,
-        stream: Stream<'_>,
-        file_name: &str,
-        companions: &dyn Companions,
-    ) -> Result<Self> {
-        Self::read_any(format, stream, file_name, companions, &Reading::default())
-    }
-
-    fn read_any(
         format: Format,
         stream: Stream<'_>,
         file_name: &str,
@@ -413,12 +404,8 @@ pub(crate) fn three_axes<T: Copy>(
             .iter()
             .rposition(|&a| sizes[a] == 1 && !spatial.get(a).copied().unwrap_or(true))
             .or_else(|| keep.iter().rposition(|&a| sizes[a] == 1));
-        match dropped {
-            Some(at) => {
-                keep.remove(at);
-            }
-            None => return Err(not_a_volume(sizes, spatial)),
-        }
+        let Some(at) = dropped else { return Err(not_a_volume(sizes, spatial)) };
+        keep.remove(at);
     }
     if keep.iter().any(|&a| sizes[a] != 1 && !spatial.get(a).copied().unwrap_or(true)) {
         return Err(not_a_volume(sizes, spatial));

@@ -120,31 +120,20 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
     let long = |offset| i64::from_le_bytes(at(&bytes, offset, endian));
     let float = |offset| f32::from_le_bytes(at(&bytes, offset, endian));
     let double = |offset| f64::from_le_bytes(at(&bytes, offset, endian));
+    // The arguments are the offsets of a number in NIfTI-1 and in NIfTI-2.
+    let whole = |one, two| if second { long(two) } else { i64::from(short(one)) };
+    let real = |one, two| if second { double(two) } else { f64::from(float(one)) };
     let axis = [0, 1, 2, 3, 4, 5, 6];
-    Ok(if second {
-        Header {
-            endian,
-            axes: long(16),
-            sizes: axis.map(|i| long(24 + 8 * i)),
-            spacing: axis.map(|i| double(112 + 8 * i)),
-            data_type: short(12),
-            offset: long(168) as f64,
-            slope: double(176),
-            intercept: double(184),
-            taken: length as u64,
-        }
-    } else {
-        Header {
-            endian,
-            axes: i64::from(short(40)),
-            sizes: axis.map(|i| i64::from(short(42 + 2 * i))),
-            spacing: axis.map(|i| f64::from(float(80 + 4 * i))),
-            data_type: short(70),
-            offset: f64::from(float(108)),
-            slope: f64::from(float(112)),
-            intercept: f64::from(float(116)),
-            taken: length as u64,
-        }
+    Ok(Header {
+        endian,
+        axes: whole(40, 16),
+        sizes: axis.map(|i| whole(42 + 2 * i, 24 + 8 * i)),
+        spacing: axis.map(|i| real(80 + 4 * i, 112 + 8 * i)),
+        data_type: short(if second { 12 } else { 70 }),
+        offset: if second { long(168) as f64 } else { f64::from(float(108)) },
+        slope: real(112, 176),
+        intercept: real(116, 184),
+        taken: length as u64,
     })
 }
 

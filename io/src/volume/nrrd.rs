@@ -16,7 +16,6 @@ use super::stream::{Companions, Stream};
 use super::{Element, Endian, Parts, VolumeData, checked_dims, number, numbers, three_axes};
 use anyhow::{Context, Result, bail, ensure};
 
-const MAX_LINE: usize = 1 << 16;
 const MAX_LINES: usize = 1 << 14;
 /// Largest number of axes: NRRD_DIM_MAX of the format's own library.
 const MAX_AXES: usize = 16;
@@ -125,7 +124,7 @@ fn voxels(
     notes: &mut Vec<String>,
 ) -> Result<VolumeData> {
     for _ in 0..header.line_skip {
-        if stream.line(MAX_LINE)?.is_none() {
+        if stream.line()?.is_none() {
             bail!("{}the header says to skip {} lines, there are fewer", stream.prefix(), header.line_skip);
         }
     }
@@ -160,7 +159,7 @@ fn voxels(
 
 fn header(stream: &mut Stream<'_>) -> Result<Header> {
     stream.skip_mark()?;
-    let magic = stream.line(MAX_LINE)?.unwrap_or_default();
+    let magic = stream.line()?.unwrap_or_default();
     match magic.as_slice() {
         [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5'] => {}
         [b'N', b'R', b'R', b'D', ..] => {
@@ -174,7 +173,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         if number > MAX_LINES {
             bail!("NRRD header has more than {MAX_LINES} lines without a blank line that ends it");
         }
-        let Some(line) = stream.line(MAX_LINE)? else { break };
+        let Some(line) = stream.line()? else { break };
         if line.is_empty() {
             break;
         }
@@ -237,15 +236,9 @@ impl Header {
             }
             "spacings" => self.spacings = Some(numbers(field, value, MAX_AXES)?),
             "space directions" => self.directions = Some(directions(value)?),
-            "kinds" => {
-                self.kinds = Some(value.split_whitespace().map(str::to_ascii_lowercase).collect());
-            }
-            "byte skip" | "byteskip" => {
-                self.byte_skip = number(field, value)?;
-            }
-            "line skip" | "lineskip" => {
-                self.line_skip = number(field, value)?;
-            }
+            "kinds" => self.kinds = Some(value.split_whitespace().map(str::to_ascii_lowercase).collect()),
+            "byte skip" | "byteskip" => self.byte_skip = number(field, value)?,
+            "line skip" | "lineskip" => self.line_skip = number(field, value)?,
             "data file" | "datafile" => {
                 ensure!(!value.is_empty(), "\"{field}\" names no file");
                 self.several = Several::pattern(value)?;
@@ -315,13 +308,14 @@ fn text(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Folder, Format, Volume, VolumeData};
+    use super::super::{Folder, Format, Reading, Volume, VolumeData};
     use super::*;
     use flate2::{Compression, write::GzEncoder};
     use std::io::Write;
 
     fn open(bytes: &[u8]) -> Result<Volume> {
-        Volume::read(Format::Nrrd, Stream::from_bytes(bytes), "v.nrrd", &Folder::new("none"))
+        let (stream, folder) = (Stream::from_bytes(bytes), Folder::new("none", None));
+        Volume::read(Format::Nrrd, stream, "v.nrrd", &folder, &Reading::default())
     }
 
     fn message(bytes: &[u8]) -> String {

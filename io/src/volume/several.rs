@@ -6,7 +6,6 @@ use anyhow::{Context, Result, bail, ensure};
 
 /// Maximum number of files of a volume.
 const MAX_FILES: usize = 1 << 16;
-const MAX_LINE: usize = 1 << 16;
 
 /// Several files, in the order of the voxels.
 #[derive(Debug, PartialEq)]
@@ -26,7 +25,7 @@ impl Several {
             None => None,
         };
         let mut names = Vec::new();
-        while let Some(line) = stream.line(MAX_LINE)? {
+        while let Some(line) = stream.line()? {
             let name = String::from_utf8_lossy(&line).trim().to_owned();
             if !name.is_empty() {
                 ensure!(names.len() < MAX_FILES, "LIST names more than {MAX_FILES} files");
@@ -88,6 +87,22 @@ impl Several {
         );
         Ok(each as usize)
     }
+
+    /// Reads the voxels of all files, each file by `read`.
+    pub(super) fn read(
+        &self,
+        sizes: &[u64],
+        companions: &dyn Companions,
+        mut read: impl FnMut(Stream<'_>, [usize; 3]) -> Result<VolumeData>,
+    ) -> Result<VolumeData> {
+        companions.announce(&self.names);
+        let each = [self.voxels_each(sizes)?, 1, 1];
+        let mut all = None;
+        for name in &self.names {
+            append(&mut all, read(companions.open(name)?, each)?)?;
+        }
+        all.context("the header names no file of voxels")
+    }
 }
 
 fn whole(word: &str) -> Result<i64> {
@@ -124,24 +139,6 @@ fn numbered(pattern: &str, number: i64) -> Result<String> {
     }
     name.push_str(rest);
     Ok(name)
-}
-
-impl Several {
-    /// Reads the voxels of all files, each file by `read`.
-    pub(super) fn read(
-        &self,
-        sizes: &[u64],
-        companions: &dyn Companions,
-        mut read: impl FnMut(Stream<'_>, [usize; 3]) -> Result<VolumeData>,
-    ) -> Result<VolumeData> {
-        companions.announce(&self.names);
-        let each = [self.voxels_each(sizes)?, 1, 1];
-        let mut all = None;
-        for name in &self.names {
-            append(&mut all, read(companions.open(name)?, each)?)?;
-        }
-        all.context("the header names no file of voxels")
-    }
 }
 
 /// Appends voxels to others of the same type.

@@ -24,6 +24,9 @@ pub(crate) fn without_mark(text: &[u8]) -> &[u8] {
     text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
 }
 
+/// Maximum length of a header's line, in bytes.
+const MAX_LINE: usize = 1 << 16;
+
 /// Number of bytes that a stream still holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Remaining {
@@ -63,23 +66,21 @@ pub struct Stream<'a> {
     reader: Box<dyn BufRead + 'a>,
     remaining: Remaining,
     read: u64,
+    /// Name of the stream in messages; empty for a file that the user named.
     label: String,
 }
 
 impl<'a> Stream<'a> {
-    /// Opens a regular file. Bytes that are appended to it later are not read.
+    fn new(reader: impl BufRead + 'a, remaining: Remaining, label: String) -> Self {
+        Self { reader: Box::new(reader), remaining, read: 0, label }
+    }
+
+    /// Opens a regular file; the watcher, if any, observes its reading. Bytes that are appended to the file
+    /// later are not read.
     ///
     /// # Errors
     /// When the file is missing, unreadable or not a regular file; the error names the path.
-    pub fn open(path: &Path) -> Result<Stream<'static>> {
-        Self::open_watched(path, None)
-    }
-
-    /// Opens a regular file as [`Stream::open`] does, with a watcher.
-    ///
-    /// # Errors
-    /// Those of [`Stream::open`].
-    pub(crate) fn open_watched(path: &Path, watcher: Option<&Arc<dyn Watcher>>) -> Result<Stream<'static>> {
+    pub(crate) fn open(path: &Path, watcher: Option<&Arc<dyn Watcher>>) -> Result<Stream<'static>> {
         let shown = path.display();
         let refused = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
@@ -105,12 +106,7 @@ impl<'a> Stream<'a> {
 
     /// Returns a stream that reads from memory.
     pub(crate) fn from_bytes(bytes: &'a [u8]) -> Self {
-        Self {
-            reader: Box::new(bytes),
-            remaining: Remaining::Exact(bytes.len() as u64),
-            read: 0,
-            label: String::new(),
-        }
+        Self::new(bytes, Remaining::Exact(bytes.len() as u64), String::new())
     }
 
     /// Leaves out a byte order mark, if the stream begins with one.
@@ -123,12 +119,6 @@ impl<'a> Stream<'a> {
             self.consume(BYTE_ORDER_MARK.len());
         }
         Ok(())
-    }
-
-    /// Sets the stream's name in messages, for a file that the user did not name.
-    pub(crate) fn labeled(mut self, label: impl Into<String>) -> Self {
-        self.label = label.into();
-        self
     }
 
     /// Returns the stream's name with a colon, or an empty text.
@@ -160,10 +150,10 @@ impl<'a> Stream<'a> {
     /// Reads a line without its end (LF or CRLF); `None` at the end of the stream.
     ///
     /// # Errors
-    /// When the line is longer than `limit` bytes.
-    pub(crate) fn line(&mut self, limit: usize) -> Result<Option<Vec<u8>>> {
+    /// When the line is longer than [`MAX_LINE`] bytes.
+    pub(crate) fn line(&mut self) -> Result<Option<Vec<u8>>> {
         let mut line = Vec::new();
-        self.take(limit as u64 + 1).read_until(b'\n', &mut line)?;
+        self.take(MAX_LINE as u64 + 1).read_until(b'\n', &mut line)?;
         if line.is_empty() {
             return Ok(None);
         }
@@ -172,9 +162,9 @@ impl<'a> Stream<'a> {
             if line.last() == Some(&b'\r') {
                 line.pop();
             }
-        } else if line.len() > limit {
+        } else if line.len() > MAX_LINE {
             bail!(
-                "{}header line at byte {} is longer than {limit} bytes; this is not the text header that its \
+                "{}header line at byte {} is longer than {MAX_LINE} bytes; this is not the text header that its \
                  first bytes announce",
                 self.prefix(),
                 self.read - line.len() as u64
@@ -298,8 +288,7 @@ impl<'a> Stream<'a> {
         }
         held.drain(..held.len() - keep as usize);
         held.truncate(count as usize);
-        let remaining = Remaining::Exact(count);
-        Ok(Stream { reader: Box::new(io::Cursor::new(held)), remaining, read: 0, label: self.label })
+        Ok(Stream::new(io::Cursor::new(held), Remaining::Exact(count), self.label))
     }
 
     /// Returns the rest of the stream, decoded. `most` returns the maximum number of decoded bytes for a number of
@@ -311,8 +300,7 @@ impl<'a> Stream<'a> {
     ) -> Stream<'a> {
         let (Remaining::Exact(encoded) | Remaining::AtMost(encoded)) = self.remaining;
         let reader = BufReader::with_capacity(1 << 16, decode(self.reader));
-        let remaining = Remaining::AtMost(most(encoded));
-        Stream { reader: Box::new(reader), remaining, read: 0, label: self.label }
+        Stream::new(reader, Remaining::AtMost(most(encoded)), self.label)
     }
 }
 
@@ -345,45 +333,27 @@ struct Hexadecimal<R> {
     inner: R,
 }
 
+impl<R: BufRead> Hexadecimal<R> {
+    /// Returns the next digit; `None` at the end of the text.
+    fn digit(&mut self) -> io::Result<Option<u32>> {
+        let is_blank = |byte: &io::Result<u8>| byte.as_ref().is_ok_and(u8::is_ascii_whitespace);
+        let next = self.inner.by_ref().bytes().find(|byte| !is_blank(byte)).transpose()?;
+        let Some(byte) = next.map(char::from) else { return Ok(None) };
+        let fail = || io::Error::new(io::ErrorKind::InvalidData, format!("{byte:?} is no hexadecimal digit"));
+        byte.to_digit(16).map(Some).ok_or_else(fail)
+    }
+}
+
 impl<R: BufRead> Read for Hexadecimal<R> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        let mut filled = 0;
-        let mut high = None;
-        while filled < out.len() {
-            let part = match self.inner.fill_buf() {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-                part => part?,
+        for (filled, place) in out.iter_mut().enumerate() {
+            let Some(high) = self.digit()? else { return Ok(filled) };
+            let Some(low) = self.digit()? else {
+                return Err(io::Error::new(io::ErrorKind::InvalidData, "a hexadecimal digit is missing"));
             };
-            if part.is_empty() {
-                if high.is_some() {
-                    return Err(io::Error::new(io::ErrorKind::InvalidData, "a hexadecimal digit is missing"));
-                }
-                break;
-            }
-            let mut used = 0;
-            for &byte in part {
-                used += 1;
-                if byte.is_ascii_whitespace() {
-                    continue;
-                }
-                let Some(digit) = char::from(byte).to_digit(16) else {
-                    let found = format!("{:?} is no hexadecimal digit", char::from(byte));
-                    return Err(io::Error::new(io::ErrorKind::InvalidData, found));
-                };
-                match high.take() {
-                    None => high = Some(digit),
-                    Some(high) => {
-                        out[filled] = (high * 16 + digit) as u8;
-                        filled += 1;
-                        if filled == out.len() {
-                            break;
-                        }
-                    }
-                }
-            }
-            self.inner.consume(used);
+            *place = (high * 16 + low) as u8;
         }
-        Ok(filled)
+        Ok(out.len())
     }
 }
 
@@ -471,23 +441,19 @@ pub(crate) struct Folder {
 }
 
 impl Folder {
-    /// Returns access to the files in the folder `path`.
-    pub(crate) fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into(), watcher: None }
-    }
-
-    /// Returns the same folder, with a watcher of the files that are read.
-    pub(crate) fn watched(self, watcher: Option<Arc<dyn Watcher>>) -> Self {
-        Self { watcher, ..self }
+    /// Returns access to the files in the folder `path`; the watcher, if any, observes their reading.
+    pub(crate) fn new(path: impl Into<PathBuf>, watcher: Option<Arc<dyn Watcher>>) -> Self {
+        Self { path: path.into(), watcher }
     }
 }
 
 impl Companions for Folder {
     fn open(&self, name: &str) -> Result<Stream<'_>> {
         let path = self.path.join(name);
-        let stream = Stream::open_watched(&path, self.watcher.as_ref())
-            .context("the data file that the header names")?;
-        Ok(stream.labeled(path.display().to_string()))
+        let mut stream =
+            Stream::open(&path, self.watcher.as_ref()).context("the data file that the header names")?;
+        stream.label = path.display().to_string();
+        Ok(stream)
     }
 
     fn exists(&self, name: &str) -> bool {

@@ -38,16 +38,8 @@ enum Place {
 }
 
 /// Names of VTK's own arrays, which are not read as active scalars.
-const RESERVED: [&str; 8] = [
-    "vtkGhostType",
-    "vtkGhostLevels",
-    "vtkValidPointMask",
-    "vtkOriginalPointIds",
-    "vtkOriginalCellIds",
-    "vtkOriginalIndices",
-    "vtkInsidedness",
-    "vtkProcessId",
-];
+const RESERVED: &str = "vtkGhostType vtkGhostLevels vtkValidPointMask vtkOriginalPointIds vtkOriginalCellIds \
+                        vtkOriginalIndices vtkInsidedness vtkProcessId";
 
 /// Maximum number of pieces, more than any writer makes.
 const MAX_PIECES: usize = 1 << 12;
@@ -281,7 +273,7 @@ impl Section {
 
     /// Returns the name of the active scalars, unless it is one of VTK's own.
     fn active(&self) -> Option<&String> {
-        self.active.as_ref().filter(|name| !RESERVED.contains(&name.as_str()))
+        self.active.as_ref().filter(|name| RESERVED.split(' ').all(|reserved| reserved != name.as_str()))
     }
 }
 
@@ -481,19 +473,9 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
     let name = attribute(tag, "Name")?;
     let shown = name.as_deref().unwrap_or("unnamed").to_owned();
     let kind = attribute(tag, "type")?.unwrap_or_default();
-    let types: [&[&str]; 10] = [
-        &["Int8"],
-        &["UInt8"],
-        &["Int16"],
-        &["UInt16"],
-        &["Int32"],
-        &["UInt32"],
-        &["Int64"],
-        &["UInt64"],
-        &["Float32"],
-        &["Float64"],
-    ];
-    let element = Element::named(types, &kind);
+    let types =
+        ["Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float32", "Float64"];
+    let element = Element::named(types.each_ref().map(std::slice::from_ref), &kind);
     let components = match attribute(tag, "NumberOfComponents")? {
         None => 1,
         Some(text) => {
