@@ -6,31 +6,9 @@ use crate::mutants::{Mutants, Random};
 /// returns the new number of used bytes.
 pub type Step = fn(&mut [u8], usize, usize) -> usize;
 
-/// Texts of special numbers that readers must handle.
-const WORDS: [&str; 22] = [
-    "0",
-    "1",
-    "2",
-    "-1",
-    "7",
-    "0.5",
-    "255",
-    "65536",
-    "1000000",
-    "4294967295",
-    "4294967296",
-    "9223372036854775807",
-    "18446744073709551615",
-    "18446744073709551616",
-    "1e39",
-    "1e300",
-    "1e309",
-    "1e-40",
-    "-0",
-    "nan",
-    "inf",
-    "",
-];
+/// Texts of special numbers that readers must handle, and an empty text.
+const WORDS: &str = "0 1 2 -1 7 0.5 255 65536 1000000 4294967295 4294967296 9223372036854775807 \
+                     18446744073709551615 18446744073709551616 1e39 1e300 1e309 1e-40 -0 nan inf ";
 
 /// Returns the random number generator of a seed.
 pub fn random(seed: u32) -> Random {
@@ -90,7 +68,8 @@ pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) ->
             }
             let start = starts[random.below(starts.len())];
             let end = (start..size).find(|&i| !part(bytes[i])).unwrap_or(size);
-            bytes.splice(start..end, WORDS[random.below(WORDS.len())].bytes());
+            let words: Vec<&str> = WORDS.split(' ').collect();
+            bytes.splice(start..end, words[random.below(words.len())].bytes());
         }
         2 => {
             let mut lines: Vec<Vec<u8>> =
@@ -124,13 +103,9 @@ pub fn model(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -
         return put(data, &Mutants::new(random.bits(), &[]).next_file(), room);
     };
     let (mut header, mut tensors) = (header.to_vec(), tensors.to_vec());
-    let (part, spent) = if random.below(3) > 0 {
-        let spent = 8 + tensors.len();
-        (&mut header, spent)
-    } else {
-        let spent = 8 + header.len();
-        (&mut tensors, spent)
-    };
+    let all = header.len() + tensors.len();
+    let part = if random.below(3) > 0 { &mut header } else { &mut tensors };
+    let spent = 8 + all - part.len();
     let (length, most) = (part.len(), room.saturating_sub(spent).max(part.len()));
     part.resize(most, 0);
     let length = if random.below(2) == 0 {
@@ -139,8 +114,6 @@ pub fn model(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -
         step(part, length, most)
     };
     part.truncate(length);
-    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
-    bytes.extend_from_slice(&header);
-    bytes.extend_from_slice(&tensors);
+    let bytes = [&(header.len() as u64).to_le_bytes()[..], &header, &tensors].concat();
     put(data, &bytes, room)
 }

@@ -8,17 +8,14 @@ use std::fmt::Display;
 /// Number of frames above which a path is not resolved into frames: a million frames would take a second.
 const MOST_PATH_FRAMES: u32 = 4096;
 
-/// Checks that an error has a message.
-fn refused(error: impl Display) {
-    assert!(!format!("{error:#}").is_empty());
+/// Returns an accepted value; checks that an error has a message.
+pub(crate) fn accepted<T, E: Display>(read: Result<T, E>) -> Option<T> {
+    read.inspect_err(|error| assert!(!format!("{error:#}").is_empty())).ok()
 }
 
 /// Checks that every frame of an accepted table can be drawn and that its seconds are finite and positive.
 pub fn check_table(input: &[u8]) {
-    let frames = match parse_table(input, 3) {
-        Ok(frames) => frames,
-        Err(error) => return refused(error),
-    };
+    let Some(frames) = accepted(parse_table(input, 3)) else { return };
     for frame in &frames {
         assert!(frame.table == 3 && !frame.repeats.is_empty());
         frame.scene.to_frame().expect("a checked scene can be drawn");
@@ -33,10 +30,7 @@ pub fn check_table(input: &[u8]) {
 /// Checks that every column of an accepted feature table is found by its name, and that the row of frame 1
 /// has a finite value in every column.
 pub fn check_features(input: &[u8]) {
-    let table = match FeatureTable::parse(input) {
-        Ok(table) => table,
-        Err(error) => return refused(error),
-    };
+    let Some(table) = accepted(FeatureTable::parse(input)) else { return };
     for (i, name) in table.columns().iter().enumerate() {
         assert!(table.column(name).is_some_and(|at| at <= i));
     }
@@ -48,30 +42,20 @@ pub fn check_features(input: &[u8]) {
 /// Checks that an accepted manifest can be written and read again.
 pub fn check_manifest(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
-    match Manifest::parse(text) {
-        Ok(manifest) => {
-            let written = serde_json::to_string(&manifest).expect("a manifest can be written");
-            Manifest::parse(&written).expect("a written manifest can be read");
-        }
-        Err(error) => refused(error),
-    }
+    let Some(manifest) = accepted(Manifest::parse(text)) else { return };
+    let written = serde_json::to_string(&manifest).expect("a manifest can be written");
+    Manifest::parse(&written).expect("a written manifest can be read");
 }
 
 /// Checks that at least 16 frames of an accepted path (all frames of a shorter path) have a camera and a
 /// transfer table.
 pub fn check_path(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
-    let file = match PathFile::parse(text) {
-        Ok(file) => file,
-        Err(error) => return refused(error),
-    };
+    let Some(file) = accepted(PathFile::parse(text)) else { return };
     if file.frames > MOST_PATH_FRAMES && file.frames <= MAX_FRAMES {
         return;
     }
-    let path = match file.resolve() {
-        Ok(path) => path,
-        Err(error) => return refused(error),
-    };
+    let Some(path) = accepted(file.resolve()) else { return };
     assert_eq!(path.frames.len(), file.frames as usize);
     for (i, frame) in path.frames.iter().enumerate().step_by((path.frames.len() / 16).max(1)) {
         path.camera(i).expect("an interpolated camera");
@@ -86,10 +70,7 @@ pub fn check_tasks(input: &[u8]) {
         Some((b'c', rest)) => (false, rest),
         _ => return,
     };
-    let tasks = match parse_tasks(input, json) {
-        Ok(tasks) => tasks,
-        Err(error) => return refused(error),
-    };
+    let Some(tasks) = accepted(parse_tasks(input, json)) else { return };
     if tasks.len() > 64 {
         return;
     }
@@ -99,15 +80,11 @@ pub fn check_tasks(input: &[u8]) {
         for method in [Method::Static, Method::Longest, Method::Queue, Method::Arrival] {
             let timeline =
                 plan(method, &seconds, &speeds).and_then(|plan| play(&plan, &seconds, &tasks, &speeds));
-            match timeline {
-                Ok(timeline) => {
-                    let mut done: Vec<usize> = timeline.spans.iter().map(|s| s.task).collect();
-                    done.sort_unstable();
-                    assert_eq!(done, (0..tasks.len()).collect::<Vec<_>>());
-                    assert!(timeline.makespan >= 0.0);
-                }
-                Err(error) => refused(error),
-            }
+            let Some(timeline) = accepted(timeline) else { continue };
+            let mut done: Vec<usize> = timeline.spans.iter().map(|s| s.task).collect();
+            done.sort_unstable();
+            assert_eq!(done, (0..tasks.len()).collect::<Vec<_>>());
+            assert!(timeline.makespan >= 0.0);
         }
     }
 }
