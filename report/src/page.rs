@@ -116,7 +116,7 @@ pub fn encode_png(picture: &Image) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Axis, Column, Mark, Series};
+    use crate::{Axis, Mark, Series};
 
     #[test]
     fn a_page_fetches_nothing() {
@@ -126,7 +126,7 @@ mod tests {
                 .series(Series::new("a", Mark::Line(vec![(0.0, 1.0), (1.0, 2.0)]))),
             "Figure.",
         );
-        page.table(&Table::new(vec![Column::text("a")]), "");
+        page.table(&Table::headed("a"), "");
         let png = encode_png(&Image { width: 2, height: 1, rgba: vec![0, 1, 2, 3, 4, 5, 6, 7] }).unwrap();
         page.pictures([(png.as_slice(), "frame 3".to_owned())]);
         page.facts([("machine", "2 cores".to_owned())]);

@@ -53,7 +53,7 @@ impl<T: Into<Self>> From<Option<T>> for Cell {
 /// no scrolling.
 const WIDE: usize = 8;
 
-/// A table. Rows shorter than the heading are padded with empty cells.
+/// A table. Each row has as many cells as the heading.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {
     columns: Vec<Column>,
@@ -80,8 +80,9 @@ impl Table {
         Self::new(headings.split(" | ").map(column).collect())
     }
 
-    /// Adds a row.
-    pub fn row(&mut self, cells: Vec<Cell>) {
+    /// Adds a row. A row that is shorter than the heading is padded with empty cells.
+    pub fn row(&mut self, mut cells: Vec<Cell>) {
+        cells.resize(self.columns.len(), "".into());
         self.rows.push(cells);
     }
 
@@ -98,27 +99,16 @@ impl Table {
         }
     }
 
-    fn text_of(&self, row: &[Cell], column: usize) -> String {
-        row.get(column).map(|c| c.text.clone()).unwrap_or_default()
-    }
-
     /// Returns the table as text for a terminal. Columns are padded with spaces, best cells are marked with
     /// an asterisk.
     pub fn to_text(&self) -> String {
-        let show = |row: &[Cell], c: usize| {
-            let best = row.get(c).is_some_and(|cell| cell.best);
-            format!("{}{}", self.text_of(row, c), if best { "*" } else { "" })
+        let show = |cell: &Cell| format!("{}{}", cell.text, if cell.best { "*" } else { "" });
+        let shown: Vec<Vec<String>> = self.rows.iter().map(|row| row.iter().map(show).collect()).collect();
+        let wide = |text: &String| text.chars().count();
+        let width = |(c, column): (usize, &Column)| {
+            shown.iter().map(|row| wide(&row[c])).fold(wide(&column.name), usize::max)
         };
-        let widths: Vec<usize> = (0..self.columns.len())
-            .map(|c| {
-                self.rows
-                    .iter()
-                    .map(|r| show(r, c).chars().count())
-                    .chain([self.columns[c].name.chars().count()])
-                    .max()
-                    .unwrap_or(0)
-            })
-            .collect();
+        let widths: Vec<usize> = self.columns.iter().enumerate().map(width).collect();
         let line = |texts: Vec<String>| {
             let mut out = String::new();
             for (c, text) in texts.iter().enumerate() {
@@ -130,20 +120,16 @@ impl Table {
         };
         let mut out = line(self.columns.iter().map(|c| c.name.clone()).collect());
         out += &line(widths.iter().map(|w| "-".repeat(*w)).collect());
-        for row in &self.rows {
-            out += &line((0..self.columns.len()).map(|c| show(row, c)).collect());
+        for row in shown {
+            out += &line(row);
         }
         out
     }
 
     /// Returns the table as HTML; best cells are bold.
     pub(crate) fn to_html(&self) -> String {
-        let blank = Cell::from("");
-        let rows: Vec<Vec<(&Column, &Cell)>> = self
-            .rows
-            .iter()
-            .map(|row| self.columns.iter().zip(row.iter().chain(std::iter::repeat(&blank))).collect())
-            .collect();
+        let rows: Vec<Vec<(&Column, &Cell)>> =
+            self.rows.iter().map(|row| self.columns.iter().zip(row).collect()).collect();
         Html { columns: &self.columns, rows: &rows }.render().expect("writing into memory does not fail")
     }
 
@@ -160,10 +146,9 @@ impl Table {
         }
         out += "|\n";
         for row in &self.rows {
-            for c in 0..self.columns.len() {
-                let text = safe(&self.text_of(row, c));
-                let best = row.get(c).is_some_and(|cell| cell.best);
-                let _ = if best { write!(out, "| **{text}** ") } else { write!(out, "| {text} ") };
+            for cell in row {
+                let text = safe(&cell.text);
+                let _ = if cell.best { write!(out, "| **{text}** ") } else { write!(out, "| {text} ") };
             }
             out += "|\n";
         }
@@ -175,9 +160,8 @@ impl Table {
 /// fastest first.
 pub fn bias_table(predictors: &[(&str, &Metrics)]) -> Table {
     let deciles = predictors.iter().map(|(_, m)| m.bias_by_decile.len()).max().unwrap_or(0);
-    let mut columns = vec![Column::text("predictor")];
-    columns.extend((1..=deciles).map(|d| Column::number(format!("tenth {d}"))));
-    let mut table = Table::new(columns);
+    let columns: String = (1..=deciles).map(|d| format!(" | #tenth {d}")).collect();
+    let mut table = Table::headed(&format!("predictor{columns}"));
     for (name, metrics) in predictors {
         let mut row = vec![(*name).into()];
         row.extend(metrics.bias_by_decile.iter().map(|b| format!("{:+.1}", 100.0 * b).into()));
@@ -191,7 +175,7 @@ mod tests {
     use super::*;
 
     fn table() -> Table {
-        let mut t = Table::new(vec![Column::text("who"), Column::number("misses / %")]);
+        let mut t = Table::headed("who | #misses / %");
         t.row(vec!["fixed".into(), "50.0".into()]);
         t.row(vec!["a|<b>".into(), "2.5".into()]);
         t.row(vec!["short".into()]);

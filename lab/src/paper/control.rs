@@ -14,7 +14,7 @@ use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::play::ActsOn;
 use entire_core::scene::Frame;
 use entire_io::files::{fnv1a_text, make_folder, read_bytes, read_text, write_whole};
-use entire_report::{Axis, Chart, Column, Mark, Series, Table, encode_png};
+use entire_report::{Axis, Chart, Mark, Series, Table, encode_png};
 use entire_steer::features::PROBE_SIDE;
 use entire_vk_raycaster::{Image, Renderer};
 use serde::Deserialize;
@@ -311,9 +311,8 @@ const IMAGE: ActsOn = ActsOn::ImageResolution { coarsest: 1.0 };
 /// Adds use case 1 to the report: tables and charts of the controllers.
 pub(super) fn section(of: &[&Results], s: &mut Section) {
     for r in of.iter().filter(|r| !r.facts.is_empty()) {
-        let mut columns = vec![Column::text("controller"), Column::text("acts on")];
-        columns.extend(COLUMNS.map(|(_, title, _)| Column::number(title)));
-        let mut table = Table::new(columns);
+        let columns = COLUMNS.map(|(_, title, _)| format!(" | #{title}")).concat();
+        let mut table = Table::headed(&format!("controller | acts on{columns}"));
         for f in &r.facts {
             let kind = ControllerKind::from_name(&f.name);
             let title = match f.name.as_str() {

@@ -11,7 +11,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use entire_io::files::{make_folder, read_bytes, write_json};
 use entire_io::machine;
-use entire_report::{Column, Page, Table};
+use entire_report::{Page, Table};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -126,11 +126,7 @@ fn rows_table(sections: &[(&Label, Section)]) -> Table {
 }
 
 pub(super) fn numbers_table(numbers: &super::description::Numbers) -> Table {
-    let mut columns: Vec<Column> = Vec::new();
-    for (i, c) in numbers.columns.iter().enumerate() {
-        columns.push(if i == 0 { Column::text(c) } else { Column::number(c) });
-    }
-    let mut table = Table::new(columns);
+    let mut table = Table::headed(&numbers.columns.join(" | #"));
     for (name, row) in &numbers.rows {
         let mut cells = vec![name.as_str().into()];
         cells.extend(row.iter().map(|v| v.map(|v| format!("{v}")).into()));

@@ -3,13 +3,12 @@
 use super::{Verdict, scenes};
 use entire_cli::steering::contenders::ControllerKind;
 use entire_io::machine::Provenance;
-use entire_report::{Column, Page, Table};
+use entire_report::{Page, Table};
 
 /// Table with a row per scene and a column per method: `ok`, or the first failure.
 pub(crate) fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
-    let mut columns = vec![Column::number("#"), Column::text("scene")];
-    columns.extend(methods.iter().map(|m| Column::text(m.name())));
-    let mut table = Table::new(columns);
+    let columns: String = methods.iter().map(|m| format!(" | {}", m.name())).collect();
+    let mut table = Table::headed(&format!("## | scene{columns}"));
     for (number, title) in scenes().filter(|s| verdicts.iter().any(|v| v.scene == s.0)) {
         let mut row = vec![number.to_string().into(), title.into()];
         for method in methods {

@@ -133,15 +133,11 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
             kinds.push(name);
         }
     }
-    let mut columns = vec![
-        Column::text("predictor"),
-        Column::number("RMSE/SD, 95 % interval"),
-        Column::number("median error %, 95 % interval"),
-        Column::number("slowest tenth within upper bound, %"),
-        Column::number("pinball loss / mean time"),
-    ];
-    columns.extend(kinds.iter().map(|k| Column::number(format!("median error %, {k}"))));
-    let mut table = Table::new(columns);
+    let mut headings = "predictor | #RMSE/SD, 95 % interval | #median error %, 95 % interval | \
+                        #slowest tenth within upper bound, % | #pinball loss / mean time"
+        .to_owned();
+    kinds.iter().for_each(|kind| headings += &format!(" | #median error %, {kind}"));
+    let mut table = Table::headed(&headings);
     for p in predictors {
         let range = |i: Option<(f64, f64)>, scale: f64, digits: usize| {
             i.map(|(a, b)| format!("{:.digits$}–{:.digits$}", scale * a, scale * b))
