@@ -23,7 +23,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write as _;
 use std::path::{Display, Path, PathBuf};
 use std::time::Instant;
 
@@ -399,10 +398,7 @@ fn check_used(recipe: &Recipe) -> Result<()> {
     Ok(())
 }
 
-fn names(layout: &Layout) -> Vec<String> {
-    layout.scene_features.iter().map(ToString::to_string).collect()
-}
-
+/// Returns the model card, in Markdown: paragraphs, lists and tables, separated by blank lines.
 fn card(
     options: &Options,
     trained: &Trained,
@@ -412,100 +408,83 @@ fn card(
     (upper, covered): (UpperBound, Option<f64>),
     noise: Option<&NoiseFloor>,
 ) -> String {
-    let mut md = String::new();
+    let Trained { layout, fitted, clock } = trained;
+    let lines = |list: Vec<String>| list.join("\n");
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
-    let _ = writeln!(md, "# {name}\n\n{}.\n", trained.fitted.what);
     let shade = options.shade.map_or(String::new(), |s| format!(" --shade {s}"));
-    let (verb, adapt) = match can_be_prior(&trained.fitted.file) {
+    let (verb, adapt) = match can_be_prior(&fitted.file) {
         true => ("calibrate", format!("calibrate --data FRAMES.csv{shade} --prior")),
         false => ("fine-tune", "train --data FRAMES.csv --fine-tune".to_owned()),
     };
-    let _ = writeln!(
-        md,
-        "## Use\n\nPredicts, before a volume-rendered frame is drawn, how many seconds it takes on the \
-         machine and with the renderer \
-         of the training frames. On another machine, {verb} the model first:\n\n```\nentire {adapt} \
-         {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate \
-         --model {name}.safetensors \
-         --data FRAMES.csv`\n"
-    );
-    let _ = writeln!(md, "## Inputs\n");
-    for &(group, size) in &trained.layout.groups {
-        let _ = writeln!(md, "- `{group}`, {size} number{}", if size == 1 { "" } else { "s" });
+    let input = |&(group, size): &(GroupKind, usize)| {
+        format!("- `{group}`, {size} number{}", if size == 1 { "" } else { "s" })
+    };
+    let mut md = vec![
+        format!("# {name}"),
+        format!("{}.", fitted.what),
+        "## Use".to_owned(),
+        format!(
+            "Predicts, before a volume-rendered frame is drawn, how many seconds it takes on the machine and \
+             with the renderer of the training frames. On another machine, {verb} the model first:"
+        ),
+        format!("```\nentire {adapt} {name}.safetensors --out tuned.safetensors\n```"),
+        format!("Evaluate it: `entire evaluate --model {name}.safetensors --data FRAMES.csv`"),
+        "## Inputs".to_owned(),
+        lines(layout.groups.iter().map(input).collect()),
+    ];
+    if !layout.scene_features.is_empty() {
+        let names: Vec<String> = layout.scene_features.iter().map(ToString::to_string).collect();
+        md.push(format!("Scene features, in order: {}.", names.join(", ")));
     }
-    if !trained.layout.scene_features.is_empty() {
-        let _ = writeln!(md, "\nScene features, in order: {}.", names(&trained.layout).join(", "));
-    }
-    let _ = writeln!(md, "\n## Data\n");
-    for t in tables {
+    let table = |t: &Table| {
         let file = t.path.file_name().map_or("?".into(), |n| n.to_string_lossy());
-        match &t.manifest {
-            Some(m) => {
-                let _ = writeln!(
-                    md,
-                    "- `{file}` ({} frames, FNV-1a {:016x}): {} on {}; {}; {}; seed {}, {} repeats each",
-                    t.frames.len(),
-                    t.hash,
-                    m.renderer,
-                    m.device,
-                    m.machine,
-                    m.created,
-                    m.seed,
-                    m.repeats
-                );
-            }
-            None => {
-                let _ = writeln!(
-                    md,
-                    "- `{file}` ({} frames, FNV-1a {:016x}); no manifest, so machine and renderer are not \
-                     known",
-                    t.frames.len(),
-                    t.hash
-                );
-            }
-        }
-    }
-    let _ = writeln!(md, "\nClock: {}. A frame's time is the median of its repeats.", trained.clock.name());
-    if let Some(s) = options.shade {
-        let _ = writeln!(md, "Only frames with shading {s}.");
-    }
-    let _ =
-        writeln!(md, "\n## Split\n\nBy {}, never by frame; seed {}.\n", split.by.name(), options.recipe.seed);
-    for (part, groups) in
-        [("training", &split.training), ("validation", &split.validation), ("test", &split.test)]
-    {
+        let origin = match &t.manifest {
+            Some(m) => format!(
+                ": {} on {}; {}; {}; seed {}, {} repeats each",
+                m.renderer, m.device, m.machine, m.created, m.seed, m.repeats
+            ),
+            None => "; no manifest, so machine and renderer are not known".to_owned(),
+        };
+        format!("- `{file}` ({} frames, FNV-1a {:016x}){origin}", t.frames.len(), t.hash)
+    };
+    let only = options.shade.map_or(String::new(), |s| format!("\nOnly frames with shading {s}."));
+    let groups = [("training", &split.training), ("validation", &split.validation), ("test", &split.test)];
+    let groups = groups.map(|(part, groups)| {
         let list = groups.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
-        let _ = writeln!(md, "- {part}: {}", if list.is_empty() { "none" } else { &list });
-    }
+        format!("- {part}: {}", if list.is_empty() { "none" } else { &list })
+    });
+    md.extend([
+        "## Data".to_owned(),
+        lines(tables.iter().map(table).collect()),
+        format!("Clock: {}. A frame's time is the median of its repeats.{only}", clock.name()),
+        "## Split".to_owned(),
+        format!("By {}, never by frame; seed {}.", split.by.name(), options.recipe.seed),
+        lines(groups.into()),
+    ]);
     if let Some(limit) = options.limit {
-        let _ = writeln!(md, "\nOf the training frames, at most {limit} were used.");
+        md.push(format!("Of the training frames, at most {limit} were used."));
     }
-    let _ = writeln!(
-        md,
-        "\n## Training\n\n{}.\n\n```json\n{}\n```\n",
-        trained.fitted.outcome,
-        serde_json::to_string_pretty(&trained.fitted.settings).unwrap_or_default()
-    );
-    if let (Some(first), Some(last)) = (trained.fitted.history.first(), trained.fitted.history.last()) {
-        let _ = writeln!(
-            md,
-            "Loss{} (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.\n",
+    let settings = serde_json::to_string_pretty(&fitted.settings).unwrap_or_default();
+    md.extend([
+        "## Training".to_owned(),
+        format!("{}.", fitted.outcome),
+        format!("```json\n{settings}\n```"),
+    ]);
+    if let (Some(first), Some(last)) = (fitted.history.first(), fitted.history.last()) {
+        md.push(format!(
+            "Loss{} (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.",
             if options.recipe.ensemble > 1 { " of network 1" } else { "" },
             first.training_loss,
             first.validation_loss,
             last.training_loss,
             last.validation_loss,
             last.epoch
-        );
+        ));
     }
-    let _ = writeln!(
-        md,
-        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | median error | p95 error | R² in log \
-         |\n|---|---|---|---|---|---|---|---|"
-    );
-    for (p, m) in results {
-        let _ = writeln!(
-            md,
+    let header = "| frames of | number | RMSE, s | RMSE/SD | MAE, s | median error | p95 error | R² in log |";
+    let header = format!("{header}\n{}|", "|---".repeat(8));
+    let row = |(p, m): &(Part, Metrics)| {
+        format!(
             "| {} | {} | {:.3e} | {:.3} | {:.3e} | {:.2} % | {:.1} % | {:.4} |",
             p.name(),
             m.frames,
@@ -515,36 +494,31 @@ fn card(
             100.0 * m.mdape,
             100.0 * m.p95,
             m.r2_log
-        );
-    }
+        )
+    };
+    let metrics = std::iter::once(header).chain(results.iter().map(row));
+    md.extend(["## Metrics".to_owned(), lines(metrics.collect())]);
     if upper.log_factor.is_finite() {
-        let _ = writeln!(
-            md,
-            "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \
+        md.push(format!(
+            "Upper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \
              (training frames if there are none){}.",
             upper.factor().max(1.0),
             covered.map_or(String::new(), |c| format!("; it held for {:.1} % of test frames", 100.0 * c))
-        );
+        ));
     }
-    match noise {
-        Some(n) => {
-            let perfect = 100.0 * n.mdape();
-            let _ = writeln!(
-                md,
-                "\nNoise floor: {}. Perfect predictions would have a median error of {perfect:.1} %.",
-                n.describe()
-            );
-        }
-        None => {
-            let _ = writeln!(md, "\nNoise floor: unknown, since no frame was repeated.");
-        }
-    }
-    let _ = writeln!(
-        md,
-        "\n## Limits\n\nThe times are those of one renderer on one machine; on another machine, driver or \
-         renderer, calibrate first. \
-         Predictions for scenes unlike the training data (other modalities, sizes, shading modes, steps) \
-         may have large errors; the out-of-range score is then above 0. {tested}"
-    );
-    md
+    md.push(match noise {
+        Some(n) => format!(
+            "Noise floor: {}. Perfect predictions would have a median error of {:.1} %.",
+            n.describe(),
+            100.0 * n.mdape()
+        ),
+        None => "Noise floor: unknown, since no frame was repeated.".to_owned(),
+    });
+    md.push("## Limits".to_owned());
+    md.push(format!(
+        "The times are those of one renderer on one machine; on another machine, driver or renderer, \
+         calibrate first. Predictions for scenes unlike the training data (other modalities, sizes, shading \
+         modes, steps) may have large errors; the out-of-range score is then above 0. {tested}"
+    ));
+    md.join("\n\n") + "\n"
 }
