@@ -8,8 +8,9 @@ use super::Settings;
 use super::design::Design;
 use super::others::{BackgroundLoad, CpuSnapshot};
 use super::pool::Pool;
+use crate::collection::timed_repeats;
 use anyhow::{Context, Result, bail};
-use entire_io::dataset::{Clock, TimedFrame, Timing, noise_floor};
+use entire_io::dataset::{Clock, NoiseFloor, TimedFrame, Timing, noise_floor};
 use entire_io::enlarge::enlarge;
 use entire_io::identity;
 use entire_io::metrics::median;
@@ -42,20 +43,6 @@ struct Visit {
     disturbed: bool,
 }
 
-/// Measured frames of a calibration.
-pub(crate) struct Measured {
-    /// Every frame with its undisturbed repeats, or with all its repeats if none was undisturbed.
-    pub(crate) frames: Vec<TimedFrame>,
-    /// Number of passes in which each frame's repeats were rendered, by frame number.
-    pub(crate) passes: HashMap<u64, usize>,
-    /// Load of the machine by other programs.
-    pub(crate) others: BackgroundLoad,
-    /// Number of measured batches of frames.
-    pub(crate) rounds: usize,
-    /// Number of renderings that were discarded as warm-up.
-    pub(crate) warm_ups: usize,
-}
-
 /// A running measurement.
 pub(crate) struct Measuring<'a> {
     settings: &'a Settings,
@@ -70,9 +57,12 @@ pub(crate) struct Measuring<'a> {
     /// Ratio of wall seconds on this machine to the seconds that the prior predicts for its own machine.
     scale: f64,
     switch: f64,
-    others: BackgroundLoad,
-    rounds: usize,
-    warm_ups: usize,
+    /// Load of the machine by other programs.
+    pub(crate) others: BackgroundLoad,
+    /// Number of measured batches of frames.
+    pub(crate) rounds: usize,
+    /// Number of renderings that were discarded as warm-up.
+    pub(crate) warm_ups: usize,
 }
 
 impl<'a> Measuring<'a> {
@@ -115,7 +105,7 @@ impl<'a> Measuring<'a> {
 
     /// Returns the numbers of discarded and of timed renderings in the first pass over a frame of `wall`
     /// expected seconds.
-    fn renderings(wall: f64) -> (usize, usize) {
+    fn renderings(wall: f64) -> (u32, usize) {
         match wall {
             w if w < 0.006 => (2, 3),
             w if w < 0.03 => (1, 2),
@@ -141,7 +131,7 @@ impl<'a> Measuring<'a> {
                 .map(|i| {
                     let wall = self.wall(i);
                     let (discarded, timed) = Self::renderings(wall);
-                    passes * (wall * (discarded + timed) as f64 + 0.002)
+                    passes * (wall * (f64::from(discarded) + timed as f64) + 0.002)
                 })
                 .collect();
             let budget = share * self.left() - passes * self.switch * groups as f64 * share.min(0.6);
@@ -254,32 +244,24 @@ impl<'a> Measuring<'a> {
         self.renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
         // The frame's measured time, from an earlier pass, is more exact than the expected time.
         let seen = self.visits.get(&i).and_then(|v| v.first()?.repeats.first()?.wall);
-        let (mut discard, timed) = match self.visits.get(&i) {
-            Some(v) => (usize::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),
+        let (discarded, timed) = match self.visits.get(&i) {
+            Some(v) => (u32::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),
             None => Self::renderings(self.wall(i)),
         };
-        let mut repeats = Vec::with_capacity(timed);
-        while repeats.len() < timed {
-            if (self.stop)() || self.left() <= 0.0 {
-                return Ok(None);
-            }
-            let rendered = self.renderer.render(&frame).with_context(place)?;
-            if discard > 0 {
-                discard -= 1;
-                self.warm_ups += 1;
-                continue;
-            }
-            repeats.push(Timing::new(rendered.time, rendered.counts));
-        }
-        Ok(Some(repeats))
+        let (stop, deadline) = (self.stop, self.deadline);
+        let over = || stop() || Instant::now() >= deadline;
+        let mut left = discarded;
+        let repeats = timed_repeats(self.renderer, &frame, timed, &mut left, &over).with_context(place)?;
+        self.warm_ups += (discarded - left) as usize;
+        Ok(repeats)
     }
 
     /// Standard deviation of ln(median time) of a batch's frames, or a quarter of the drift between passes if
     /// that is larger; infinite if no frame was repeated.
     fn spread(&self, batch: &[usize]) -> f64 {
         let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
-        noise_floor(&frames, self.settings.clock, |f| self.passes(f.number as usize))
-            .map_or(f64::INFINITY, |n| n.log_sd_of_median.max(n.drift.unwrap_or(0.0) / 4.0))
+        let noise = self.noise(&frames);
+        noise.map_or(f64::INFINITY, |n| n.log_sd_of_median.max(n.drift.unwrap_or(0.0) / 4.0))
     }
 
     fn learn_speed(&mut self) {
@@ -301,8 +283,9 @@ impl<'a> Measuring<'a> {
         if calm.is_empty() { visits.iter().collect() } else { calm }
     }
 
-    fn passes(&self, i: usize) -> usize {
-        self.counted(i).len().max(1)
+    /// Noise of repeats over the passes in which they were rendered.
+    pub(crate) fn noise(&self, frames: &[TimedFrame]) -> Option<NoiseFloor> {
+        noise_floor(frames, self.settings.clock, |f| self.counted(f.number as usize).len().max(1))
     }
 
     fn frame(&self, i: usize) -> Option<TimedFrame> {
@@ -311,10 +294,8 @@ impl<'a> Measuring<'a> {
         (!repeats.is_empty()).then_some(TimedFrame { table: 0, number: i as u64, scene, repeats })
     }
 
-    /// Result of the measurement.
-    pub(crate) fn finish(&self) -> Measured {
-        let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
-        let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();
-        Measured { frames, passes, others: self.others, rounds: self.rounds, warm_ups: self.warm_ups }
+    /// Every frame with its undisturbed repeats, or with all its repeats if none was undisturbed.
+    pub(crate) fn frames(&self) -> Vec<TimedFrame> {
+        self.visits.keys().filter_map(|&i| self.frame(i)).collect()
     }
 }

@@ -27,7 +27,7 @@ use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
 use entire_train::inputs::work_of;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
-use measuring::{Measured, Measuring, PictureError};
+use measuring::{Measuring, PictureError};
 use pool::Pool;
 use report::Pictures;
 use std::path::PathBuf;
@@ -169,7 +169,9 @@ pub(crate) fn calibrate(
     let compared = measuring.pictures(deadline)?;
     // With too few scenes the model states no quality law.
     let quality = fit_quality(&compared).ok();
-    let Measured { frames, passes, others, rounds, warm_ups } = measuring.finish();
+    let frames = measuring.frames();
+    let noise = measuring.noise(&frames);
+    let Measuring { others, rounds, warm_ups, .. } = measuring;
     bar.set_message("fitting");
     ensure!(
         frames.len() >= FEWEST_FRAMES,
@@ -197,7 +199,6 @@ pub(crate) fn calibrate(
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
     let chosen = pool.prior.choose(&observed, &[typical])?;
-    let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let (kind, seconds) = ((settings.shading, settings.clock), start.elapsed().as_secs_f64());
     let report = Report {
         rounds,

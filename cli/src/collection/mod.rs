@@ -16,6 +16,7 @@ pub(crate) use protocol::manifest_of;
 pub use protocol::{Job, Protocol, differences};
 
 use anyhow::{Context, Result};
+use entire_core::scene::Frame;
 use entire_io::dataset::{Scene, Timing, Writer};
 use entire_io::volume::Volume;
 use entire_vk_raycaster::Renderer;
@@ -59,24 +60,37 @@ pub fn time_scene(
 ) -> Result<TimedScene> {
     let frame = scene.to_frame()?;
     renderer.set_transfer(&scene.to_table()?)?;
-    let mut out = TimedScene { repeats: None, discarded: 0 };
-    let repeats = protocol.repeats as usize;
-    let mut timings = Vec::with_capacity(repeats);
     *warm_up = (*warm_up).max(protocol.warm_up_repeats);
+    let before = *warm_up;
+    let repeats = timed_repeats(renderer, &frame, protocol.repeats as usize, warm_up, stop)?;
+    Ok(TimedScene { repeats, discarded: u64::from(before - *warm_up) })
+}
+
+/// Returns the times of `repeats` renderings of a frame; `None` if `stop`, which is called before every
+/// rendering, returned true. Before the repeats, `warm_up` renderings are discarded; they count it down to 0.
+///
+/// # Errors
+/// When the renderer fails.
+pub(crate) fn timed_repeats(
+    renderer: &mut dyn Renderer,
+    frame: &Frame,
+    repeats: usize,
+    warm_up: &mut u32,
+    stop: &dyn Fn() -> bool,
+) -> Result<Option<Vec<Timing>>> {
+    let mut timings = Vec::with_capacity(repeats);
     while timings.len() < repeats {
         if stop() {
-            return Ok(out);
+            return Ok(None);
         }
-        let rendered = renderer.render(&frame)?;
+        let rendered = renderer.render(frame)?;
         if *warm_up > 0 {
             *warm_up -= 1;
-            out.discarded += 1;
             continue;
         }
         timings.push(Timing::new(rendered.time, rendered.counts));
     }
-    out.repeats = Some(timings);
-    Ok(out)
+    Ok(Some(timings))
 }
 
 /// Collects the frames of each job in turn, except those that are in the table already. Frame `i` of job `j`
