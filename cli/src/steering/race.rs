@@ -45,8 +45,26 @@ pub(crate) struct Race<'a> {
     pub(crate) prior: Prior,
 }
 
-/// Returns the model that predicts, and the prior of its errors for controllers. The model is the given one,
-/// else the machine's, else the shipped model, which sessions scale to this machine frame by frame.
+/// Returns the name of the model that predicts, the model, and true unless it is the shipped model: the given
+/// model, else the machine's, else the shipped one.
+///
+/// # Errors
+/// When a file holds no model.
+pub(crate) fn chosen_model(
+    given: Option<(String, Model)>,
+    machine: Option<(String, ModelFile)>,
+    shading: Shading,
+) -> Result<(String, Model, bool)> {
+    if let Some((title, model)) = given {
+        return Ok((title, model, true));
+    }
+    let known = machine.is_some();
+    let (title, file) = machine.map_or_else(|| shipped_model(shading), Ok)?;
+    Ok((title, file.to_model()?, known))
+}
+
+/// Returns the [chosen](chosen_model) model, and the prior of its errors for controllers. Sessions scale the
+/// shipped model to this machine frame by frame.
 ///
 /// # Errors
 /// When a model cannot be read, or holds no predictor.
@@ -56,20 +74,9 @@ pub(crate) fn steering_model(
     shading: Shading,
     volume: &VolumeView<'_>,
 ) -> Result<(SteeringModel, Prior)> {
-    let given = match (given, machine) {
-        (Some(given), _) => Some(given),
-        (None, Some((title, file))) => Some((title, file.to_model()?)),
-        (None, None) => None,
-    };
-    let known = given.is_some();
-    let (title, model) = match given {
-        Some(given) => given,
-        None => {
-            let (name, file) = shipped_model(shading)?;
-            (format!("{name}, corrected by the measured time of every frame"), file.to_model()?)
-        }
-    };
-    let model = SteeringModel::new(title, model, volume)?;
+    let (title, model, known) = chosen_model(given, machine, shading)?;
+    let corrected = if known { "" } else { ", corrected by the measured time of every frame" };
+    let model = SteeringModel::new(title + corrected, model, volume)?;
     let prior = match model.predictor()?.log_sd().filter(|_| known) {
         Some(log_sd) => Prior::Fitted { log_sd },
         None => Prior::Unknown,

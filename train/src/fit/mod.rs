@@ -66,10 +66,7 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
 }
 
 /// As [`predict_rows`], with the model's network already built.
-///
-/// # Errors
-/// When the network's output for a row is not finite.
-pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
     let rows = held(model, rows, width)?;
     let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();

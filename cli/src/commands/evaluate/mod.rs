@@ -3,9 +3,8 @@
 mod report;
 
 use anyhow::{Context, Result, ensure};
-use entire_core::kernels::{Level, Storage};
+use entire_core::kernels::Storage;
 use entire_core::model::Model;
-use entire_core::nn::PredNet;
 use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, open_tables, timed};
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
@@ -15,7 +14,7 @@ use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
 use entire_train::evaluation::{PROBE_SHARE, by_kind, in_session, noise_by_kind, probe_means, warm_latency};
-use entire_train::fit::{predict_rows, rows_by_network};
+use entire_train::fit::{FitContext, predict_rows, predict_stored};
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Split};
 use indicatif::ProgressBar;
@@ -175,11 +174,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             ..assess(m.name.clone(), predicted, bound::of(&m.model))?
         });
     }
+    let hidden = ProgressBar::hidden();
+    let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &|| false };
     for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
-        let rows = m.layout.rows(&tables, &refs, &pool, &ProgressBar::hidden())?;
-        let parts = m.model.prednet.as_ref().with_context(|| format!("{} holds no PredNet", m.name))?;
-        let net = PredNet::with(parts, Level::detect(), storage)?;
-        let predicted = rows_by_network(&m.model, &net, &rows, m.layout.width())?;
+        let predicted = predict_stored(&m.model, storage, &context, &refs)?;
         let name = format!("{}, {} weights", m.name, storage);
         let stored = assess(name, predicted, bound::of(&m.model))?;
         predictors.push(Predictor { frames_seen: frames_seen(m), ..stored });

@@ -1,10 +1,10 @@
 //! Services of this program to the window: readers of volumes, predictors, controllers, path files.
 
 use crate::calibrate::place::{machine_model, of_another_kind};
-use crate::shipped::shipped_model;
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::model::SteeringModel;
 use crate::steering::play::RAYCASTER;
+use crate::steering::race::chosen_model;
 use crate::steering::rivals::StepResponse;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -154,16 +154,9 @@ impl Host for ExplorerHost {
         let here = if self.model.is_none() { machine_model(shading)? } else { None };
         let left_out =
             here.as_ref().and_then(|(path, file, clock)| takes_no_part(path, file, *clock, device));
-        let (title, model, calibrated) = match (&self.model, here) {
-            (Some((title, model)), _) => (title.clone(), model.clone(), true),
-            (None, Some((path, file, _))) if left_out.is_none() => {
-                (path.display().to_string(), file.to_model()?, true)
-            }
-            (None, _) => {
-                let (name, file) = shipped_model(shading)?;
-                (name, file.to_model()?, false)
-            }
-        };
+        let machine = here.filter(|_| left_out.is_none());
+        let machine = machine.map(|(path, file, _)| (path.display().to_string(), file));
+        let (title, model, calibrated) = chosen_model(self.model.clone(), machine, shading)?;
         let clock = entire_io::clock::of(&model);
         let model = SteeringModel::new(title, model, volume)?;
         let identity = model.predictor()?.identity();
