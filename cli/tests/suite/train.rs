@@ -41,7 +41,7 @@ fn trained(
     training: Samples<'_>,
     validation: Samples<'_>,
     settings: &Settings,
-) -> anyhow::Result<Trained<f32>> {
+) -> anyhow::Result<Trained> {
     let network = Network::random(widths, settings.seed)?;
     train(&pool(threads), network, None, training, validation, settings, |_| ControlFlow::Continue(()))
 }

@@ -49,7 +49,7 @@ pub(super) fn run_training(
 }
 
 /// Returns a text that states the reason for the end of a run, and the epoch of its weights.
-fn ending(trained: &Trained<f32>) -> String {
+fn ending(trained: &Trained) -> String {
     let ran = trained.history.len();
     let why = match trained.stop {
         Stop::Finished => format!("all {ran} epochs done"),

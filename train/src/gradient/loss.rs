@@ -35,12 +35,12 @@ impl Loss {
             Self::SquaredError => (error * error, error + error),
             Self::Huber { delta } => {
                 let delta = T::of(delta);
-                let size = if error < T::ZERO { -error } else { error };
+                let size = if error < T::zero() { -error } else { error };
                 if size <= delta {
                     (error * error, error + error)
                 } else {
-                    let sign = if error < T::ZERO { -T::ONE } else { T::ONE };
-                    let two = T::ONE + T::ONE;
+                    let sign = if error < T::zero() { -T::one() } else { T::one() };
+                    let two = T::one() + T::one();
                     (two * delta * size - delta * delta, two * delta * sign)
                 }
             }

@@ -53,7 +53,7 @@ impl<T: Real> Network<T> {
         for pair in widths.windows(2) {
             let deviation = libm::sqrt(1.0 / pair[0] as f64);
             parameters.extend((0..pair[0] * pair[1]).map(|_| T::of(deviation * normal(&mut rng))));
-            parameters.extend((0..pair[1]).map(|_| T::ZERO));
+            parameters.extend((0..pair[1]).map(|_| T::zero()));
         }
         Ok(Self { widths: widths.to_vec(), parameters })
     }
@@ -175,10 +175,10 @@ impl<T: Real> Pass<T> {
         let delta = if backward { rows * widest } else { 0 };
         Self {
             rows,
-            activations: network.widths[1..].iter().map(|w| vec![T::ZERO; rows * w]).collect(),
-            delta: vec![T::ZERO; delta],
-            next_delta: vec![T::ZERO; delta],
-            gradient: vec![T::ZERO; if backward { network.parameters.len() } else { 0 }],
+            activations: network.widths[1..].iter().map(|w| vec![T::zero(); rows * w]).collect(),
+            delta: vec![T::zero(); delta],
+            next_delta: vec![T::zero(); delta],
+            gradient: vec![T::zero(); if backward { network.parameters.len() } else { 0 }],
         }
     }
 
@@ -237,7 +237,7 @@ impl<T: Real> Pass<T> {
                 &mut self.gradient[span.weight()],
             );
             let bias = &mut self.gradient[span.bias()];
-            bias.fill(T::ZERO);
+            bias.fill(T::zero());
             vectorized(|| {
                 for row in delta.chunks_exact(span.outputs) {
                     for (b, d) in bias.iter_mut().zip(row) {
@@ -256,7 +256,7 @@ impl<T: Real> Pass<T> {
                 let (scale, floor) = (T::of(SELU_SCALE), T::of(SELU_SCALE * SELU_ALPHA));
                 vectorized(|| {
                     for (d, y) in next.iter_mut().zip(x) {
-                        *d *= if *y > T::ZERO { scale } else { *y + floor };
+                        *d *= if *y > T::zero() { scale } else { *y + floor };
                     }
                 });
                 std::mem::swap(&mut self.delta, &mut self.next_delta);

@@ -69,11 +69,11 @@ impl<T: Real> Trainer<T> {
             network,
             loss,
             clip_norm,
-            first_moment: vec![T::ZERO; n],
-            second_moment: vec![T::ZERO; n],
+            first_moment: vec![T::zero(); n],
+            second_moment: vec![T::zero(); n],
             steps: 0,
             tasks: Vec::new(),
-            gradient: vec![T::ZERO; n],
+            gradient: vec![T::zero(); n],
         })
     }
 
@@ -106,7 +106,7 @@ impl<T: Real> Trainer<T> {
             self.tasks = (0..count).map(|t| Pass::new(&self.network, bounds(t).len(), true)).collect();
         }
         let (network, loss) = (&self.network, self.loss);
-        let share = T::ONE / T::of(rows as f64);
+        let share = T::one() / T::of(rows as f64);
         let tasks = &mut self.tasks;
         let gradient = &mut self.gradient;
         pool.install(|| {

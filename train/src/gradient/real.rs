@@ -2,55 +2,24 @@
 
 use super::matmul::level;
 use entire_core::kernels::{SELU_ALPHA, SELU_SCALE, selu};
-use std::fmt::{Debug, Display};
-use std::iter::Sum;
-use std::ops::{AddAssign, MulAssign, Neg, SubAssign};
+use ndarray::NdFloat;
 
 /// `f32` or `f64`.
-pub trait Real:
-    ndarray::LinalgScalar
-    + Default
-    + PartialOrd
-    + Debug
-    + Display
-    + Send
-    + Sync
-    + Sum
-    + Neg<Output = Self>
-    + AddAssign
-    + SubAssign
-    + MulAssign
-{
-    /// 0.
-    const ZERO: Self;
-    /// 1.
-    const ONE: Self;
+pub trait Real: NdFloat {
     /// Returns the nearest number of this type.
     fn of(value: f64) -> Self;
     /// Converts to `f64`, exactly.
     fn wide(self) -> f64;
-    /// √x.
-    fn sqrt(self) -> Self;
-    /// True if the number is neither NaN nor infinite.
-    fn is_finite(self) -> bool;
     /// x ← selu(x) for every element.
     fn selu(values: &mut [Self]);
 }
 
 impl Real for f64 {
-    const ZERO: Self = 0.0;
-    const ONE: Self = 1.0;
     fn of(value: f64) -> Self {
         value
     }
     fn wide(self) -> f64 {
         self
-    }
-    fn sqrt(self) -> Self {
-        f64::sqrt(self)
-    }
-    fn is_finite(self) -> bool {
-        self.is_finite()
     }
     fn selu(values: &mut [Self]) {
         for x in values {
@@ -60,19 +29,11 @@ impl Real for f64 {
 }
 
 impl Real for f32 {
-    const ZERO: Self = 0.0;
-    const ONE: Self = 1.0;
     fn of(value: f64) -> Self {
         value as f32
     }
     fn wide(self) -> f64 {
         self.into()
-    }
-    fn sqrt(self) -> Self {
-        f32::sqrt(self)
-    }
-    fn is_finite(self) -> bool {
-        self.is_finite()
     }
     fn selu(values: &mut [Self]) {
         selu(level(), values);

@@ -2,7 +2,7 @@
 //! weights.
 
 use super::optimizer::{cosine_learning_rate, predict};
-use super::{Loss, Network, Real, Trainer};
+use super::{Loss, Network, Trainer};
 use anyhow::{Result, bail, ensure};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
 use entire_steer::predict::LONGEST_FRAME;
@@ -179,11 +179,11 @@ impl Standardization {
         out
     }
 
-    fn inputs<T: Real>(&self, inputs: &[f32]) -> Vec<T> {
+    fn inputs(&self, inputs: &[f32]) -> Vec<f32> {
         inputs
             .chunks_exact(self.input_mean.len())
             .flat_map(|row| row.iter().zip(&self.input_mean).zip(&self.input_std))
-            .map(|((x, m), s)| T::of((f64::from(*x) - f64::from(*m)) / f64::from(*s)))
+            .map(|((x, m), s)| ((f64::from(*x) - f64::from(*m)) / f64::from(*s)) as f32)
             .collect()
     }
 
@@ -283,9 +283,9 @@ pub enum Stop {
 
 /// Result of a run.
 #[derive(Clone, Debug)]
-pub struct Trained<T> {
+pub struct Trained {
     /// The weights with the lowest validation loss.
-    pub network: Network<T>,
+    pub network: Network<f32>,
     /// Standardization, stored with the weights.
     pub standardization: Standardization,
     /// Output quantity of the network.
@@ -300,17 +300,16 @@ pub struct Trained<T> {
     pub stop: Stop,
 }
 
-impl<T: Real> Trained<T> {
+impl Trained {
     /// Returns the contents of a model file, with weights as F32.
     pub fn to_parts(&self) -> PredNetParts {
-        let single = |values: &[T]| values.iter().map(|v| v.wide() as f32).collect();
         let s = &self.standardization;
         PredNetParts {
             layers: (0..self.network.layers())
                 .map(|i| {
                     let (weight, bias) = self.network.layer(i);
                     let [inputs, outputs] = [self.network.widths()[i], self.network.widths()[i + 1]];
-                    let [weight, bias] = [weight, bias].map(single);
+                    let [weight, bias] = [weight, bias].map(<[f32]>::to_vec);
                     DenseParts { inputs, outputs, weight, bias, dtype: Dtype::F32 }
                 })
                 .collect(),
@@ -330,23 +329,21 @@ impl<T: Real> Trained<T> {
             bail!("the number of inputs, {}, is not a multiple of the row length {width}", inputs.len());
         }
         let s = &self.standardization;
-        Ok(predict(pool, &self.network, &s.inputs::<T>(inputs))
-            .into_iter()
-            .map(|y| seconds_of(self.target, y.wide() * f64::from(s.output_std) + f64::from(s.output_mean)))
-            .collect())
+        let (mean, std) = (f64::from(s.output_mean), f64::from(s.output_std));
+        let outputs = predict(pool, &self.network, &s.inputs(inputs));
+        Ok(outputs.into_iter().map(|y| seconds_of(self.target, f64::from(y) * std + mean)).collect())
     }
 }
 
-struct Prepared<T> {
-    inputs: Vec<T>,
-    targets: Vec<T>,
+/// Standardized frames.
+struct Prepared {
+    inputs: Vec<f32>,
+    targets: Vec<f32>,
 }
 
-fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settings) -> Prepared<T> {
-    Prepared {
-        inputs: s.inputs(samples.inputs),
-        targets: samples.seconds.iter().map(|&t| T::of(s.output(target_of(settings.target, t)))).collect(),
-    }
+fn prepare(samples: Samples<'_>, s: &Standardization, settings: &Settings) -> Prepared {
+    let target = |&t: &f64| s.output(target_of(settings.target, t)) as f32;
+    Prepared { inputs: s.inputs(samples.inputs), targets: samples.seconds.iter().map(target).collect() }
 }
 
 /// Trains a network (random, or given to be fine-tuned) and returns the weights with the lowest validation
@@ -359,15 +356,15 @@ fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settin
 /// # Errors
 /// When a setting is out of range, an input or a time is invalid, there are no training frames, or
 /// sizes do not fit.
-pub fn train<T: Real>(
+pub fn train(
     pool: &ThreadPool,
-    network: Network<T>,
+    network: Network<f32>,
     standardization: Option<Standardization>,
     training: Samples<'_>,
     validation: Samples<'_>,
     settings: &Settings,
     mut progress: impl FnMut(&Progress) -> ControlFlow<()>,
-) -> Result<Trained<T>> {
+) -> Result<Trained> {
     settings.check()?;
     let width = network.widths()[0];
     training.check("training frames", width)?;
@@ -381,8 +378,8 @@ pub fn train<T: Real>(
         }
         None => Standardization::fit(training, width, settings.target),
     };
-    let data: Prepared<T> = prepare(training, &standardization, settings);
-    let judged: Prepared<T> = prepare(validation, &standardization, settings);
+    let data = prepare(training, &standardization, settings);
+    let judged = prepare(validation, &standardization, settings);
     let mut trainer = Trainer::new(network, settings.loss, settings.clip_norm)?;
 
     let batch = settings.batch.min(frames);
@@ -390,8 +387,8 @@ pub fn train<T: Real>(
     let total_steps = (settings.epochs as u64).saturating_mul(steps_per_epoch as u64);
     let mut order: Vec<usize> = (0..frames).collect();
     let mut rng = ChaCha8Rng::seed_from_u64(settings.seed ^ 0x5348_5546_464c_4521);
-    let mut inputs: Vec<T> = Vec::with_capacity(batch * width);
-    let mut targets: Vec<T> = Vec::with_capacity(batch);
+    let mut inputs: Vec<f32> = Vec::with_capacity(batch * width);
+    let mut targets: Vec<f32> = Vec::with_capacity(batch);
 
     let mut best = trainer.network().clone();
     let (mut best_loss, mut best_epoch) = (f64::INFINITY, 0);
@@ -462,7 +459,7 @@ pub fn train<T: Real>(
     Ok(Trained { network: best, standardization, target, history, best_epoch, best_loss, stop })
 }
 
-fn validate<T: Real>(pool: &ThreadPool, trainer: &Trainer<T>, judged: &Prepared<T>) -> Option<f64> {
+fn validate(pool: &ThreadPool, trainer: &Trainer<f32>, judged: &Prepared) -> Option<f64> {
     (!judged.targets.is_empty()).then(|| trainer.validate(pool, &judged.inputs, &judged.targets))
 }
 
