@@ -25,55 +25,46 @@ static MEMORY: PeakAlloc = PeakAlloc;
 /// Default number of mutations in one run; `PROPTEST_CASES` sets another. The fuzz targets try many more.
 const CASES: u32 = 3_000;
 
-#[derive(Clone, Copy, Debug)]
-enum Target {
-    Volume(Format),
-    Model,
-    Record(fn(&[u8])),
-}
+/// Reads an input and checks the result.
+type Check = fn(&[u8]);
 
-const TARGETS: [(&str, Target); 12] = [
-    ("table", Target::Record(records::check_table)),
-    ("features", Target::Record(records::check_features)),
-    ("manifest", Target::Record(records::check_manifest)),
-    ("path", Target::Record(records::check_path)),
-    ("tasks", Target::Record(records::check_tasks)),
-    ("nrrd", Target::Volume(Format::Nrrd)),
-    ("metaimage", Target::Volume(Format::MetaImage)),
-    ("vti", Target::Volume(Format::VtkImage)),
-    ("nifti", Target::Volume(Format::Nifti)),
-    ("json", Target::Volume(Format::Json)),
-    ("raw", Target::Volume(Format::Raw)),
-    ("model", Target::Model),
+const TARGETS: [(&str, Check); 12] = [
+    ("table", records::check_table),
+    ("features", records::check_features),
+    ("manifest", records::check_manifest),
+    ("path", records::check_path),
+    ("tasks", records::check_tasks),
+    ("nrrd", |input| checks::check_volume(read_any(Format::Nrrd, input))),
+    ("metaimage", |input| checks::check_volume(read_any(Format::MetaImage, input))),
+    ("vti", |input| checks::check_volume(read_any(Format::VtkImage, input))),
+    ("nifti", |input| checks::check_volume(read_any(Format::Nifti, input))),
+    ("json", |input| checks::check_volume(read_any(Format::Json, input))),
+    ("raw", |input| checks::check_volume(read_any(Format::Raw, input))),
+    ("model", |input| checks::check_model(Model::from_bytes(input))),
 ];
 
-/// Every file of the corpus.
-fn corpus() -> Vec<(Target, PathBuf, Vec<u8>)> {
+fn corpus() -> Vec<(Check, PathBuf, Vec<u8>)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus");
     let mut found = Vec::new();
-    for (name, target) in TARGETS {
+    for (name, check) in TARGETS {
         let before = found.len();
         let mut files: Vec<PathBuf> =
             std::fs::read_dir(root.join(name)).unwrap().map(|entry| entry.unwrap().path()).collect();
         files.sort();
         for path in files {
             let bytes = std::fs::read(&path).unwrap();
-            found.push((target, path, bytes));
+            found.push((check, path, bytes));
         }
         assert!(found.len() > before, "no corpus for {name}");
     }
     found
 }
 
-/// Runs a target's check and returns the peak of additionally allocated bytes.
-fn peak_of(target: Target, input: &[u8]) -> usize {
+/// Runs a check and returns the peak of additionally allocated bytes.
+fn peak_of(check: Check, input: &[u8]) -> usize {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
-    match target {
-        Target::Volume(format) => checks::check_volume(read_any(format, input)),
-        Target::Model => checks::check_model(Model::from_bytes(input)),
-        Target::Record(check) => check(input),
-    }
+    check(input);
     MEMORY.peak_usage().saturating_sub(before)
 }
 
@@ -165,8 +156,8 @@ fn apply(input: &mut Vec<u8>, change: &Change) {
 
 fn arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for() -> Result<(), Failed> {
     let corpus = corpus();
-    for (target, path, bytes) in &corpus {
-        let peak = peak_of(*target, bytes);
+    for (check, path, bytes) in &corpus {
+        let peak = peak_of(*check, bytes);
         assert!(peak <= bound(bytes), "{}: {peak} bytes allocated for {}", path.display(), bytes.len());
     }
     let defaults = Config::default();
@@ -176,10 +167,10 @@ fn arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for() -
     let mut runner = TestRunner::new_with_rng(config, rng);
     let strategy = (0..corpus.len(), prop::collection::vec(change(), 1..5));
     let result = runner.run(&strategy, |(seed, changes)| {
-        let (target, path, bytes) = &corpus[seed];
+        let (check, path, bytes) = &corpus[seed];
         let mut input = bytes.clone();
         changes.iter().for_each(|change| apply(&mut input, change));
-        let peak = peak_of(*target, &input);
+        let peak = peak_of(*check, &input);
         prop_assert!(
             peak <= bound(&input),
             "{} changed by {changes:?}: {peak} bytes allocated for {}",

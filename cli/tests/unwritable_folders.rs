@@ -63,9 +63,7 @@ fn commands(into: &str) -> Vec<(String, Vec<String>)> {
     let owned = |words: Vec<&str>| words.into_iter().map(str::to_owned).collect::<Vec<_>>();
     let out = |name: &str| format!("{into}/{name}");
     let (table, picture, model) = (out("u.csv"), out("o.png"), out("m.safetensors"));
-    let drawn = render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8x8", &[]);
-    let drawn: Vec<&str> =
-        drawn.into_iter().map(|w| if w == "out.png" { picture.as_str() } else { w }).collect();
+    let drawn = render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8x8", &["--out", picture.as_str()]);
     let collect = format!("collect ball.nrrd --out {table} --frames 4 --device cpu --repeats 1");
     let train = format!("train --quiet --data t.csv --out {model} --inputs camera,resolution --clock wall");
     let (collect, drawn, train) = (owned(words(&collect)), owned(drawn), owned(words(&train)));

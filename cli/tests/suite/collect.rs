@@ -20,6 +20,15 @@ fn works(command: &mut Command) -> Output {
     output
 }
 
+/// Checks that a command ends with this status, and that its messages have every one of `parts`.
+#[track_caller]
+fn refused(command: &mut Command, code: i32, parts: &[&str]) {
+    let output = command.output().unwrap();
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{parts:?}: {said}");
+    parts.iter().for_each(|part| assert!(said.contains(part), "{part}: {said}"));
+}
+
 /// Starts a command that writes a table, and waits until the table has `lines` lines.
 fn started(command: &mut Command, table: &Path, lines: usize) -> Child {
     let child = command.spawn().unwrap();
@@ -57,9 +66,8 @@ fn a_second_writer_of_a_table_is_refused_and_ruins_nothing() {
     let settings = ["--frames", "3000", "--min-size", "96", "--max-size", "160"];
     let mut first = started(&mut collect(&volume, &out, &settings), &out, 5);
     for _ in 0..3 {
-        let second = collect(&volume, &out, &settings).arg("--resume").output().unwrap();
-        assert_eq!(second.status.code(), Some(1), "{}", stderr(&second));
-        assert!(stderr(&second).contains("another process writes this table"), "{}", stderr(&second));
+        let mut second = collect(&volume, &out, &settings);
+        refused(second.arg("--resume"), 1, &["another process writes this table"]);
     }
     first.kill().unwrap();
     first.wait().unwrap();
@@ -107,10 +115,9 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     assert_eq!(kept, frames(&whole)[..kept.len()]);
 
     // Without --resume the table is unchanged; under other settings it is not continued.
-    let output = collect(&volume, &cut, &settings).output().unwrap();
-    assert!(output.status.code() == Some(1) && stderr(&output).contains("resume it"));
-    let output = collect(&volume, &cut, &settings).args(["--seed", "2", "--resume"]).output().unwrap();
-    assert!(stderr(&output).contains("seed was 1 and is 2 now"), "{}", stderr(&output));
+    refused(&mut collect(&volume, &cut, &settings), 1, &["resume it"]);
+    let mut other = collect(&volume, &cut, &settings);
+    refused(other.args(["--seed", "2", "--resume"]), 1, &["seed was 1 and is 2 now"]);
     assert_eq!(frames(&cut), kept);
 
     works(collect(&volume, &cut, &settings).arg("--resume"));
@@ -149,11 +156,9 @@ fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
         assert!(message.contains(expected) && !message.contains("panicked"), "{more:?}: {message}");
         assert_eq!(message.trim_end().lines().count(), 1, "{more:?}: {message}");
     }
-    let output = collect(&volume, &out, &["--shade", "phong"]).output().unwrap();
-    assert_eq!(output.status.code(), Some(2));
+    refused(&mut collect(&volume, &out, &["--shade", "phong"]), 2, &[]);
     let again = dir.path().join("..").join(dir.path().file_name().unwrap()).join("v.nrrd");
-    let output = collect(&volume, &out, &[]).arg(again).output().unwrap();
-    assert!(stderr(&output).contains("v.nrrd is given twice"), "{}", stderr(&output));
+    refused(collect(&volume, &out, &[]).arg(again), 1, &["v.nrrd is given twice"]);
 }
 
 #[test]
@@ -165,16 +170,14 @@ fn frames_of_a_pass_survive_an_error_with_the_manifest() {
     let settings = ["--frames", "2", "--passes", "2", "--max-size", "48"];
     // The second volume cannot be read after frames of the first volume were collected.
     let out = dir.path().join("t.csv");
-    let output = collect(&volume, &out, &settings).arg(&broken).output().unwrap();
-    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
-    assert!(stderr(&output).contains("continue with the same command and --resume"), "{}", stderr(&output));
+    let mut second = collect(&volume, &out, &settings);
+    refused(second.arg(&broken), 1, &["continue with the same command and --resume"]);
     for kept in ["t.csv", "t.manifest.json", "t.pass1.csv"] {
         assert!(dir.path().join(kept).exists(), "{kept} is gone");
     }
     // Without frames, nothing is left.
     let out = dir.path().join("u.csv");
-    let output = collect(&broken, &out, &settings).arg(&volume).output().unwrap();
-    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    refused(collect(&broken, &out, &settings).arg(&volume), 1, &[]);
     for gone in ["u.csv", "u.manifest.json", "u.pass1.csv"] {
         assert!(!dir.path().join(gone).exists(), "{gone} is left");
     }
@@ -191,20 +194,17 @@ fn a_table_is_collected_anew_from_its_manifest() {
     let like = |table: &Path, out: &Path, more: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
         command.args(["collect", "--device", "cpu", "--like"]).arg(table).arg("--out").arg(out).args(more);
-        command.output().unwrap()
+        command
     };
-    let output = like(&first, &again, &[]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    works(&mut like(&first, &again, &[]));
     assert_eq!(frames(&again), frames(&first));
     assert_eq!(frames(&again).len(), 1 + 3 * 4);
 
-    let missing = like(&dir.path().join("none.csv"), &dir.path().join("x.csv"), &[]);
-    assert!(stderr(&missing).contains("none.csv has no manifest"), "{}", stderr(&missing));
-    let both = like(&first, &dir.path().join("x.csv"), &["--frames", "5"]);
-    assert!(stderr(&both).contains("--frames"), "{}", stderr(&both));
+    let other = dir.path().join("x.csv");
+    refused(&mut like(&dir.path().join("none.csv"), &other, &[]), 1, &["none.csv has no manifest"]);
+    refused(&mut like(&first, &other, &["--frames", "5"]), 2, &["--frames"]);
     std::fs::remove_file(&volume).unwrap();
-    let gone = like(&first, &dir.path().join("x.csv"), &[]);
-    assert!(stderr(&gone).contains("v.nrrd: no such file; run from the folder"), "{}", stderr(&gone));
+    refused(&mut like(&first, &other, &[]), 1, &["v.nrrd: no such file; run from the folder"]);
 }
 
 #[test]
@@ -224,12 +224,7 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     *other.last_mut().unwrap() ^= 0x55;
     std::fs::write(&volume, &other).unwrap();
     let resume = [&settings[..], &["--resume"]].concat();
-    let output = collect(&volume, &out, &resume).output().unwrap();
-    let said = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    for part in ["v.nrrd changed", "content", "another --out"] {
-        assert!(said.contains(part), "{said}");
-    }
+    refused(&mut collect(&volume, &out, &resume), 1, &["v.nrrd changed", "content", "another --out"]);
     assert_eq!(frames(&out), whole[..5]);
 
     // Other commands that read the volumes refuse the changed volume too.

@@ -202,7 +202,8 @@ pub(crate) fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
     (info.width, info.height, rgb)
 }
 
-/// Returns the arguments of `render` for a volume with the CPU version, followed by further arguments.
+/// Returns the arguments of `render` for a volume with the CPU version, followed by further arguments. The
+/// picture is out.png unless they name another one.
 pub(crate) fn render<'a>(
     volume: &'a str,
     camera: &'a str,
@@ -210,10 +211,11 @@ pub(crate) fn render<'a>(
     size: &'a str,
     more: &[&'a str],
 ) -> Vec<&'a str> {
-    let mut arguments = vec![
-        "render", volume, "--camera", camera, "--tf", tf, "--size", size, "--device", "cpu", "--out",
-        "out.png",
-    ];
+    let mut arguments =
+        vec!["render", volume, "--camera", camera, "--tf", tf, "--size", size, "--device", "cpu"];
+    if !more.contains(&"--out") {
+        arguments.extend(["--out", "out.png"]);
+    }
     arguments.extend_from_slice(more);
     arguments
 }

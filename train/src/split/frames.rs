@@ -104,25 +104,26 @@ impl<'a> TimedFrames<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use entire_io::dataset::{Table, Timing};
+    use entire_io::dataset::Timing;
 
-    fn table(volumes: &[(&str, &str)]) -> Table {
-        let frame = |number: usize, volume: &str, member: &str| TimedFrame {
-            number: number as u64,
-            repeats: vec![Timing { wall: Some(0.5), cpu: Some(0.25), ..Timing::default() }],
-            ..TimedFrame::of_no_volume(volume, member)
+    fn timed(volume: &str, member: &str) -> TimedFrame {
+        let repeats = vec![Timing { wall: Some(0.5), cpu: Some(0.25), ..Timing::default() }];
+        TimedFrame { repeats, ..TimedFrame::of_no_volume(volume, member) }
+    }
+
+    /// Frames of time steps, of one ensemble member after another in turn.
+    fn of_members(frames: usize, members: usize) -> Vec<TimedFrame> {
+        let frame = |i: usize| {
+            let (member, step) = (i % members, i / members);
+            timed(&format!("e/m{member}/t{step}.nrrd"), &format!("m{member}"))
         };
-        let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v, m)).collect();
-        Table { path: "t.csv".into(), frames, hash: 7, ..Table::default() }
+        (0..frames).map(frame).collect()
     }
 
     #[test]
     fn whole_members_are_held_out_and_volumes_where_there_are_too_few_of_them() {
-        let many: Vec<(String, String)> =
-            (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
-        let many: Vec<(&str, &str)> = many.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
-        let t = table(&many);
-        let part = TimedFrames::of(&t.frames, Clock::Cpu);
+        let many = of_members(40, 4);
+        let part = TimedFrames::of(&many, Clock::Cpu);
         let by = part.groups_at_least(4);
         assert_eq!(by, GroupBy::Member);
         let (held, rest) = part.hold_out(by, 1);
@@ -134,19 +135,16 @@ mod tests {
         let (held, rest) = part.hold_out(GroupBy::Volume, 1);
         assert_eq!((held.frames.len(), rest.frames.len()), (4, 36));
 
-        let alone = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
-        let part = TimedFrames::of(&alone.frames, Clock::Cpu);
+        let alone = [timed("a.nrrd", ""), timed("b.nrrd", "")];
+        let part = TimedFrames::of(&alone, Clock::Cpu);
         let (held, rest) = part.hold_out(part.groups_at_least(3), 1);
         assert_eq!((held.frames.len(), rest.frames.len()), (0, 2));
     }
 
     #[test]
     fn folds_share_no_member_and_leave_none_out() {
-        let frames: Vec<(String, String)> =
-            (0..60).map(|i| (format!("e/m{}/t{}.nrrd", i % 7, i / 7), format!("m{}", i % 7))).collect();
-        let frames: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
-        let t = table(&frames);
-        let part = TimedFrames::of(&t.frames, Clock::Cpu);
+        let frames = of_members(60, 7);
+        let part = TimedFrames::of(&frames, Clock::Cpu);
         let (by, folds) = part.folds();
         assert_eq!((by, folds.len()), (GroupBy::Member, FOLDS));
         let all: Vec<&String> = folds.iter().flatten().collect();
@@ -155,10 +153,10 @@ mod tests {
             folds.iter().map(|f| part.parted(|x| f.contains(&by.group(&x.scene))).0.frames.len()).sum();
         assert_eq!(held, part.frames.len());
         // With two members, volumes are held out. With two volumes, there are no folds.
-        let few = table(&[("e/a/t0.nrrd", "a"), ("e/a/t1.nrrd", "a"), ("e/b/t0.nrrd", "b")]);
-        let (by, folds) = TimedFrames::of(&few.frames, Clock::Cpu).folds();
+        let few = [timed("e/a/t0.nrrd", "a"), timed("e/a/t1.nrrd", "a"), timed("e/b/t0.nrrd", "b")];
+        let (by, folds) = TimedFrames::of(&few, Clock::Cpu).folds();
         assert_eq!((by, folds.len()), (GroupBy::Volume, 3));
-        let pair = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
-        assert!(TimedFrames::of(&pair.frames, Clock::Cpu).folds().1.is_empty());
+        let pair = [timed("a.nrrd", ""), timed("b.nrrd", "")];
+        assert!(TimedFrames::of(&pair, Clock::Cpu).folds().1.is_empty());
     }
 }
