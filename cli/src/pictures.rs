@@ -16,9 +16,9 @@ pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     if from.contains(&0) || to.contains(&0) || picture.rgba.len() != 4 * from[0] * from[1] {
         return None;
     }
-    let (columns, rows) = (Taps::new(from[0], to[0]), Taps::new(from[1], to[1]));
+    let (columns, rows) = (taps(from[0], to[0]), taps(from[1], to[1]));
     let mut tall = Vec::with_capacity(4 * from[0] * to[1]);
-    for (first, weights) in rows.iter() {
+    for (first, weights) in &rows {
         tall.extend((0..4 * from[0]).map(|i| {
             weights
                 .iter()
@@ -29,7 +29,7 @@ pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     }
     let mut rgba = Vec::with_capacity(4 * to[0] * to[1]);
     for row in tall.chunks_exact(4 * from[0]) {
-        for (first, weights) in columns.iter() {
+        for (first, weights) in &columns {
             for channel in 0..4 {
                 let sum: f32 =
                     weights.iter().enumerate().map(|(k, w)| w * row[4 * (first + k) + channel]).sum();
@@ -40,34 +40,20 @@ pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     Some(Image { width, height, rgba })
 }
 
-/// Source pixels along one axis of each new pixel, and their weights, which sum to 1.
-struct Taps {
-    /// For each new pixel, its first source pixel and the range of its weights in `weights`.
-    places: Vec<(usize, std::ops::Range<usize>)>,
-    weights: Vec<f32>,
-}
-
-impl Taps {
-    fn new(from: usize, to: usize) -> Self {
-        let ratio = from as f32 / to as f32;
-        let reach = ratio.max(1.0);
-        let mut taps = Self { places: Vec::with_capacity(to), weights: Vec::new() };
-        for new in 0..to {
-            let center = (new as f32 + 0.5) * ratio;
-            let first = ((center - reach).floor().max(0.0) as usize).min(from - 1);
-            let end = ((center + reach).ceil() as usize).clamp(first + 1, from);
-            let begin = taps.weights.len();
-            let weight = |i: usize| (1.0 - ((i as f32 + 0.5 - center) / reach).abs()).max(0.0);
-            let sum: f32 = (first..end).map(weight).sum();
-            taps.weights.extend((first..end).map(|i| weight(i) / sum));
-            taps.places.push((first, begin..taps.weights.len()));
-        }
-        taps
-    }
-
-    fn iter(&self) -> impl Iterator<Item = (usize, &[f32])> {
-        self.places.iter().map(|(first, range)| (*first, &self.weights[range.clone()]))
-    }
+/// Source pixels along one axis of each new pixel: the first one, and the weights of the pixels from it on,
+/// which sum to 1.
+fn taps(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
+    let ratio = from as f32 / to as f32;
+    let reach = ratio.max(1.0);
+    let tap = |new: usize| {
+        let center = (new as f32 + 0.5) * ratio;
+        let first = ((center - reach).floor().max(0.0) as usize).min(from - 1);
+        let end = ((center + reach).ceil() as usize).clamp(first + 1, from);
+        let weight = |i: usize| (1.0 - ((i as f32 + 0.5 - center) / reach).abs()).max(0.0);
+        let sum: f32 = (first..end).map(weight).sum();
+        (first, (first..end).map(|i| weight(i) / sum).collect())
+    };
+    (0..to).map(tap).collect()
 }
 
 /// Side lengths, in pixels, of an image of full size `size` whose rays are `distance` pixels apart along each

@@ -71,20 +71,15 @@ fn sections(program: &Command, name: &str, out: &mut String) {
 }
 
 fn row(arg: &Arg, out: &mut String) {
-    let value = arg
-        .get_value_names()
-        .filter(|_| arg.get_action().takes_values())
-        .map(|names| names.join(" "))
-        .unwrap_or_default();
-    let choices: Vec<String> = match arg.get_action().takes_values() {
-        true => arg.get_possible_values().iter().map(|v| format!("`{}`", v.get_name())).collect(),
-        false => Vec::new(),
-    };
-    let several =
-        arg.get_num_args().is_some_and(|n| n.max_values() > 1) || arg.is_positional() && repeats(arg);
+    let takes_values = arg.get_action().takes_values();
+    let value = arg.get_value_names().map(|names| names.join(" ")).unwrap_or_default();
+    let choices: Vec<String> =
+        arg.get_possible_values().iter().map(|v| format!("`{}`", v.get_name())).collect();
+    let repeats = arg.is_positional() && matches!(arg.get_action(), clap::ArgAction::Append);
+    let several = arg.get_num_args().is_some_and(|n| n.max_values() > 1) || repeats;
     let dots = if several { "…" } else { "" };
     let (option, value) = match arg.get_long() {
-        Some(long) if choices.is_empty() && value.is_empty() => (format!("`--{long}`"), String::new()),
+        Some(long) if !takes_values => (format!("`--{long}`"), String::new()),
         Some(long) if choices.is_empty() => (format!("`--{long}`"), format!("`{value}`{dots}")),
         Some(long) => (format!("`--{long}`"), choices.join(", ")),
         None => (format!("`{value}`{dots}"), String::new()),
@@ -93,7 +88,7 @@ fn row(arg: &Arg, out: &mut String) {
     let defaults: Vec<String> =
         arg.get_default_values().iter().map(|v| v.to_string_lossy().into_owned()).collect();
     let default = match defaults.join(",") {
-        _ if !arg.get_action().takes_values() => String::new(),
+        _ if !takes_values => String::new(),
         // If the code must know whether an option was given, clap has no default for the option; its help
         // text states the default.
         none if none.is_empty() => match help.rsplit_once("[default: ") {
@@ -105,8 +100,4 @@ fn row(arg: &Arg, out: &mut String) {
     };
     let help = help.split(" [default: ").next().unwrap_or_default().trim_end_matches('.').replace('|', "\\|");
     let _ = writeln!(out, "| {option} | {value} | {default} | {help} |");
-}
-
-fn repeats(arg: &Arg) -> bool {
-    matches!(arg.get_action(), clap::ArgAction::Append)
 }

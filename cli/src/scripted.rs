@@ -24,9 +24,8 @@ impl Default for ScriptedRenderer {
 
 impl ScriptedRenderer {
     /// Returns the seconds of a frame without noise; `weight` is the mean opacity of the transfer table.
-    pub(crate) fn seconds(&self, weight: f64, frame: &Frame) -> f64 {
-        let pixels = f64::from(frame.width) * f64::from(frame.height);
-        self.fixed + pixels * weight * self.per_sample / f64::from(frame.step)
+    pub(crate) fn seconds(&self, weight: f64, (width, height): (u32, u32), step: f32) -> f64 {
+        self.fixed + f64::from(width) * f64::from(height) * weight * self.per_sample / f64::from(step)
     }
 
     pub(crate) fn weight(table: &TransferTable) -> f64 {
@@ -62,7 +61,7 @@ impl Renderer for ScriptedRenderer {
             (h >> 11) as f64 / (1u64 << 53) as f64
         });
         let noise = (self.noise * (normal.sum::<f64>() - 6.0)).exp();
-        let seconds = self.seconds(weight, frame) * noise;
+        let seconds = self.seconds(weight, (frame.width, frame.height), frame.step) * noise;
         // The gray level grows with the step, so that pictures at coarser steps have larger errors.
         let level = (frame.step * 2.0).min(255.0) as u8;
         let image = Image {

@@ -350,7 +350,6 @@ mod tests {
             worst_seconds: 1.0,
             mean_psnr: 0.0,
             mean_step: 1.0,
-            step_jumps_in_calm: 0.0,
         }
     }
 

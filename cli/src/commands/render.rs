@@ -117,15 +117,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
     let table_time = renderer.set_transfer(&table)?;
     // The first rendering is not timed: it creates resources that later renderings reuse.
-    renderer.render(&frame)?;
+    let mut rendered = renderer.render(&frame)?;
     let mut repeats = Vec::new();
-    let mut last: Option<Rendered> = None;
     for _ in 0..options.repeats {
-        let rendered = renderer.render(&frame)?;
+        rendered = renderer.render(&frame)?;
         repeats.push(rendered.time);
-        last = Some(rendered);
     }
-    let Rendered { image, mut counts, .. } = last.context("--repeats is 0; render at least once")?;
+    let Rendered { image, mut counts, .. } = rendered;
     if counts.is_none() {
         // This renderer counts work only on request, so the frame is rendered once more, without timing.
         renderer.count_work(true);

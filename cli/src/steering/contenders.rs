@@ -2,7 +2,7 @@
 
 use super::play::{ActsOn, Contender};
 use super::rivals::{
-    Algorithm1, Filament, Fixed, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
+    Algorithm1, Filament, Fixed, Olp, Pid, Recent, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
 };
 use clap::ValueEnum;
 use entire_steer::control::{Controller, Hybrid, HybridOptions, Prior, Session};
@@ -102,12 +102,12 @@ pub fn controller(
     prior: Prior,
 ) -> Box<dyn Controller + Send> {
     match kind {
-        ControllerKind::Fixed => Box::new(Fixed::new(fixed_step)),
-        ControllerKind::Olp => Box::new(Olp::new(response.clone())),
-        ControllerKind::Last => Box::new(Olp::last(response.clone())),
-        ControllerKind::LargerOfTwo => Box::new(Olp::larger_of_two(response.clone())),
-        ControllerKind::Pid => Box::new(Pid::new(Pid::PAPER_GAINS)),
-        ControllerKind::Algorithm1 => Box::new(Algorithm1::new(response.clone())),
+        ControllerKind::Fixed => Box::new(Fixed { step: fixed_step }),
+        ControllerKind::Olp => Box::new(Olp::new(Recent::MeanOfThree, response.clone())),
+        ControllerKind::Last => Box::new(Olp::new(Recent::Last, response.clone())),
+        ControllerKind::LargerOfTwo => Box::new(Olp::new(Recent::LargerOfTwo, response.clone())),
+        ControllerKind::Pid => Box::new(Pid::new()),
+        ControllerKind::Algorithm1 => Box::new(Algorithm1 { response: response.clone() }),
         ControllerKind::Hybrid => Box::new(Hybrid::new(HybridOptions { prior, ..HybridOptions::default() })),
         ControllerKind::VtkGpu => Box::new(VtkGpu::new()),
         ControllerKind::VtkFixedPoint => Box::new(VtkFixedPoint::new()),

@@ -68,8 +68,6 @@ pub(crate) struct Metrics {
     pub(crate) mean_psnr: f64,
     /// Mean of [`Played::step`].
     pub(crate) mean_step: f64,
-    /// Share of calm frames whose step differs by over 20 % from the step of the frame before.
-    pub(crate) step_jumps_in_calm: f64,
 }
 
 impl Metrics {
@@ -90,11 +88,6 @@ impl Metrics {
         let mut sorted: Vec<f64> = frames.iter().map(|f| f.seconds).collect();
         sorted.sort_by(f64::total_cmp);
         let rank = ((0.95 * n).ceil() as usize).clamp(1, sorted.len());
-        let calm: Vec<usize> = (1..frames.len()).filter(|i| *i >= SWITCH_FRAMES && !near(*i)).collect();
-        let jumps = calm
-            .iter()
-            .filter(|i| (frames[**i].step / frames[**i - 1].step).ln().abs() > 1.2f64.ln())
-            .count();
         Some(Self {
             frames: frames.len(),
             missed_by_10_percent: share(1.1),
@@ -117,7 +110,6 @@ impl Metrics {
             worst_seconds: sorted[sorted.len() - 1],
             mean_psnr: frames.iter().map(|f| f.psnr.min(BEST_PSNR)).sum::<f64>() / n,
             mean_step: frames.iter().map(|f| f.step).sum::<f64>() / n,
-            step_jumps_in_calm: if calm.is_empty() { 0.0 } else { jumps as f64 / calm.len() as f64 },
         })
     }
 }
@@ -145,8 +137,7 @@ mod tests {
         assert!((m.mean_psnr - 46.0).abs() < 1e-9 && (m.mean_step - 2.2).abs() < 1e-12);
         assert_eq!(m.mean_error_at_switches, None);
         assert!(m.recovery_frames.is_empty());
-        // Calm frames are 3…9; the step of one of them jumps.
-        assert!((m.step_jumps_in_calm - 1.0 / 7.0).abs() < 1e-12);
+        // Calm frames are 3…9.
         assert!((m.mean_error_in_calm.unwrap() - 0.3 / 7.0).abs() < 1e-12);
         assert_eq!(Metrics::of(&[]), None);
     }

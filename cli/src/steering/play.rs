@@ -373,9 +373,7 @@ mod tests {
             let lobes = inputs.lobes.unwrap_or(&[]).to_vec();
             let weight = ScriptedRenderer::weight(&TransferFunction::Gaussian(lobes).to_table()?);
             let s = inputs.setting;
-            let pixels = f64::from(s.width) * f64::from(s.height);
-            let seconds = law.fixed + pixels * weight * law.per_sample / f64::from(s.step);
-            let seconds = (seconds * self.bias) as f32;
+            let seconds = (law.seconds(weight, (s.width, s.height), s.step) * self.bias) as f32;
             Ok(Prediction { seconds, upper: f32::NAN, out_of_range: 0.0, source: Source::Network })
         }
     }

@@ -10,14 +10,8 @@ fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decis
 /// No steering: always the same step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fixed {
-    step: f32,
-}
-
-impl Fixed {
-    /// Draws every frame with `step`, clamped to the limits.
-    pub(crate) fn new(step: f32) -> Self {
-        Self { step }
-    }
+    /// The step, which the limits clamp.
+    pub(crate) step: f32,
 }
 
 impl Controller for Fixed {
@@ -40,14 +34,8 @@ impl Controller for Fixed {
 /// response curve G, the target t_target, and the prediction at the reference step t_predict.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Algorithm1 {
-    response: StepResponse,
-}
-
-impl Algorithm1 {
-    /// Returns the controller with a measured response curve.
-    pub(crate) fn new(response: StepResponse) -> Self {
-        Self { response }
-    }
+    /// The measured response curve.
+    pub(crate) response: StepResponse,
 }
 
 impl Controller for Algorithm1 {
@@ -74,7 +62,7 @@ impl Controller for Algorithm1 {
 
 /// Rule by which recent frame times predict the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Recent {
+pub(crate) enum Recent {
     MeanOfThree,
     Last,
     LargerOfTwo,
@@ -93,19 +81,9 @@ pub(crate) struct Olp {
 }
 
 impl Olp {
-    /// Returns the controller with a measured response curve.
-    pub(crate) fn new(response: StepResponse) -> Self {
-        Self { recent: Recent::MeanOfThree, response, window: [0.0; 3], seen: 0 }
-    }
-
-    /// Returns the rule that uses the last frame time only.
-    pub(crate) fn last(response: StepResponse) -> Self {
-        Self { recent: Recent::Last, ..Self::new(response) }
-    }
-
-    /// Returns the rule that uses the longer one of the last two frame times.
-    pub(crate) fn larger_of_two(response: StepResponse) -> Self {
-        Self { recent: Recent::LargerOfTwo, ..Self::new(response) }
+    /// Returns the controller of a rule with a measured response curve.
+    pub(crate) fn new(recent: Recent, response: StepResponse) -> Self {
+        Self { recent, response, window: [0.0; 3], seen: 0 }
     }
 
     /// Returns the time of an observed frame, converted to the reference step; `frames` is 0 for the last
@@ -156,7 +134,6 @@ impl Controller for Olp {
 /// limits clamp the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pid {
-    gains: [f32; 3],
     step: f32,
     integral: f32,
     last: Option<f32>,
@@ -164,12 +141,11 @@ pub(crate) struct Pid {
 
 impl Pid {
     /// Proportional, integral and differential gain of the paper.
-    pub(crate) const PAPER_GAINS: [f32; 3] = [0.3, 0.05, 0.1];
+    const GAINS: [f32; 3] = [0.3, 0.05, 0.1];
 
-    /// Returns a controller with proportional, integral and differential gain, which starts at the reference
-    /// step.
-    pub(crate) fn new(gains: [f32; 3]) -> Self {
-        Self { gains, step: 1.0, integral: 0.0, last: None }
+    /// Returns a controller that starts at the reference step.
+    pub(crate) fn new() -> Self {
+        Self { step: 1.0, integral: 0.0, last: None }
     }
 }
 
@@ -193,13 +169,13 @@ impl Controller for Pid {
         self.integral = (self.integral + error).clamp(-20.0, 20.0);
         let difference = error - self.last.unwrap_or(error);
         self.last = Some(error);
-        let [p, i, d] = self.gains;
+        let [p, i, d] = Self::GAINS;
         self.step =
             (observed.step * (1.0 + p * error) + i * self.integral + d * difference).clamp(1.0e-3, 1.0e4);
         Verdict::Learned
     }
 
     fn reset(&mut self) {
-        *self = Self::new(self.gains);
+        *self = Self::new();
     }
 }

@@ -8,6 +8,6 @@ mod response;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use algorithm1::{Algorithm1, Fixed, Olp, Pid};
+pub(crate) use algorithm1::{Algorithm1, Fixed, Olp, Pid, Recent};
 pub(crate) use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 pub use response::StepResponse;

@@ -59,7 +59,8 @@ fn what_the_last_frames_say_is_their_mean_the_last_or_the_larger_of_two() {
     let g = StepResponse::inverse_step(0.1);
     // Returns the planned step for a target of 10 ms, after frames at the reference step that took `times`
     // milliseconds.
-    let after = |mut controller: Olp, times: &[f32]| {
+    let after = |recent: Recent, times: &[f32]| {
+        let mut controller = Olp::new(recent, g.clone());
         let terms = CostTerms::whole(1.0, 0.0, Source::Analytic);
         let limits = StepLimits { finest: 0.1, coarsest: 100.0 };
         let mut cost = |_: f32| terms;
@@ -79,15 +80,15 @@ fn what_the_last_frames_say_is_their_mean_the_last_or_the_larger_of_two() {
         }
         controller.plan(&mut PlanRequest { target: 0.01, limits, changes, cost: &mut cost }).step
     };
-    let of = |t: f32| after(Olp::last(g.clone()), &[t]);
+    let of = |t: f32| after(Recent::Last, &[t]);
     for n in 1..8 {
         let times: Vec<f32> = (0..n).map(|i| [20.0, 50.0, 30.0, 80.0][i % 4]).collect();
         let last = times[n - 1];
         let larger = if n > 1 { last.max(times[n - 2]) } else { last };
         let kept = &times[n.saturating_sub(3)..];
         let mean = kept.iter().sum::<f32>() / kept.len() as f32;
-        assert_eq!(after(Olp::last(g.clone()), &times), of(last), "{n}");
-        assert_eq!(after(Olp::larger_of_two(g.clone()), &times), of(larger), "{n}");
-        assert!((after(Olp::new(g.clone()), &times) / of(mean) - 1.0).abs() < 1e-3, "{n}");
+        assert_eq!(after(Recent::Last, &times), of(last), "{n}");
+        assert_eq!(after(Recent::LargerOfTwo, &times), of(larger), "{n}");
+        assert!((after(Recent::MeanOfThree, &times) / of(mean) - 1.0).abs() < 1e-3, "{n}");
     }
 }
