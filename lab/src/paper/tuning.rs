@@ -233,7 +233,7 @@ impl Pretrained<'_> {
                 let made = [
                     ("fine-tuned", runner.made(&key("tuned"), &tuned, context, parts, &bounds)?.0),
                     ("from nothing", runner.made(&key("alone"), &alone, context, parts, &bounds)?.0),
-                    ("unit costs, calibrated", moved),
+                    ("ours, calibrated", moved),
                 ];
                 for &(how, ref file) in &made {
                     found.entry(how).or_default().push(rmse(file)?);
@@ -264,7 +264,7 @@ impl Pretrained<'_> {
         let mut values = BTreeMap::from([
             ("learned from at most".to_owned(), target.learned.frames.len() as f64),
             ("judged on".to_owned(), target.judged.frames.len() as f64),
-            ("unit costs, as they were".to_owned(), rmse(costs)?),
+            ("ours, as it was".to_owned(), rmse(costs)?),
         ]);
         values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
         values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));
