@@ -78,8 +78,8 @@ mod tests {
         let volumes = |part: &TimedFrames<'_>| -> BTreeSet<String> {
             part.frames.iter().map(|f| f.scene.volume.clone()).collect()
         };
-        let scans: Vec<String> = (0..70).map(|i| format!("scans/v{}.nrrd", i % 7)).collect();
-        let scans: Vec<(&str, &str)> = scans.iter().map(|v| (v.as_str(), "")).collect();
+        let scans: Vec<(String, String)> =
+            (0..70).map(|i| (format!("scans/v{}.nrrd", i % 7), String::new())).collect();
         let t = table(&scans);
         let [first, second] = halves(&TimedFrames::of(&t.frames, Clock::Cpu)).unwrap();
         assert_eq!((first.frames.len(), second.frames.len()), (30, 40));
@@ -88,7 +88,6 @@ mod tests {
         // All time steps of a member must be in the same half.
         let steps: Vec<(String, String)> =
             (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
-        let steps: Vec<(&str, &str)> = steps.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
         let t = table(&steps);
         let [first, second] = halves(&TimedFrames::of(&t.frames, Clock::Cpu)).unwrap();
         let members = |part: &TimedFrames<'_>| -> BTreeSet<String> {

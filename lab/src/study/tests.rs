@@ -14,13 +14,14 @@ use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use serde_json::json;
 
-pub(super) fn table(volumes: &[(&str, &str)]) -> Table {
+/// A table with a frame for each volume and member.
+pub(super) fn table<S: AsRef<str>>(volumes: &[(S, S)]) -> Table {
     let frame = |number: usize, volume: &str, member: &str| TimedFrame {
         number: number as u64,
         repeats: vec![Timing { wall: Some(0.5), cpu: Some(0.25), ..Timing::default() }],
         ..TimedFrame::of_no_volume(volume, member)
     };
-    let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v, m)).collect();
+    let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v.as_ref(), m.as_ref())).collect();
     Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
 }
 
@@ -28,8 +29,7 @@ pub(super) fn table(volumes: &[(&str, &str)]) -> Table {
 pub(super) fn telling() -> Table {
     let frames: Vec<(String, String)> =
         (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
-    let named: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
-    let mut t = table(&named);
+    let mut t = table(&frames);
     for (i, f) in t.frames.iter_mut().enumerate() {
         let seconds = [1.0, 1000.0, 2.0, 500.0][i % 4];
         f.scene.camera.rx = (i % 4) as f32 * 20.0;

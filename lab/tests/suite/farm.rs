@@ -1,33 +1,27 @@
 //! `entire-lab record` and `entire-lab farm` as processes: a farm's tasks recorded, predicted and balanced.
 
 use crate::{lab, printed};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 #[path = "../../../cli/tests/support/ball.rs"]
 mod ball;
 
-fn setting() -> (tempfile::TempDir, PathBuf) {
-    let dir = tempfile::tempdir().unwrap();
-    let volume = dir.path().join("ball.nrrd");
-    ball::write(&volume);
-    (dir, volume)
-}
-
 #[test]
 fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
-    let (dir, volume) = setting();
+    let dir = tempfile::tempdir().unwrap();
     let file = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
-    let (volume, before, tasks) = (volume.to_str().unwrap(), file("before.json"), file("tasks.json"));
-    let second = file("second.nrrd");
-    std::fs::copy(volume, &second).unwrap();
+    let (volume, second) = (file("ball.nrrd"), file("second.nrrd"));
+    let (before, tasks) = (file("before.json"), file("tasks.json"));
+    ball::write(Path::new(&volume));
+    std::fs::copy(&volume, &second).unwrap();
     let record = |volumes: &[&str], frames: &str, out: &str| {
         let common =
             ["--generate", "orbit", "--device", "cpu", "--size", "24x24", "--steps", "1,2", "--repeats", "2"];
         let output = lab(&[&["record"][..], volumes, &common, &["--frames", frames, "--out", out]].concat());
         assert!(output.status.success(), "{}", printed(&output.stderr));
     };
-    record(&[volume, &second, "--hold", "20"], "40", &before);
-    record(&[volume], "16", &tasks);
+    record(&[&volume, &second, "--hold", "20"], "40", &before);
+    record(&[&volume], "16", &tasks);
     let (list, report) = (file("tasks.csv"), file("report"));
     let run = |more: &[&str]| {
         let output = lab(&[&["farm", "--trace", &tasks, "--report", &report][..], more].concat());

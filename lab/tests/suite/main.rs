@@ -14,6 +14,7 @@ mod page;
 
 use entire_lab::replay::Replayable;
 use entire_lab::trace::Trace;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -22,10 +23,33 @@ fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
+/// Runs `entire-lab` in a folder. A panic fails the test.
+fn lab_in(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_entire-lab"));
+    let output = command.args(arguments).current_dir(folder).output().unwrap();
+    let said = printed(&output.stderr);
+    assert!(!said.contains("panicked"), "{said}");
+    output
+}
+
 /// Runs `entire-lab` in the repository's folder.
 fn lab(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_entire-lab"));
-    command.args(arguments).current_dir(repository()).output().unwrap()
+    lab_in(&repository(), arguments)
+}
+
+/// Reads a JSON file.
+fn read_json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// Path and bytes of every file of a folder.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    std::fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .filter(|p| p.is_file())
+        .map(|p| (p.clone(), std::fs::read(p).unwrap()))
+        .collect()
 }
 
 fn printed(bytes: &[u8]) -> String {

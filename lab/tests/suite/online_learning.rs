@@ -2,8 +2,7 @@
 //! session without a model learns the costs of an unknown renderer.
 
 use crate::recorded;
-use entire_cli::steering::play::ActsOn;
-use entire_cli::steering::play::Contender;
+use entire_cli::steering::play::{ActsOn, Contender};
 use entire_lab::replay::{Tally, replay};
 use entire_steer::control::{Session, StepLimits};
 

@@ -1,15 +1,13 @@
 //! `entire-lab paper` end to end on the project's own volumes, with the smallest settings.
 
-use crate::{printed, repository};
+use crate::{files, lab, lab_in, printed, read_json, repository};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
+use std::process::Output;
 
 /// The committed description, reduced to two data sets, a few small frames and tiny networks.
 fn description(to: &Path) {
-    let text = std::fs::read_to_string(repository().join("data/timings/paper.json")).unwrap();
-    let mut d: Value = serde_json::from_str(&text).unwrap();
+    let mut d = read_json(&repository().join("data/timings/paper.json"));
     let absolute = |p: &str| json!(repository().join(p));
     d["frames"] = json!({ "training": 8, "held_out": 4, "varied": 3 });
     d["repeats"] = json!(1);
@@ -71,28 +69,18 @@ fn description(to: &Path) {
 }
 
 fn paper(folder: &Path, step: &str, more: &[&str]) -> (Output, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_entire-lab"));
-    command.args(["paper", step, "--description", "paper.json"]);
+    let data = repository().join("data");
+    let mut arguments = vec!["paper", step, "--description", "paper.json"];
     if step != "report" {
-        command.args(["--threads", "2", "--device", "cpu", "--data"]).arg(repository().join("data"));
+        arguments.extend(["--threads", "2", "--device", "cpu", "--data", data.to_str().unwrap()]);
     }
     if !more.contains(&"--out") {
-        command.args(["--out", "out"]);
+        arguments.extend(["--out", "out"]);
     }
-    let output = command.args(more).current_dir(folder).output().unwrap();
+    arguments.extend(more);
+    let output = lab_in(folder, &arguments);
     let said = printed(&output.stderr);
-    assert!(!said.contains("panicked"), "{said}");
     (output, said)
-}
-
-/// Bytes of every file of a folder.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    std::fs::read_dir(folder)
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .filter(|p| p.is_file())
-        .map(|p| (p.clone(), std::fs::read(p).unwrap()))
-        .collect()
 }
 
 fn lines(path: &Path) -> usize {
@@ -135,8 +123,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     assert!(bars.contains("bar paper/castro_blast/network-over-constant - 0.2500 short"), "{bars}");
 
     std::fs::copy(&table, at.join("elsewhere.csv")).unwrap();
-    let manifest = std::fs::read(at.join("out/tables/castro_blast-none.manifest.json")).unwrap();
-    let mut manifest: Value = serde_json::from_slice(&manifest).unwrap();
+    let mut manifest = read_json(&at.join("out/tables/castro_blast-none.manifest.json"));
     manifest["machine"] = json!("another");
     std::fs::write(at.join("elsewhere.manifest.json"), manifest.to_string()).unwrap();
 
@@ -203,10 +190,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     std::os::unix::fs::symlink(repository().join("data"), at.join("data")).unwrap();
     let (output, said) = paper(at, "train", &["--only", "steering"]);
     assert!(output.status.success(), "{said}");
-    let steering: Value = serde_json::from_slice(
-        &std::fs::read(at.join("out/results/steering-castro_blast-none.json")).unwrap(),
-    )
-    .unwrap();
+    let steering = read_json(&at.join("out/results/steering-castro_blast-none.json"));
     // Two paths show volumes of the data set. They are played under twelve controllers, and under ours with its own
     // predictor.
     assert_eq!(steering["frames"]["paths"][2], 2);
@@ -229,8 +213,8 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let (output, said) = paper(at, "report", &["--bars", "--keep", "kept.json.gz"]);
     let bars = printed(&output.stdout);
     assert!(bars.contains("bar paper/castro_blast/none/ours-over-network"), "{bars} {said}");
-    let rows: Vec<Value> =
-        serde_json::from_str(&std::fs::read_to_string(at.join("out/rows.json")).unwrap()).unwrap();
+    let rows = read_json(&at.join("out/rows.json"));
+    let rows = rows.as_array().unwrap();
     let missing: Vec<&str> =
         rows.iter().filter(|r| r["there"] == false).map(|r| r["label"].as_str().unwrap()).collect();
     // No encoder was trained here.
@@ -243,17 +227,15 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     assert!(html.contains("Not measured.") && html.contains("tab:prednet_select_1") && html.contains("<svg"));
 
     // The kept results give the same rows without the folder.
-    let (_, said) = paper(at, "report", &["--out", "elsewhere", "--kept", "kept.json.gz"]);
-    let again: Vec<Value> = serde_json::from_str(
-        &std::fs::read_to_string(at.join("elsewhere/rows.json")).unwrap_or_else(|e| panic!("{e} {said}")),
-    )
-    .unwrap();
+    let (output, said) = paper(at, "report", &["--out", "elsewhere", "--kept", "kept.json.gz"]);
+    assert!(output.status.success(), "{said}");
+    let again = read_json(&at.join("elsewhere/rows.json"));
     let ours = |rows: &[Value], label: &str| {
         rows.iter().find(|r| r["label"] == label).map(|r| r["ours"].clone()).unwrap()
     };
     let labels = rows.iter().filter(|r| r["there"] == true).map(|r| r["label"].as_str().unwrap());
     for label in labels {
-        assert_eq!(ours(&rows, label), ours(&again, label));
+        assert_eq!(ours(rows, label), ours(again.as_array().unwrap(), label));
     }
 }
 
@@ -262,11 +244,6 @@ fn trials_are_judged_by_volume_and_made_once() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     description(&at.join("paper.json"));
-    // The shipped encoder is replaced by the one whose features are stored beside the tables.
-    let text = std::fs::read_to_string(at.join("paper.json")).unwrap();
-    let mut of_tables: Value = serde_json::from_str(&text).unwrap();
-    of_tables["encoders"]["shipped"] = json!([repository().join("models/volumenet-128f2.safetensors")]);
-    std::fs::write(at.join("paper.json"), of_tables.to_string()).unwrap();
     let train = || {
         let (output, said) = paper(at, "train", &["--only", "procedure,frames"]);
         assert!(output.status.success(), "{said}");
@@ -314,15 +291,10 @@ fn the_books_page_is_what_the_kept_results_make() {
             std::fs::write(made.join("images").join(entry.file_name()), []).unwrap();
         }
     }
-    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
-        .args(["paper", "report", "--quiet", "--kept", "data/timings/paper-results.json.gz"])
-        .arg("--out")
-        .arg(folder.path().join("out"))
-        .arg("--book")
-        .arg(&made)
-        .current_dir(repository())
-        .output()
-        .unwrap();
+    let kept = "paper report --quiet --kept data/timings/paper-results.json.gz".split(' ');
+    let out = folder.path().join("out");
+    let folders = ["--out", out.to_str().unwrap(), "--book", made.to_str().unwrap()];
+    let output = lab(&kept.chain(folders).collect::<Vec<_>>());
     assert!(output.status.success(), "{}", printed(&output.stderr));
     let page = |folder: &Path| std::fs::read_to_string(folder.join("paper-tables.md")).unwrap();
     assert!(

@@ -1,10 +1,10 @@
 //! `entire-lab study` end to end on a small part of the committed timing tables.
 
-use crate::{printed, repository};
+use crate::{files, lab_in, printed, read_json, repository};
 use entire_io::dataset::feature_table::FeatureTable;
 use entire_io::dataset::{Table, Writer};
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
+use std::process::Output;
 
 /// Writes every n-th frame of a committed table, with its features, into a folder.
 fn cut(name: &str, every: usize, folder: &Path) {
@@ -27,25 +27,10 @@ fn cut(name: &str, every: usize, folder: &Path) {
 }
 
 fn study(folder: &Path, more: &[&str]) -> (Output, String) {
-    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
-        .args(["study", "--quiet", "--threads", "1", "--study", "study.json", "--out", "out"])
-        .args(more)
-        .current_dir(folder)
-        .output()
-        .unwrap();
-    assert!(!printed(&output.stderr).contains("panicked"));
+    let common = ["study", "--quiet", "--threads", "1", "--study", "study.json", "--out", "out"];
+    let output = lab_in(folder, &[&common[..], more].concat());
     let said = printed(&output.stdout);
     (output, said)
-}
-
-fn models(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let mut files: Vec<_> = std::fs::read_dir(folder.join("out/models"))
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .map(|p| (p.clone(), std::fs::read(&p).unwrap()))
-        .collect();
-    files.sort();
-    files
 }
 
 #[test]
@@ -96,9 +81,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     // two hundred frames.
     assert!(bar("small/member/best-rmse-over-sd")[2].parse::<f64>().unwrap() < 0.5, "{text}");
 
-    let found: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(at.join("out/study.json")).unwrap()).unwrap();
-    let found = &found["findings"];
+    let found = &read_json(&at.join("out/study.json"))["findings"];
     assert_eq!(found["left_out"].as_array().unwrap().len(), 0, "{}", found["left_out"]);
     let calibrated: Vec<&str> =
         found["calibrated"].as_array().unwrap().iter().map(|c| c["predictor"].as_str().unwrap()).collect();
@@ -109,11 +92,11 @@ fn a_small_study_goes_from_tables_to_bars() {
 
     // A second run uses the stored models again and leaves every byte of them unchanged. Without --bars, a
     // missed goal is no error, so the command succeeds.
-    let before = models(at);
+    let before = files(&at.join("out/models"));
     assert!(!before.is_empty());
     let (output, _) = study(at, &[]);
     assert_eq!(output.status.code(), Some(0));
-    assert_eq!(models(at), before);
+    assert_eq!(files(&at.join("out/models")), before);
 
     // The models that the rule selects are shipped.
     let (output, text) = study(at, &["--ship", "models"]);
