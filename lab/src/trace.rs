@@ -26,7 +26,7 @@ use entire_io::identity::difference;
 use entire_io::machine::Provenance;
 use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
-use entire_io::path::{FlightPath, PathFile};
+use entire_io::path::FlightPath;
 use entire_io::volume::Volume;
 use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::{Image, Renderer};
@@ -61,56 +61,31 @@ impl TraceVolume {
 /// Settings of a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct Recording<'a> {
-    /// Name in reports.
-    pub(crate) name: String,
-    /// Volumes in order, opened and enlarged.
-    pub(crate) volumes: &'a [(TraceVolume, Volume)],
-    /// The path.
-    pub(crate) path: &'a PathFile,
-    /// Frames per volume; 0 for a single volume.
-    pub(crate) hold: u32,
-    /// Image scales, each with the frame from which on it holds.
-    pub(crate) scales: &'a [(u32, f32)],
-    /// Settings of drawing.
-    pub(crate) draw: DrawSettings,
+    /// The trace without frames.
+    pub(crate) empty: Trace,
+    /// Volumes of the trace, opened and enlarged.
+    pub(crate) volumes: &'a [Volume],
     /// Ray steps of the grid at scale 1, ascending; smaller images are drawn only with [`TRACE_STEPS`].
     pub(crate) steps: &'a [f32],
     /// Number of renderings of every point of the grid.
     pub(crate) repeats: usize,
 }
 
-impl Recording<'_> {
-    /// Returns the trace before its first frame is recorded.
-    fn begun(&self) -> Trace {
-        Trace {
-            format: TRACE_FORMAT.into(),
-            name: self.name.clone(),
-            volumes: self.volumes.iter().map(|(v, _)| v.clone()).collect(),
-            path: self.path.clone(),
-            hold: self.hold,
-            scales: self.scales.to_vec(),
-            draw: self.draw,
-            frames: Vec::new(),
-            provenance: serde_json::Value::Null,
-        }
+/// Points of a frame's grid: ray step and image scale. `steps` are those at scale 1.
+fn grid(steps: &[f32], index: usize) -> Vec<(f32, f32)> {
+    let mut grid: Vec<(f32, f32)> = steps.iter().map(|s| (*s, 1.0)).collect();
+    if steps != TRACE_STEPS {
+        return grid;
     }
-
-    /// Points of a frame's grid: ray step and image scale.
-    fn grid(&self, index: usize) -> Vec<(f32, f32)> {
-        let mut grid: Vec<(f32, f32)> = self.steps.iter().map(|s| (*s, 1.0)).collect();
-        if self.steps != TRACE_STEPS {
-            return grid;
-        }
-        grid.extend(TRACE_IMAGES.iter().map(|s| (1.0, 1.0 / s.sqrt())));
-        if index.is_multiple_of(4) {
-            for point in TRACE_SCALES.iter().flat_map(|scale| SCALED_STEPS.map(|step| (step, *scale))) {
-                if !grid.contains(&point) {
-                    grid.push(point);
-                }
+    grid.extend(TRACE_IMAGES.iter().map(|s| (1.0, 1.0 / s.sqrt())));
+    if index.is_multiple_of(4) {
+        for point in TRACE_SCALES.iter().flat_map(|scale| SCALED_STEPS.map(|step| (step, *scale))) {
+            if !grid.contains(&point) {
+                grid.push(point);
             }
         }
-        grid
     }
+    grid
 }
 
 /// True if both lists name the same volumes. Contents of files are compared if both lists have the identities
@@ -126,17 +101,17 @@ fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
 impl Trace {
     /// Names of the differences from a recording that prevent its continuation; empty if there are none.
     pub(crate) fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
-        let other = recording.begun();
+        let other = &recording.empty;
         let points = |frame: &Vec<TracePoint>| frame.iter().map(|p| (p.step, p.scale)).collect::<Vec<_>>();
         let repeats = |f: &Vec<TracePoint>| f.iter().all(|p| p.seconds.len() == recording.repeats);
-        let grid = |(i, f): (usize, &Vec<TracePoint>)| points(f) == recording.grid(i) && repeats(f);
+        let same = |(i, f): (usize, &Vec<TracePoint>)| points(f) == grid(recording.steps, i) && repeats(f);
         [
             ("volumes", same_volumes(&self.volumes, &other.volumes)),
             ("path", self.path == other.path),
             ("hold", self.hold == other.hold),
             ("scales", self.scales == other.scales),
             ("drawing", self.draw == other.draw),
-            ("steps or repeats", self.frames.iter().enumerate().all(grid)),
+            ("steps or repeats", self.frames.iter().enumerate().all(same)),
         ]
         .into_iter()
         .filter_map(|(what, same)| (!same).then_some(what))
@@ -153,7 +128,9 @@ impl Trace {
     /// # Errors
     /// When the core refuses a value.
     pub fn frame(&self, path: &FlightPath, index: usize) -> Result<Frame> {
-        drawn_frame(path, &self.draw, scale_at(&self.scales, index), index)
+        let full = (self.draw.width, self.draw.height);
+        let (width, height) = scaled_size(full, scale_at(&self.scales, index));
+        DrawSettings { width, height, ..self.draw }.frame(path.camera(index)?)
     }
 
     /// Summaries of the volumes, opened relative to the working folder.
@@ -163,12 +140,6 @@ impl Trace {
     pub fn summaries(&self) -> Result<Vec<VolumeSummary>> {
         self.volumes.iter().map(|v| Ok(VolumeSummary::new(&v.open()?.view())?)).collect()
     }
-}
-
-fn drawn_frame(path: &FlightPath, draw: &DrawSettings, scale: f32, index: usize) -> Result<Frame> {
-    let camera = path.camera(index)?;
-    let (width, height) = scaled_size((draw.width, draw.height), scale);
-    DrawSettings { width, height, ..*draw }.frame(camera)
 }
 
 /// Time between two savings of a recording.
@@ -194,7 +165,7 @@ pub(crate) fn record(
             renderer.device()
         );
     }
-    let mut trace = Trace { provenance, ..begun.unwrap_or_else(|| recording.begun()) };
+    let mut trace = Trace { provenance, ..begun.unwrap_or_else(|| recording.empty.clone()) };
     let before = trace.frames.len();
     let result = record_on(recording, renderer, &mut trace, stop, keep, progress);
     if trace.frames.len() > before {
@@ -212,8 +183,8 @@ fn record_on(
     keep: &mut dyn FnMut(&Trace) -> Result<()>,
     progress: &ProgressBar,
 ) -> Result<()> {
-    let path = recording.path.resolve()?;
-    let draw = recording.draw;
+    let path = trace.path.resolve()?;
+    let draw = trace.draw;
     let mut shown = usize::MAX;
     let first = trace.frames.len();
     let mut kept = Instant::now();
@@ -229,20 +200,19 @@ fn record_on(
             keep(trace)?;
             kept = Instant::now();
         }
-        let volume = volume_at(recording.hold, recording.volumes.len(), index);
+        let volume = trace.volume_at(index);
         let swapped = volume != shown;
         if swapped {
-            renderer.set_volume(&recording.volumes[volume].1.view()).with_context(place)?;
+            renderer.set_volume(&recording.volumes[volume].view()).with_context(place)?;
             shown = volume;
         }
         if at.transfer_changed || swapped {
             let table = at.transfer.function().to_table().with_context(place)?;
             renderer.set_transfer(&table).with_context(place)?;
         }
-        let frame =
-            drawn_frame(&path, &draw, scale_at(recording.scales, index), index).with_context(place)?;
+        let frame = trace.frame(&path, index).with_context(place)?;
         let full = (frame.width, frame.height);
-        let grid = recording.grid(index);
+        let grid = grid(recording.steps, index);
         if swapped || at.transfer_changed {
             renderer.render(&frame).with_context(place)?;
         }
@@ -469,29 +439,8 @@ mod tests {
 
     #[test]
     fn every_frame_has_steps_and_images_and_no_point_twice() {
-        let path = entire_io::path::Generated::Orbit;
-        let volume = [0u8; 8];
-        let view = entire_core::scene::VolumeView::new(entire_core::scene::Scalars::U8(&volume), [2, 2, 2]);
-        let path = path.path(&view.unwrap(), 8).unwrap();
-        let mut recording = Recording {
-            name: "grid".into(),
-            volumes: &[],
-            path: &path,
-            hold: 0,
-            scales: &[],
-            draw: DrawSettings {
-                width: 8,
-                height: 8,
-                shading: entire_core::scene::Shading::None,
-                skipping: entire_core::scene::Skipping::Blocks,
-                termination: 0.99,
-                clock: entire_io::dataset::Clock::Wall,
-            },
-            steps: &TRACE_STEPS,
-            repeats: 1,
-        };
         for index in 0..8 {
-            let grid = recording.grid(index);
+            let grid = grid(&TRACE_STEPS, index);
             let images: Vec<f32> = grid[TRACE_STEPS.len()..][..TRACE_IMAGES.len()]
                 .iter()
                 .map(|(step, scale)| {
@@ -508,8 +457,7 @@ mod tests {
                 assert!(TRACE_SCALES.iter().all(|scale| grid.contains(&(*step, *scale))));
             }
         }
-        recording.steps = &[1.0, 2.0];
-        assert_eq!(recording.grid(0), [(1.0, 1.0), (2.0, 1.0)]);
+        assert_eq!(grid(&[1.0, 2.0], 0), [(1.0, 1.0), (2.0, 1.0)]);
     }
 
     #[test]

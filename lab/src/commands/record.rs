@@ -1,7 +1,7 @@
 //! `entire-lab record`: time and picture quality of every frame of a path at a grid of ray steps and image
 //! scales.
 
-use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
+use crate::trace::{Recording, TRACE_FORMAT, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::steering::calibrate::measure;
 use entire_cli::steering::race::calibration_scenes;
@@ -103,19 +103,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     );
     let hold = parse_hold(options.volumes.len(), options.hold)?;
     ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
-    let volumes = options
-        .volumes
-        .iter()
-        .map(|file| {
-            let files = entire_io::identity::of_volume(file)?;
-            let named = TraceVolume { file: file.clone(), enlarge: options.enlarge, files };
-            let volume = named.open()?;
-            Ok((named, volume))
-        })
-        .collect::<Result<Vec<_>>>()?;
+    let (mut named, mut volumes) = (Vec::new(), Vec::new());
+    for file in &options.volumes {
+        let files = entire_io::identity::of_volume(file)?;
+        let volume = TraceVolume { file: file.clone(), enlarge: options.enlarge, files };
+        volumes.push(volume.open()?);
+        named.push(volume);
+    }
     let path = match (&options.path, options.generate) {
         (Some(file), _) => PathFile::open(file)?,
-        (None, Some(kind)) => kind.path(&volumes[0].1.view(), options.frames)?,
+        (None, Some(kind)) => kind.path(&volumes[0].view(), options.frames)?,
         (None, None) => bail!("give --path or --generate"),
     };
     let draw = DrawSettings::new(options.size, &options.render, options.clock);
@@ -123,16 +120,18 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let file = options.out.file_name().unwrap_or_default().to_string_lossy();
         file.trim_end_matches(".gz").trim_end_matches(".json").to_owned()
     });
-    let recording = Recording {
+    let empty = Trace {
+        format: TRACE_FORMAT.into(),
         name,
-        volumes: &volumes,
-        path: &path,
+        volumes: named,
+        path,
         hold,
-        scales: &options.scales,
+        scales: options.scales.clone(),
         draw,
-        steps: &options.steps,
-        repeats: options.repeats,
+        frames: Vec::new(),
+        provenance: serde_json::Value::Null,
     };
+    let recording = Recording { empty, volumes: &volumes, steps: &options.steps, repeats: options.repeats };
     let begun = begun(options, &recording)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.render.device)?;
