@@ -4,8 +4,7 @@
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
 use entire_cli::steering::rivals::StepResponse;
-use entire_steer::control::Prior;
-use entire_steer::control::{Controller, Observed, PlanRequest, Reason, SceneMark, StepLimits};
+use entire_steer::control::{Controller, Observed, PlanRequest, Prior, Reason, StepLimits};
 use entire_steer::features::Changes;
 use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source};
 
@@ -96,11 +95,6 @@ fn new(method: ControllerKind) -> Box<dyn Controller + Send> {
     controller(method, 3.0, &response(), Prior::Fitted { log_sd: 0.15 })
 }
 
-struct Waiting {
-    due: usize,
-    observed: Observed,
-}
-
 /// Plays a script. `each` gets the number of every frame, the reason for the decision, and the frame.
 fn play_script(
     controller: &mut dyn Controller,
@@ -109,7 +103,8 @@ fn play_script(
     mut each: impl FnMut(usize, Reason, &Seen),
 ) {
     let mut noise = Noise::new(seed);
-    let mut waiting: Vec<Waiting> = Vec::new();
+    // Observations, each with the number of the frame after which the controller gets it.
+    let mut waiting: Vec<(usize, Observed)> = Vec::new();
     let (finest, coarsest) = (f64::from(FINEST), f64::from(COARSEST));
     let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
     for i in 0..script.frames {
@@ -153,34 +148,32 @@ fn play_script(
         };
         each(i, decision.reason, &seen);
         let terms = cost(decision.step);
-        let scene: SceneMark = controller.scene();
-        let observed = |seconds: f64| Observed {
-            seconds: seconds as f32,
-            step: decision.step,
-            target: shot.target as f32,
-            changes,
-            terms,
-            scene,
-            unusual: shot.unusual,
+        let scene = controller.scene();
+        let heard = match shot.heard {
+            Heard::True => Some((i, seconds)),
+            Heard::Other(other) => Some((i, other)),
+            Heard::Interval => Some((i, (seconds * 60.0).ceil() / 60.0)),
+            Heard::Late(frames) => Some((i + frames, seconds)),
+            Heard::Nothing => None,
         };
-        match shot.heard {
-            Heard::True => waiting.push(Waiting { due: i, observed: observed(seconds) }),
-            Heard::Other(t) => waiting.push(Waiting { due: i, observed: observed(t) }),
-            Heard::Interval => {
-                waiting.push(Waiting { due: i, observed: observed((seconds * 60.0).ceil() / 60.0) });
-            }
-            Heard::Late(frames) => waiting.push(Waiting { due: i + frames, observed: observed(seconds) }),
-            Heard::Nothing => {}
-        }
-        waiting.retain(|w| {
-            if w.due > i {
-                return true;
-            }
+        waiting.extend(heard.map(|(due, seconds)| {
+            let observed = Observed {
+                seconds: seconds as f32,
+                step: decision.step,
+                target: shot.target as f32,
+                changes,
+                terms,
+                scene,
+                unusual: shot.unusual,
+            };
+            (due, observed)
+        }));
+        waiting.retain(|(due, observed)| {
             // As in a session: impossible times are refused before they reach a controller.
-            if w.observed.seconds > 0.0 && w.observed.seconds <= LONGEST_FRAME {
-                controller.observe(&w.observed);
+            if *due <= i && observed.seconds > 0.0 && observed.seconds <= LONGEST_FRAME {
+                controller.observe(observed);
             }
-            false
+            *due > i
         });
     }
 }
@@ -212,86 +205,68 @@ impl Wrong {
 pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let (frames, spikes) = (400, Some(0.005));
-    let go = |shot: &mut dyn FnMut(usize, &mut Noise) -> Shot, limits: Limits| {
+    let go = |limits: Limits, shot: &mut dyn FnMut(usize, &mut Noise) -> Shot| {
         let seen = seen_of(method, &mut Script { shot, frames, sigma: 0.03, spikes }, scene as u64);
-        Some(judge(scene, method, &seen, limits, Vec::new()))
+        Some(judge(scene, method, &seen, limits, None))
     };
     let strict = |missed, run, quality| Limits { missed, run, quality, inside: 0.9 };
     match scene {
-        1 => go(
-            &mut |i, n| {
-                let new = i > 0 && (i % 30 == 0 || i >= 300);
-                let dense = if i < 300 { i / 30 % 2 == 1 } else { i % 2 == 1 };
-                Shot {
-                    work: if dense { 160e-3 } else { 20e-3 },
-                    wrong: wrong.next(i == 0 || new, n),
-                    changes: if new { TRANSFER } else { Changes::default() },
-                    ..Shot::PLAIN
-                }
-            },
-            strict(0.08, 2, 0.0),
-        ),
-        2 => go(
-            &mut |i, n| {
-                let drag = (60..260).contains(&i);
-                Shot {
-                    fixed: if drag { 6e-3 } else { 2e-3 },
-                    work: if drag { 60e-3 * (1.0 + 0.5 * ((i - 60) as f64 / 30.0).sin()) } else { 60e-3 },
-                    wrong: wrong.next(i == 0 || i == 60, n),
-                    changes: if drag { TRANSFER } else { Changes::default() },
-                    ..Shot::PLAIN
-                }
-            },
-            strict(0.05, 3, 0.85),
-        ),
-        16 => go(
-            &mut |i, n| {
-                let build = i == 0 || i == 150;
-                Shot {
-                    speed: if build { 40.0 } else { 1.0 },
-                    wrong: wrong.next(build, n),
-                    changes: if i == 150 { MODE } else { Changes::default() },
-                    unusual: i == 150,
-                    excused: build,
-                    ..Shot::PLAIN
-                }
-            },
-            strict(0.03, 3, 0.85),
-        ),
-        17 => go(
-            &mut |i, n| Shot {
-                speed: if i / 80 % 2 == 1 { 1.8 } else { 1.0 },
-                wrong: wrong.next(i == 0, n),
+        1 => go(strict(0.08, 2, 0.0), &mut |i, n| {
+            let new = i > 0 && (i % 30 == 0 || i >= 300);
+            let dense = if i < 300 { i / 30 % 2 == 1 } else { i % 2 == 1 };
+            Shot {
+                work: if dense { 160e-3 } else { 20e-3 },
+                wrong: wrong.next(i == 0 || new, n),
+                changes: if new { TRANSFER } else { Changes::default() },
                 ..Shot::PLAIN
-            },
-            strict(0.05, 3, 0.85),
-        ),
-        18 => go(
-            &mut |i, n| {
-                let boost = if i < 60 { 0.8 } else { 0.8 + 0.2 * ((i - 60) as f64 / 40.0).min(1.0) };
-                let throttle = 1.0 + 0.9 * ((i as f64 - 150.0) / 200.0).clamp(0.0, 1.0);
-                Shot { speed: boost * throttle, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
-            },
-            strict(0.05, 3, 0.85),
-        ),
-        19 => go(
-            &mut |i, n| {
-                let heard = match i % 23 {
-                    3 => Heard::Other(0.0),
-                    7 => Heard::Other(-0.01),
-                    9 => Heard::Other(f64::NAN),
-                    12 => Heard::Other(1e9),
-                    15 => Heard::Other(f64::INFINITY),
-                    // The value of a counter overflow: far too long, but possible.
-                    18 => Heard::Other(4.29),
-                    20 => Heard::Nothing,
-                    _ if i % 4 == 0 => Heard::Late(3),
-                    _ => Heard::True,
-                };
-                Shot { heard, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
-            },
-            strict(0.05, 3, 0.8),
-        ),
+            }
+        }),
+        2 => go(strict(0.05, 3, 0.85), &mut |i, n| {
+            let drag = (60..260).contains(&i);
+            Shot {
+                fixed: if drag { 6e-3 } else { 2e-3 },
+                work: if drag { 60e-3 * (1.0 + 0.5 * ((i - 60) as f64 / 30.0).sin()) } else { 60e-3 },
+                wrong: wrong.next(i == 0 || i == 60, n),
+                changes: if drag { TRANSFER } else { Changes::default() },
+                ..Shot::PLAIN
+            }
+        }),
+        16 => go(strict(0.03, 3, 0.85), &mut |i, n| {
+            let build = i == 0 || i == 150;
+            Shot {
+                speed: if build { 40.0 } else { 1.0 },
+                wrong: wrong.next(build, n),
+                changes: if i == 150 { MODE } else { Changes::default() },
+                unusual: i == 150,
+                excused: build,
+                ..Shot::PLAIN
+            }
+        }),
+        17 => go(strict(0.05, 3, 0.85), &mut |i, n| Shot {
+            speed: if i / 80 % 2 == 1 { 1.8 } else { 1.0 },
+            wrong: wrong.next(i == 0, n),
+            ..Shot::PLAIN
+        }),
+        18 => go(strict(0.05, 3, 0.85), &mut |i, n| {
+            let boost = if i < 60 { 0.8 } else { 0.8 + 0.2 * ((i - 60) as f64 / 40.0).min(1.0) };
+            let throttle = 1.0 + 0.9 * ((i as f64 - 150.0) / 200.0).clamp(0.0, 1.0);
+            Shot { speed: boost * throttle, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
+        }),
+        19 => go(strict(0.05, 3, 0.8), &mut |i, n| {
+            let heard = match i % 23 {
+                3 => Heard::Other(0.0),
+                7 => Heard::Other(-0.01),
+                9 => Heard::Other(f64::NAN),
+                12 => Heard::Other(1e9),
+                15 => Heard::Other(f64::INFINITY),
+                // The value of a counter overflow: far too long, but possible.
+                18 => Heard::Other(4.29),
+                20 => Heard::Nothing,
+                _ if i % 4 == 0 => Heard::Late(3),
+                _ => Heard::True,
+            };
+            Shot { heard, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
+        }),
         20 => {
             let mut shot = |i: usize, n: &mut Noise| Shot {
                 heard: Heard::Interval,
@@ -302,45 +277,36 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
             };
             let mut script = Script { shot: &mut shot, frames, sigma: 0.03, spikes: None };
             let limits = Limits { quality: 0.35, ..Limits::missed(0.05) };
-            Some(judge(20, method, &seen_of(method, &mut script, 20), limits, Vec::new()))
+            Some(judge(20, method, &seen_of(method, &mut script, 20), limits, None))
         }
-        21 => go(
-            &mut |i, n| {
-                let new = i > 0 && i % 50 == 0;
-                Shot {
-                    work: if i / 50 % 2 == 1 { 225e-3 } else { 15e-3 },
-                    wrong: wrong.next(i == 0 || new, n),
-                    changes: if new { MODE } else { Changes::default() },
-                    ..Shot::PLAIN
-                }
-            },
-            strict(0.05, 2, 0.0),
-        ),
-        22 => Some(clamps(method)),
-        23 => go(
-            &mut |i, n| Shot {
-                target: [33e-3, 16e-3, 200e-3, 11e-3, 33e-3][(i / 80).min(4)],
-                wrong: wrong.next(i == 0, n),
+        21 => go(strict(0.05, 2, 0.0), &mut |i, n| {
+            let new = i > 0 && i % 50 == 0;
+            Shot {
+                work: if i / 50 % 2 == 1 { 225e-3 } else { 15e-3 },
+                wrong: wrong.next(i == 0 || new, n),
+                changes: if new { MODE } else { Changes::default() },
                 ..Shot::PLAIN
-            },
-            strict(0.04, 2, 0.9),
-        ),
+            }
+        }),
+        22 => Some(clamps(method)),
+        23 => go(strict(0.04, 2, 0.9), &mut |i, n| Shot {
+            target: [33e-3, 16e-3, 200e-3, 11e-3, 33e-3][(i / 80).min(4)],
+            wrong: wrong.next(i == 0, n),
+            ..Shot::PLAIN
+        }),
         24 => Some(resonance(method)),
-        25 => go(
-            &mut |i, n| {
-                // Half of the volume is cropped away, later an occluder covers the volume, later frames take
-                // longer; between these parts, frame times are normal. No change is reported to the
-                // controller.
-                let factor = match i / 60 {
-                    1 => 0.5,
-                    3 => 0.3,
-                    5 => 1.6,
-                    _ => 1.0,
-                };
-                Shot { speed: factor, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
-            },
-            strict(0.06, 3, 0.85),
-        ),
+        25 => go(strict(0.06, 3, 0.85), &mut |i, n| {
+            // Half of the volume is cropped away, later an occluder covers the volume, later frames take
+            // longer; between these parts, frame times are normal. No change is reported to the
+            // controller.
+            let factor = match i / 60 {
+                1 => 0.5,
+                3 => 0.3,
+                5 => 1.6,
+                _ => 1.0,
+            };
+            Shot { speed: factor, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
+        }),
         26 => Some(paging(method)),
         27 => Some(long_run(method, soak)),
         29 => Some(bursts(method)),
@@ -352,23 +318,16 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
 
 /// Scene 22: a target that no step meets, then a possible target, then a target that every step meets.
 fn clamps(method: ControllerKind) -> Verdict {
-    let mut broken = Vec::new();
     let mut seen = Vec::new();
     let mut c = new(method);
-    let mut shot = |i: usize, _: &mut Noise| Shot {
-        target: match i {
-            0..60 => 25e-3,
-            60..260 => 1e-3,
-            260..320 => 25e-3,
-            _ => 10.0,
-        },
-        part: match i {
-            0..60 => 0,
-            60..260 => 1,
-            260..320 => 2,
-            _ => 3,
-        },
-        ..Shot::PLAIN
+    let mut shot = |i: usize, _: &mut Noise| {
+        let (target, part) = match i {
+            0..60 => (25e-3, 0),
+            60..260 => (1e-3, 1),
+            260..320 => (25e-3, 2),
+            _ => (10.0, 3),
+        };
+        Shot { target, part, ..Shot::PLAIN }
     };
     let mut script = Script { shot: &mut shot, frames: 400, sigma: 0.01, spikes: Some(0.0) };
     let mut unsaid = 0;
@@ -380,17 +339,18 @@ fn clamps(method: ControllerKind) -> Verdict {
         range.filter(|i| wrong(&seen[*i])).count()
     };
     let away = at(80..260, &|s| s.step < 0.99 * f64::from(COARSEST));
-    broken.extend((away > 0).then(|| format!("not at the coarsest step in {away} of 180 frames")));
     let over = at(263..320, &|s| s.seconds > 1.1 * s.target);
-    broken.extend((over > 0).then(|| format!("{over} frames over 1.1 T after")));
     let under = at(275..320, &|s| s.seconds < 0.75 * s.target);
-    broken.extend((under > 0).then(|| format!("integral windup: {under} frames under 0.75 T after")));
     let coarse = at(340..400, &|s| s.step > 1.05);
-    broken.extend((coarse > 0).then(|| format!("not at the finest step in {coarse} of 60 slack frames")));
-    if method == ControllerKind::Hybrid && unsaid > 0 {
-        broken.push(format!("did not report an unreachable target in {unsaid} frames"));
-    }
-    judge(22, method, &seen, Limits::missed(1.0), broken)
+    let broken = [
+        (away > 0).then(|| format!("not at the coarsest step in {away} of 180 frames")),
+        (over > 0).then(|| format!("{over} frames over 1.1 T after")),
+        (under > 0).then(|| format!("integral windup: {under} frames under 0.75 T after")),
+        (coarse > 0).then(|| format!("not at the finest step in {coarse} of 60 slack frames")),
+        (method == ControllerKind::Hybrid && unsaid > 0)
+            .then(|| format!("did not report an unreachable target in {unsaid} frames")),
+    ];
+    judge(22, method, &seen, Limits::missed(1.0), broken.into_iter().flatten())
 }
 
 /// Scene 24: frame times that oscillate, with several periods.
@@ -521,10 +481,8 @@ fn bursts(method: ControllerKind) -> Verdict {
     // frames later.
     let back = |&&end: &&usize| seen[end + 2].step <= 1.1 * seen[begun(end).saturating_sub(1)].step;
     let share = ends.iter().filter(back).count() as f64 / ends.len() as f64;
-    let mut broken = Vec::new();
-    if share < 0.9 {
-        broken.push(format!("back at the earlier step two frames after {:.0} % of bursts", 100.0 * share));
-    }
+    let broken = (share < 0.9)
+        .then(|| format!("back at the earlier step two frames after {:.0} % of bursts", 100.0 * share));
     judge(29, method, &seen, Limits { quality: 0.85, ..Limits::missed(0.08) }, broken)
 }
 
@@ -537,8 +495,7 @@ fn stalls(method: ControllerKind) -> Verdict {
         .filter(|&i| seen[i].seconds > 2.0 * seen[i].clean)
         .filter(|&i| seen[i + 1..=i + 5].iter().any(|s| s.step > 1.1 * seen[i].step))
         .count();
-    let mut broken = Vec::new();
-    broken.extend((coarser > 0).then(|| format!("coarser after {coarser} stalls")));
+    let broken = (coarser > 0).then(|| format!("coarser after {coarser} stalls"));
     judge(30, method, &seen, Limits { quality: 0.85, ..Limits::missed(1.0) }, broken)
 }
 
@@ -557,7 +514,6 @@ fn halved(method: ControllerKind) -> Verdict {
     let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.02, spikes: Some(0.0) };
     let seen = seen_of(method, &mut script, 31);
     let late = seen[103..130].iter().filter(|s| s.seconds > 1.1 * s.target).count();
-    let mut broken = Vec::new();
-    broken.extend((late > 0).then(|| format!("{late} frames over 1.1 T from the 4th on")));
+    let broken = (late > 0).then(|| format!("{late} frames over 1.1 T from the 4th on"));
     judge(31, method, &seen, Limits { inside: 0.9, ..Limits::missed(0.03) }, broken)
 }

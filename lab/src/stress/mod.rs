@@ -139,8 +139,9 @@ pub(crate) fn judge(
     method: ControllerKind,
     frames: &[Seen],
     limits: Limits,
-    mut broken: Vec<String>,
+    broken: impl IntoIterator<Item = String>,
 ) -> Verdict {
+    let mut broken: Vec<String> = broken.into_iter().collect();
     let counted: Vec<&Seen> = frames.iter().filter(|f| !f.excused).collect();
     if let Some(i) = frames.iter().position(|f| !(f.step.is_finite() && f.step > 0.0)) {
         broken.push(format!("step {} at frame {i}", frames[i].step));
@@ -216,7 +217,10 @@ pub(crate) fn run(
 ) -> anyhow::Result<Vec<Verdict>> {
     verdicts(scenes, methods, progress, |number, method| match law::play(number, method, soak) {
         Some(verdict) => Ok(verdict),
-        None => world::play(number, method, &mut world::Machine::Scripted(Box::new(CpuRaycaster::new()))),
+        None => {
+            let mut twin = CpuRaycaster::new();
+            world::play(number, method, &mut world::Machine { renderer: &mut twin, clock: None })
+        }
     })
 }
 
@@ -230,7 +234,7 @@ pub(crate) fn run_real(
 ) -> anyhow::Result<Vec<Verdict>> {
     let scenes: Vec<usize> = scenes.iter().copied().filter(|n| world::REAL.contains(n)).collect();
     verdicts(&scenes, methods, progress, |number, method| {
-        world::play(number, method, &mut world::Machine::Real(&mut *renderer, clock))
+        world::play(number, method, &mut world::Machine { renderer: &mut *renderer, clock: Some(clock) })
     })
 }
 

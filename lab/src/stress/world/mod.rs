@@ -11,12 +11,11 @@ use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::play::Contender;
 use entire_cli::steering::rivals::StepResponse;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
-use entire_io::dataset::Clock;
-use entire_steer::control::StepLimits;
-use entire_steer::control::{ObserveFlags, Prior};
+use entire_io::dataset::{Clock, Timing};
+use entire_steer::control::{ObserveFlags, Prior, StepLimits};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{AnalyticModel, UnitCosts};
-use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
+use entire_vk_raycaster::{Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
 
 /// Limits of the ray step, reference steps.
@@ -32,43 +31,34 @@ fn law(pixels: f64, counts: &WorkCounts) -> f64 {
 }
 
 /// Renderer and clock.
-pub(crate) enum Machine<'a> {
-    /// The CPU version counts work and `law` converts it to seconds: the same in every run.
-    Scripted(Box<CpuRaycaster>),
-    /// A real renderer and its clock. Images are [`GROWN`] times as wide and high, so that times are measurable.
-    Real(&'a mut dyn Renderer, Clock),
+pub(crate) struct Machine<'a> {
+    /// The renderer; the CPU version on the scripted clock.
+    pub(crate) renderer: &'a mut dyn Renderer,
+    /// Clock of a real renderer. `None` for the scripted clock: the renderer counts work and `law` converts it to
+    /// seconds, the same in every run.
+    pub(crate) clock: Option<Clock>,
 }
 
-/// Factor on image sides on a real renderer.
-pub(crate) const GROWN: u32 = 4;
+/// Factor on image sides on a real renderer, so that times are measurable.
+const GROWN: u32 = 4;
 
 /// Scenes that can be played on a real renderer. The images of scene 12 are too large for a software driver;
 /// scene 28 draws nothing.
 pub(crate) const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 
 impl Machine<'_> {
-    fn renderer(&mut self) -> &mut dyn Renderer {
-        match self {
-            Self::Scripted(twin) => twin.as_mut(),
-            Self::Real(renderer, _) => &mut **renderer,
-        }
+    fn is_real(&self) -> bool {
+        self.clock.is_some()
     }
 
     fn grown(&self) -> u32 {
-        match self {
-            Self::Scripted(_) => 1,
-            Self::Real(..) => GROWN,
-        }
-    }
-
-    fn is_real(&self) -> bool {
-        matches!(self, Self::Real(..))
+        if self.is_real() { GROWN } else { 1 }
     }
 
     /// Shows the volume and the transfer function of a frame of a script.
     fn show(&mut self, shot: &Shot, views: &[VolumeView<'_>]) -> Result<()> {
-        self.renderer().set_volume(&views[shot.volume])?;
-        self.renderer().set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
+        self.renderer.set_volume(&views[shot.volume])?;
+        self.renderer.set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
         Ok(())
     }
 
@@ -80,14 +70,12 @@ impl Machine<'_> {
 
     /// Draws a frame and returns its seconds.
     fn seconds(&mut self, frame: &Frame) -> Result<f64> {
-        let rendered = self.renderer().render(frame)?;
-        match self {
-            Self::Scripted(_) => Ok(law(pixels(frame), &rendered.counts.context("counts are missing")?)),
-            Self::Real(_, clock) => {
-                entire_io::dataset::Timing::new(rendered.time, rendered.counts).seconds(*clock).with_context(
-                    || format!("the renderer has no {} clock; choose another with --clock", clock.name()),
-                )
-            }
+        let rendered = self.renderer.render(frame)?;
+        match self.clock {
+            None => Ok(law(pixels(frame), &rendered.counts.context("counts are missing")?)),
+            Some(clock) => Timing::new(rendered.time, rendered.counts).seconds(clock).with_context(|| {
+                format!("the renderer has no {} clock; choose another with --clock", clock.name())
+            }),
         }
     }
 }
@@ -97,7 +85,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
     let block = Block::ball(32, 0.05);
     let view = block.view()?;
     let summary = VolumeSummary::new(&view)?;
-    machine.renderer().set_volume(&view)?;
+    machine.renderer.set_volume(&view)?;
     let mut rows = Vec::new();
     let mut features = FrameFeatures::default();
     let mut noise = Noise::new(3);
@@ -108,7 +96,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
             libm::exp(-5.0 + 5.0 * noise.uniform()) as f32,
         ))
         .to_table()?;
-        machine.renderer().set_transfer(&table)?;
+        machine.renderer.set_transfer(&table)?;
         let mut transfer = TransferSummary::new(&summary, &table)?;
         let camera =
             Arcball { rx: 90.0 * noise.uniform() as f32, ry: 15.0 * k as f32, dz: 1.3 + 0.1 * k as f32 };
@@ -131,12 +119,11 @@ fn pixels(frame: &Frame) -> f64 {
 
 /// Seconds of a frame at a step, without noise of the scripted clock.
 fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Result<f64> {
-    let twin = match machine {
-        Machine::Scripted(twin) => twin.as_mut(),
-        Machine::Real(..) => return Ok(shot.speed * machine.seconds(&Frame { step, ..*frame }.checked()?)?),
-    };
+    if machine.is_real() {
+        return Ok(shot.speed * machine.seconds(&Frame { step, ..*frame }.checked()?)?);
+    }
     let drawn = Frame { step, ..Frame::new(frame.camera, shot.drawn.0, shot.drawn.1)? }.checked()?;
-    let counts = twin.render(&drawn)?.counts.context("counts are missing")?;
+    let counts = machine.renderer.render(&drawn)?.counts.context("counts are missing")?;
     let scale = pixels(frame) / pixels(&drawn);
     let up = |n: u64| (n as f64 * scale) as u64;
     let counts = WorkCounts {
@@ -185,12 +172,12 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         let swapped = shown.as_ref().is_none_or(|(v, _)| *v != shot.volume);
         let edited = swapped || shown.as_ref().is_none_or(|(_, l)| *l != shot.lobes);
         if swapped {
-            machine.renderer().set_volume(&views[shot.volume])?;
+            machine.renderer.set_volume(&views[shot.volume])?;
             who.session.set_volume(summaries[shot.volume].clone(), None);
         }
         if edited {
             let table: TransferTable = TransferFunction::Gaussian(shot.lobes.clone()).to_table()?;
-            machine.renderer().set_transfer(&table)?;
+            machine.renderer.set_transfer(&table)?;
             who.session.set_transfer(&table, Some(&shot.lobes))?;
         }
         shown = Some((shot.volume, shot.lobes.clone()));

@@ -99,83 +99,56 @@ pub(super) struct World {
     pub(super) limits: Limits,
 }
 
+/// A script of 60 frames.
+fn world(blocks: Vec<Block>, limits: Limits, shot: impl Fn(usize) -> Shot + 'static) -> World {
+    World { blocks, shot: Box::new(shot), frames: 60, share: 0.5, limits }
+}
+
 /// Returns the script of a scene; `None` if the scene is not in this file.
 pub(super) fn scene(number: usize) -> Option<World> {
     let strict = |missed, run| Limits { missed, run, quality: 0.6, inside: 0.9 };
     let loose = |missed| Limits { quality: 0.5, ..Limits::missed(missed) };
-    let world = |blocks: Vec<Block>, limits: Limits, shot: Box<dyn Fn(usize) -> Shot>| World {
-        blocks,
-        shot,
-        frames: 60,
-        share: 0.5,
-        limits,
-    };
     let ball = || vec![Block::ball(32, 0.05)];
     Some(match number {
-        3 => world(
-            ball(),
-            strict(0.10, 3),
-            Box::new(|i| Shot {
-                camera: Arcball { rx: 10.0, ry: 2.0 * i as f32, dz: (2.4 - 0.045 * i as f32).max(0.02) },
-                ..Shot::plain(i)
-            }),
-        ),
-        4 => world(
-            ball(),
-            strict(0.10, 3),
-            Box::new(|i| Shot {
-                // The camera moves in to a single block, then out to a few pixels.
-                camera: Arcball {
-                    rx: 10.0,
-                    ry: 30.0,
-                    dz: if i < 30 { 2.0 * 0.9f32.powi(i as i32) } else { 0.1 * 1.2f32.powi(i as i32 - 30) },
-                },
-                ..Shot::plain(i)
-            }),
-        ),
-        5 => world(
-            ball(),
-            loose(0.10),
-            Box::new(|i| Shot {
-                lobes: if i / 15 % 2 == 1 { lobes(0.5, 0.01, 0.0) } else { shell() },
-                ..Shot::plain(i)
-            }),
-        ),
-        6 => world(
-            ball(),
-            strict(0.10, 2),
-            Box::new(|i| Shot {
-                lobes: if i / 15 % 2 == 1 { lobes(0.5, 100.0, 1.0) } else { haze() },
-                ..Shot::plain(i)
-            }),
-        ),
-        7 => world(
-            ball(),
-            strict(0.10, 2),
-            Box::new(|i| Shot { lobes: if i / 12 % 2 == 1 { haze() } else { shell() }, ..Shot::plain(i) }),
-        ),
-        8 => world(
-            vec![Block::noise(32, 5)],
-            strict(0.10, 3),
-            Box::new(|i| Shot {
-                lobes: if i / 15 % 2 == 1 { lobes(0.9, 0.01, 0.3) } else { lobes(0.5, 0.05, 0.02) },
-                ..Shot::plain(i)
-            }),
-        ),
+        3 => world(ball(), strict(0.10, 3), |i| Shot {
+            camera: Arcball { rx: 10.0, ry: 2.0 * i as f32, dz: (2.4 - 0.045 * i as f32).max(0.02) },
+            ..Shot::plain(i)
+        }),
+        4 => world(ball(), strict(0.10, 3), |i| Shot {
+            // The camera moves in to a single block, then out to a few pixels.
+            camera: Arcball {
+                rx: 10.0,
+                ry: 30.0,
+                dz: if i < 30 { 2.0 * 0.9f32.powi(i as i32) } else { 0.1 * 1.2f32.powi(i as i32 - 30) },
+            },
+            ..Shot::plain(i)
+        }),
+        5 => world(ball(), loose(0.10), |i| Shot {
+            lobes: if i / 15 % 2 == 1 { lobes(0.5, 0.01, 0.0) } else { shell() },
+            ..Shot::plain(i)
+        }),
+        6 => world(ball(), strict(0.10, 2), |i| Shot {
+            lobes: if i / 15 % 2 == 1 { lobes(0.5, 100.0, 1.0) } else { haze() },
+            ..Shot::plain(i)
+        }),
+        7 => world(ball(), strict(0.10, 2), |i| Shot {
+            lobes: if i / 12 % 2 == 1 { haze() } else { shell() },
+            ..Shot::plain(i)
+        }),
+        8 => world(vec![Block::noise(32, 5)], strict(0.10, 3), |i| Shot {
+            lobes: if i / 15 % 2 == 1 { lobes(0.9, 0.01, 0.3) } else { lobes(0.5, 0.05, 0.02) },
+            ..Shot::plain(i)
+        }),
         9 => {
             let constant = Block::new([24; 3], |_| 0.7);
             let two = Block::new([24; 3], |p| if p[0] + p[1] > 0.3 { 1.0 } else { 0.0 });
             let mut single = Block::new([24; 3], |_| 0.0);
             single.voxels[24 * 24 * 12 + 24 * 12 + 12] = 1.0;
-            world(
-                vec![constant, two, single],
-                loose(0.10),
-                Box::new(|i| Shot {
-                    volume: i / 20,
-                    lobes: [haze(), lobes(0.9, 0.05, 0.3), lobes(1.0, 0.1, 0.5)][i / 7 % 3].clone(),
-                    ..Shot::plain(i)
-                }),
-            )
+            world(vec![constant, two, single], loose(0.10), |i| Shot {
+                volume: i / 20,
+                lobes: [haze(), lobes(0.9, 0.05, 0.3), lobes(1.0, 0.1, 0.5)][i / 7 % 3].clone(),
+                ..Shot::plain(i)
+            })
         }
         10 => {
             let mut holes = Block::ball(24, 0.0);
@@ -188,15 +161,11 @@ pub(super) fn scene(number: usize) -> Option<World> {
             let mut squeezed = Block::ball(24, 0.0);
             squeezed.voxels.iter_mut().for_each(|v| *v *= 600.0);
             squeezed.voxels[0] = 65_535.0;
-            world(
-                vec![holes, none, signed, squeezed],
-                loose(0.10),
-                Box::new(|i| Shot {
-                    volume: i / 15,
-                    lobes: [haze(), shell()][i / 5 % 2].clone(),
-                    ..Shot::plain(i)
-                }),
-            )
+            world(vec![holes, none, signed, squeezed], loose(0.10), |i| Shot {
+                volume: i / 15,
+                lobes: [haze(), shell()][i / 5 % 2].clone(),
+                ..Shot::plain(i)
+            })
         }
         11 => {
             let wave = |p: [f32; 3]| 0.5 + 0.5 * (6.0 * p[0]).sin() * (5.0 * p[1]).cos();
@@ -204,60 +173,44 @@ pub(super) fn scene(number: usize) -> Option<World> {
             flat.spacing = [1.0, 1.0, 10.0];
             let slice = Block::new([40, 40, 1], wave);
             let needle = Block::new([256, 4, 4], wave);
-            let flat = world(
-                vec![flat, slice, needle],
-                loose(0.10),
-                Box::new(|i| Shot {
-                    volume: i / 20,
-                    camera: Arcball { rx: 30.0, ry: 3.0 * i as f32, dz: 1.8 },
-                    lobes: lobes(0.6, 0.05, 0.1),
-                    ..Shot::plain(i)
-                }),
-            );
+            let flat = world(vec![flat, slice, needle], loose(0.10), |i| Shot {
+                volume: i / 20,
+                camera: Arcball { rx: 30.0, ry: 3.0 * i as f32, dz: 1.8 },
+                lobes: lobes(0.6, 0.05, 0.1),
+                ..Shot::plain(i)
+            });
             // These volumes need few samples, so a coarser step saves little.
             World { share: 1.1, ..flat }
         }
-        12 => world(
-            ball(),
-            loose(0.15),
-            Box::new(|i| {
-                let size = [(32, 32), (8192, 8192), (3, 900), (1920, 80), (64, 64), (4096, 2160)][i / 10];
-                let shrink = (f64::from(size.0.max(size.1)) / 64.0).max(1.0);
-                let side = |n: u32| ((f64::from(n) / shrink).round() as u32).max(1);
-                Shot { size, drawn: (side(size.0), side(size.1)), ..Shot::plain(i) }
-            }),
-        ),
-        13 => world(
-            ball(),
-            strict(0.10, 2),
-            Box::new(|i| {
-                let n = [48, 96, 24, 64][i / 15];
-                Shot { size: (n, n), drawn: (n, n), ..Shot::plain(i) }
-            }),
-        ),
-        14 => world(
-            (0..6).map(|k| Block::ball(28, 0.04 + 0.03 * k as f32)).collect(),
-            strict(0.10, 3),
-            Box::new(|i| Shot { volume: i % 6, ..Shot::plain(i) }),
-        ),
-        15 => world(
-            vec![
-                Block::new([32; 3], |p| {
-                    // A volume of labels: whole numbers that jump between voxels.
-                    ((p[0] * 3.0).floor() + 3.0 * (p[1] * 3.0).floor() + 5.0 * (p[2] * 2.0).floor())
-                        .rem_euclid(7.0)
-                }),
-                Block::noise(32, 9),
-                Block::new([32; 3], |p| ((40.0 * p[2] + 6.0 * (4.0 * p[0]).sin()).sin() * 0.5 + 0.5).powi(6)),
-            ],
-            strict(0.12, 3),
-            Box::new(|i| Shot {
+        12 => world(ball(), loose(0.15), |i| {
+            let size = [(32, 32), (8192, 8192), (3, 900), (1920, 80), (64, 64), (4096, 2160)][i / 10];
+            let shrink = (f64::from(size.0.max(size.1)) / 64.0).max(1.0);
+            let side = |n: u32| ((f64::from(n) / shrink).round() as u32).max(1);
+            Shot { size, drawn: (side(size.0), side(size.1)), ..Shot::plain(i) }
+        }),
+        13 => world(ball(), strict(0.10, 2), |i| {
+            let n = [48, 96, 24, 64][i / 15];
+            Shot { size: (n, n), drawn: (n, n), ..Shot::plain(i) }
+        }),
+        14 => {
+            let balls = (0..6).map(|k| Block::ball(28, 0.04 + 0.03 * k as f32)).collect();
+            world(balls, strict(0.10, 3), |i| Shot { volume: i % 6, ..Shot::plain(i) })
+        }
+        15 => {
+            // Whole numbers that jump between voxels.
+            let labels = Block::new([32; 3], |p| {
+                ((p[0] * 3.0).floor() + 3.0 * (p[1] * 3.0).floor() + 5.0 * (p[2] * 2.0).floor())
+                    .rem_euclid(7.0)
+            });
+            let layers =
+                Block::new([32; 3], |p| ((40.0 * p[2] + 6.0 * (4.0 * p[0]).sin()).sin() * 0.5 + 0.5).powi(6));
+            world(vec![labels, Block::noise(32, 9), layers], strict(0.12, 3), |i| Shot {
                 volume: i / 20,
                 lobes: [lobes(0.5, 0.02, 0.2), haze()][i / 10 % 2].clone(),
                 speed: 2.0,
                 ..Shot::plain(i)
-            }),
-        ),
+            })
+        }
         _ => return None,
     })
 }
