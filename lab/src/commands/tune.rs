@@ -3,7 +3,7 @@
 use super::replay::Paths;
 use crate::calibration::samples_by_volume;
 use crate::fitted::Calibrated;
-use crate::replay::tune::{Constants, Cost, Course, Law, Removed, TRIED, costs, removed, search};
+use crate::replay::tune::{Constants, Cost, Course, LAWS, Removed, TRIED, by_law, costs, removed, search};
 use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::Sample;
@@ -15,7 +15,7 @@ use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// A path with the frame times of each renderer of [`Law::ALL`], and a predictor fitted to other volumes.
+/// A path with the frame times of each renderer of [`LAWS`], and a predictor fitted to other volumes.
 type Played = ([Replayable; 3], Calibrated);
 
 /// Search for better constants of the controller on recorded paths.
@@ -84,7 +84,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             let others: Vec<Sample> =
                 samples.iter().filter(|(v, _)| !shown(v)).map(|(_, s)| s.clone()).collect();
             let calibrated = Calibrated::fit(&others)?;
-            Ok((Law::ALL.map(|law| law.of(&recorded)), calibrated))
+            Ok((LAWS.map(|law| by_law(&recorded, law)), calibrated))
         })
         .collect::<Result<Vec<Played>>>()?;
     let undisturbed = played.len();

@@ -7,7 +7,7 @@
 //! sessions without a model that start anywhere on the path, over the frames after their first, as in a program that
 //! knows only its own frame times. The renderer of such a program is not the recorded one, so those sessions are
 //! played on three renderers: the recorded one, one whose time falls faster with the step, and one whose time falls
-//! more slowly ([`Law`]).
+//! more slowly ([`LAWS`]).
 //!
 //! The search goes through the constants and tries a few multiples of each. It takes the best multiple whose cost is
 //! lower by more than two standard errors of the difference among paths: dozens are tried, so a smaller gain may be
@@ -113,52 +113,36 @@ pub(crate) fn removed(
         .collect()
 }
 
-/// Renderer of a replay: the recorded renderer, or an imitation of another one with changed frame times.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Law {
-    /// The recorded time curve.
-    Recorded,
-    /// Nine tenths of a frame's shortest recorded time are subtracted: the remaining time falls nearly with 1
-    /// / step.
-    Steeper,
-    /// Twice a frame's shortest recorded time is added: most of the frame's time does not depend on the step.
-    Flatter,
-}
+/// Renderers of a replay: the recorded one (`None`), and imitations of others, each with the multiple of a frame's
+/// shortest recorded time that is added to all times of the frame. With -0.9 the remaining time falls nearly with 1 /
+/// step; with 2 most of it does not depend on the step.
+pub(crate) const LAWS: [Option<f64>; 3] = [None, Some(-0.9), Some(2.0)];
 
-impl Law {
-    /// All laws.
-    pub(crate) const ALL: [Self; 3] = [Self::Recorded, Self::Steeper, Self::Flatter];
-
-    /// Returns the recorded path with the frame times of this renderer.
-    pub(crate) fn of(self, recorded: &Replayable) -> Replayable {
-        let mut out = recorded.clone();
-        let share = match self {
-            Self::Recorded => return out,
-            Self::Steeper => -0.9,
-            Self::Flatter => 2.0,
-        };
-        for frame in &mut out.trace.frames {
-            // Images smaller than those of TRACE_SCALES may take less than the subtracted time; no controller
-            // uses them.
-            frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
-            let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
-            for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
-                *seconds += share * coarsest;
-            }
+/// Returns the recorded path with the frame times of one of [`LAWS`].
+pub(crate) fn by_law(recorded: &Replayable, law: Option<f64>) -> Replayable {
+    let mut out = recorded.clone();
+    let Some(share) = law else { return out };
+    for frame in &mut out.trace.frames {
+        // Images smaller than those of TRACE_SCALES may take less than the subtracted time; no controller uses
+        // them.
+        frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
+        let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
+        for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
+            *seconds += share * coarsest;
         }
-        out.curves = out.trace.frames.iter().map(|f| Curve::of(f)).collect();
-        out.images = None;
-        out
     }
+    out.curves = out.trace.frames.iter().map(|f| Curve::of(f)).collect();
+    out.images = None;
+    out
 }
 
 /// A recorded path with its predictor and trials.
 pub(crate) struct Course<'a> {
-    /// The path with the frame times of each [`Law`].
+    /// The path with the frame times of each of [`LAWS`].
     recorded: &'a [Replayable; 3],
     /// Predictor fitted to other volumes than those of the path.
     calibrated: &'a Calibrated,
-    /// Trials with the frame times of each [`Law`].
+    /// Trials with the frame times of each of [`LAWS`].
     trials: [Vec<Trial>; 3],
 }
 
@@ -190,23 +174,10 @@ impl Cost {
     }
 }
 
-/// Counts frames that are coarser than full quality although full quality meets the target.
-#[derive(Default)]
-struct Coarse {
-    frames: f64,
-    coarse: f64,
-}
-
-impl Coarse {
-    fn add(&mut self, frames: &[Replayed]) {
-        let finest = f64::from(LIMITS.finest);
-        self.frames += frames.len() as f64;
-        self.coarse += frames.iter().filter(|f| f.oracle_step <= finest && f.step > finest).count() as f64;
-    }
-
-    fn share(&self) -> f64 {
-        self.coarse / self.frames.max(1.0)
-    }
+/// Number of frames that are coarser than full quality although full quality meets the target.
+fn coarse(frames: &[Replayed]) -> f64 {
+    let finest = f64::from(LIMITS.finest);
+    frames.iter().filter(|f| f.oracle_step <= finest && f.step > finest).count() as f64
 }
 
 /// A change of a constant that the search has taken.
@@ -244,7 +215,7 @@ impl<'a> Course<'a> {
         let prior = self.calibrated.prior();
         let options = HybridOptions { prior, constants, correction, ..HybridOptions::default() };
         let (mut fitted, mut cold) = (Tally::default(), Tally::default());
-        let (mut fitted_coarse, mut cold_coarse) = (Coarse::default(), Coarse::default());
+        let (mut fitted_coarse, mut cold_coarse) = (0.0, 0.0);
         let (mut seconds, mut inside) = (0u32, 0u32);
         for trial in &self.trials[0] {
             for round in 1..=2 {
@@ -252,7 +223,7 @@ impl<'a> Course<'a> {
                 let all = 0..trial.targets.len();
                 let played = replay(&self.recorded[0], &mut who, &[], &trial.targets, LIMITS, round, all)?;
                 fitted.merge(&Tally::of(&played));
-                fitted_coarse.add(&played);
+                fitted_coarse += coarse(&played);
             }
         }
         for (recorded, trial) in
@@ -262,19 +233,19 @@ impl<'a> Course<'a> {
                 let mut who = without_model(options);
                 let played = replay(recorded, &mut who, &[], &trial.targets, LIMITS, 1, frames)?;
                 cold.merge(&Tally::of(&played[1..]));
-                cold_coarse.add(&played[1..]);
+                cold_coarse += coarse(&played[1..]);
                 seconds += 1;
                 inside += u32::from(played[1].seconds <= played[1].upper);
             }
         }
         let second_in_bound = f64::from(inside) / f64::from(seconds.max(1));
-        let fitted = fitted.score();
+        let (fitted, cold) = (fitted.score(), cold.score());
         Ok(Cost {
             fitted: fitted.all,
-            fitted_coarse: fitted_coarse.share(),
+            fitted_coarse: fitted_coarse / fitted.frames.max(1) as f64,
             jumps: fitted.jumps,
-            cold: cold.score().all,
-            cold_coarse: cold_coarse.share(),
+            cold: cold.all,
+            cold_coarse: cold_coarse / cold.frames.max(1) as f64,
             second_in_bound,
         })
     }
