@@ -1,23 +1,20 @@
 //! Calibration samples of recorded timing tables.
 
 use anyhow::{Context, Result};
-use entire_cli::steering::calibrate::Sample;
+use entire_cli::steering::calibrate::{Sample, response};
+use entire_cli::steering::rivals::StepResponse;
 use entire_io::dataset::{Clock, TimedFrame, read_tables};
 use entire_io::options::thread_pool;
+use entire_steer::features::PROBE_SIDE;
 use entire_train::inputs;
 use indicatif::ProgressBar;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-/// Returns one calibration sample for each frame of the timing tables. Frames with the same volume, camera,
-/// image size and transfer function have the same scene number. Scene features come from probes of `side`²
-/// rays.
-pub(crate) fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
-    Ok(samples_by_volume(tables, side)?.into_iter().map(|(_, sample)| sample).collect())
-}
-
-/// Returns the samples of [`samples_of`], each with the name of its volume.
-pub(crate) fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(String, Sample)>> {
+/// Returns one calibration sample for each frame of the timing tables, with the name of its volume. Frames with the same
+/// volume, camera, image size and transfer function have the same scene number. Scene features come from the default
+/// probe.
+pub(crate) fn samples_by_volume(tables: &[PathBuf]) -> Result<Vec<(String, Sample)>> {
     let tables = read_tables(tables)?;
     let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();
     let clock = [Clock::Cpu, Clock::Auto]
@@ -38,7 +35,8 @@ pub(crate) fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(
             ((f.table, f.number), *numbers.entry(key).or_insert(next))
         })
         .collect();
-    inputs::measure(&tables, &frames, Some(side), None, &pool, &ProgressBar::hidden(), |frame, inputs| {
+    let side = Some(PROBE_SIDE);
+    inputs::measure(&tables, &frames, side, None, &pool, &ProgressBar::hidden(), |frame, inputs| {
         let sample = Sample {
             scene: scenes[&(frame.table, frame.number)],
             features: inputs.features.clone(),
@@ -49,4 +47,10 @@ pub(crate) fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(
         };
         Ok((frame.scene.volume.clone(), sample))
     })
+}
+
+/// G, the curve of frame time over the step, from samples.
+pub(crate) fn response_of(samples: &[Sample]) -> Result<StepResponse> {
+    response(samples)
+        .context("G, the curve of frame time over step, needs scenes that were timed at several steps")
 }

@@ -21,18 +21,6 @@ fn held_out(sample: &Sample) -> bool {
     sample.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
 }
 
-/// The analytic cost model fitted to the samples that are not held out.
-fn fit_analytic(samples: &[Sample]) -> Result<AnalyticModel> {
-    let measurements: Vec<_> = samples
-        .iter()
-        .filter(|s| !held_out(s))
-        .map(|s| (s.features.cost_work(&s.setting), s.seconds))
-        .collect();
-    let mut model = AnalyticModel::default();
-    model.fit(&UnitCosts::SOFTWARE, &measurements)?;
-    Ok(model)
-}
-
 /// A volume of a single voxel, for predictors that use no volume.
 pub(crate) fn no_volume() -> Result<VolumeView<'static>> {
     Ok(VolumeView::new(Scalars::U8(&[0]), [1, 1, 1])?)
@@ -53,10 +41,14 @@ pub(crate) struct Calibrated {
 impl Calibrated {
     /// Fits the analytic model to the samples that are not held out.
     pub(crate) fn fit(samples: &[Sample]) -> Result<Self> {
+        let (judged, learned): (Vec<&Sample>, Vec<&Sample>) = samples.iter().partition(|s| held_out(s));
+        let measured: Vec<_> =
+            learned.iter().map(|s| (s.features.cost_work(&s.setting), s.seconds)).collect();
+        let mut fitted = AnalyticModel::default();
+        fitted.fit(&UnitCosts::SOFTWARE, &measured)?;
         let title = "unit costs, fitted to the calibration frames".to_owned();
-        let fitted = fit_analytic(samples)?.to_model_file()?.to_model()?;
-        let model = SteeringModel::new(title, fitted, &no_volume()?)?;
-        Self::judged(model.quality(samples.iter().filter(|s| held_out(s))), model)
+        let model = SteeringModel::new(title, fitted.to_model_file()?.to_model()?, &no_volume()?)?;
+        Self::judged(model.quality(judged), model)
     }
 
     /// Measures the errors of a given model, which may use features of the volume; each sample has the path

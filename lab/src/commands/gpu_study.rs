@@ -64,10 +64,6 @@ struct Study<'a> {
 }
 
 impl Study<'_> {
-    fn left(&self) -> f64 {
-        self.deadline.saturating_duration_since(Instant::now()).as_secs_f64()
-    }
-
     fn keep(&mut self, outcome: Outcome) -> Result<()> {
         self.bar.println(format!(
             "{:<24} {:<10} {:6.1} s",
@@ -83,7 +79,7 @@ impl Study<'_> {
         if self.outcomes.has(&step.name, &step.arguments) {
             return Ok(());
         }
-        let outcome = if self.left() < 1.0 {
+        let outcome = if self.deadline.saturating_duration_since(Instant::now()) < Duration::from_secs(1) {
             Outcome {
                 step: step.name.clone(),
                 arguments: step.arguments.clone(),
@@ -97,10 +93,8 @@ impl Study<'_> {
         self.keep(outcome)
     }
 
-    fn pictures(&mut self, volumes: &[PathBuf], extent: Extent) -> Result<()> {
-        let device = self.options.device.to_possible_value();
-        let arguments =
-            vec![device.map_or(String::new(), |d| d.get_name().to_owned()), extent.picture.to_string()];
+    fn pictures(&mut self, device: &str, volumes: &[PathBuf], extent: Extent) -> Result<()> {
+        let arguments = vec![device.to_owned(), extent.picture.to_string()];
         if self.outcomes.has("pictures", &arguments) {
             return Ok(());
         }
@@ -196,7 +190,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         study.run(step)?;
         study.bar.inc(1);
         if at == 0 {
-            study.pictures(&volumes, extent)?;
+            study.pictures(device, &volumes, extent)?;
             study.bar.inc(1);
         }
         // The steering step needs the unshaded model. It runs before the steps of the other modes, since it

@@ -1,7 +1,8 @@
 //! `entire-lab paper`: reproduction of the paper's tables and figures.
 
-use super::{farm, replay};
+use super::replay;
 use crate::bars;
+use crate::farm::compare;
 use crate::paper::{
     Paper, Place, Selection, Work, book, cases, collect, control, description, encode, material, pictures,
     places, report, train, trials, yt,
@@ -10,7 +11,9 @@ use anyhow::{Result, ensure};
 use clap::{Subcommand, ValueEnum};
 use description::Panel;
 use entire_cli::steering::contenders::ControllerKind;
+use entire_farm::read_tasks;
 use entire_io::device::{self, Device};
+use entire_io::files::note;
 use entire_io::interrupt;
 use entire_io::options::thread_pool;
 use std::path::{Path, PathBuf};
@@ -221,8 +224,7 @@ fn collect_all(work: &Work<'_>, step: &StepOptions) -> Result<()> {
 }
 
 fn encode_all(work: &Work<'_>, making: &Making) -> Result<()> {
-    let places = found(work)?;
-    encode::encode(work, &places, &encode::encoders(work, &places), making.threads)
+    encode::encode(work, &found(work)?, making.threads)
 }
 
 fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
@@ -249,15 +251,8 @@ fn balance(work: &Work<'_>) -> Result<()> {
     for (set, mode) in work.paper.panels.get(&Panel::Varied).into_iter().flatten() {
         let tasks = cases::tasks_path(work.out, set, mode);
         if tasks.exists() {
-            farm::run(&farm::Options {
-                tasks: Some(tasks),
-                trace: None,
-                training: Vec::new(),
-                probe_side: entire_steer::features::PROBE_SIDE,
-                save_tasks: None,
-                report: work.out.join("cases").join(format!("farm-{set}-{mode}")),
-                bars: false,
-            })?;
+            let report = work.out.join("cases").join(format!("farm-{set}-{mode}"));
+            compare(&read_tasks(&tasks)?, tasks.display().to_string(), None, &report)?;
         }
     }
     Ok(())
@@ -274,7 +269,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let network =
         if calibration.exists() && folder.is_dir() { trials::steering_network(work, mode)? } else { None };
     if network.is_none() {
-        entire_io::files::note(&format!(
+        note(&format!(
             "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces) and the frames of \
              its network"
         ));
@@ -299,14 +294,9 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let by_ours = options("steering-ours", None, &[ControllerKind::Hybrid]);
     replay::run(&by_network)?;
     replay::run(&by_ours)?;
-    let played = control::Played {
-        traces: &traces,
-        network: &by_network.out,
-        ours: &by_ours.out,
-        calibration: &calibration,
-    };
     let mut renderer = device::open(step.device)?;
-    control::keep(work, &played, (set, mode), renderer.as_mut())
+    let replays = (&*by_network.out, &*by_ours.out);
+    control::keep(work, (&traces, &calibration), replays, (set, mode), renderer.as_mut())
 }
 
 fn report_all(paper: &Paper, out: &Path, how: &HowToReport) -> Result<()> {

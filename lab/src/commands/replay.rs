@@ -2,7 +2,7 @@
 //! prints the steering bars.
 
 use crate::bars;
-use crate::calibration::samples_by_volume;
+use crate::calibration::{response_of, samples_by_volume};
 use crate::fitted::{Calibrated, no_volume};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
@@ -11,12 +11,11 @@ use crate::replay::{
 };
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
-use entire_cli::steering::calibrate::{Sample, response};
+use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::model::SteeringModel;
 use entire_io::files::{make_folder, note, open_model};
 use entire_io::path::parse_target;
-use entire_steer::features::PROBE_SIDE;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -102,12 +101,9 @@ pub(crate) struct Options {
 pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(options.rounds >= 1, "--rounds is 0; at least one round is needed");
     let targets = options.paths.targets()?;
-    let by_volume = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
+    let by_volume = samples_by_volume(&options.paths.calibration)?;
     let samples: Vec<Sample> = by_volume.iter().map(|(_, sample)| sample.clone()).collect();
-    let response = response(&samples).context(
-        "G, the curve of frame time over step, needs scenes that were \
-                                               timed at several steps",
-    )?;
+    let response = response_of(&samples)?;
     let calibrated = match &options.model {
         Some(file) => {
             let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume()?)?;

@@ -6,6 +6,7 @@ use crate::study::report::{fits_table, main_table, write};
 use crate::study::{self, Runner, by_rule, read};
 use anyhow::{Result, ensure};
 use entire_io::dataset::Clock;
+use entire_io::files::note;
 use entire_io::interrupt;
 use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
@@ -56,7 +57,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let found = runner.run(&study)?;
     bar.finish_and_clear();
     for (set, what, why) in &found.left_out {
-        entire_io::files::note(&format!("{set}, {what}: left out ({why})"));
+        note(&format!("{set}, {what}: left out ({why})"));
     }
     write(&options.out, &study, &found)?;
     if let Some(folder) = &options.ship {

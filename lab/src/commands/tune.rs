@@ -10,7 +10,6 @@ use entire_cli::steering::calibrate::Sample;
 use entire_io::files::{make_folder_of, write_json};
 use entire_io::progress::templated_bar;
 use entire_report::Table;
-use entire_steer::features::PROBE_SIDE;
 use serde_json::json;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -74,7 +73,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     let tried = options.tried()?;
     let targets = options.paths.targets()?;
-    let samples = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
+    let samples = samples_by_volume(&options.paths.calibration)?;
     let mut played = options
         .paths
         .open()?

@@ -12,8 +12,7 @@ use entire_farm::learn::{CONSTANT_SD_WITH_MODEL, Shape};
 use entire_farm::load::Loads;
 use entire_farm::planner::{Planner, Setting};
 use entire_farm::simulate::{World, simulate};
-use entire_farm::{Task, predict, volume_numbers};
-use entire_farm::{database, drive};
+use entire_farm::{By, Task, database, drive, predict, times, volume_numbers};
 use entire_io::metrics::median;
 use entire_steer::schedule::assign_longest_first;
 use rand_chacha::ChaCha8Rng;
@@ -26,12 +25,9 @@ const PAPER: usize = 384;
 /// Number of simulated runs whose end is predicted.
 const RUNS: u64 = 40;
 
-fn predicted(tasks: &[Task]) -> Vec<f64> {
-    tasks.iter().map(|t| t.predicted_s.unwrap_or(1.0)).collect()
-}
-
-fn measured(tasks: &[Task]) -> Vec<f64> {
-    tasks.iter().map(|t| t.measured_s.unwrap_or(1.0)).collect()
+/// Predicted and measured seconds of some tasks, and the indices of their volumes.
+fn parts(tasks: &[Task]) -> Result<(Vec<f64>, Vec<f64>, Vec<usize>)> {
+    Ok((times(tasks, By::Predicted)?, times(tasks, By::Measured)?, volume_numbers(tasks)))
 }
 
 /// Returns a planner of tasks. `base` has their predicted seconds, `volume` the indices of their volumes.
@@ -57,7 +53,7 @@ pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots
 /// The ratio is the makespan of the longest-first assignment by predicted times, divided by the makespan of
 /// the longest-first assignment by measured times. Neither assignment is improved by exchanges.
 fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
-    worst(&predicted(tasks), &measured(tasks))
+    worst(&times(tasks, By::Predicted)?, &times(tasks, By::Measured)?)
 }
 
 /// Returns the ratio of [`worst_static`] for tasks with the times `judge`, assigned by the times `decide`.
@@ -77,9 +73,9 @@ pub(super) fn worst(decide: &[f64], judge: &[f64]) -> Result<(f64, usize)> {
 /// Returns the makespan of the plan divided by the makespan of the best schedule of a local search. The
 /// search knows the measured times and has `starts` random starts. There are 8 nodes, and loading a volume
 /// takes as long as 4 mean frames.
-pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
+fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
     let tasks = &tasks[..tasks.len().min(PAPER)];
-    let (base, truth, volume) = (predicted(tasks), measured(tasks), volume_numbers(tasks));
+    let (base, truth, volume) = parts(tasks)?;
     let volumes = volume.iter().max().map_or(1, |v| v + 1);
     let load = vec![4.0 * truth.iter().sum::<f64>() / truth.len() as f64; volumes];
     let mut planner = plan(&base, &volume, Loads::known(load.clone()), setting(8));
@@ -92,7 +88,7 @@ pub(crate) fn with_loads(tasks: &[Task], starts: u64) -> f64 {
         out.makespan,
         out.loads
     );
-    out.makespan / best
+    Ok(out.makespan / best)
 }
 
 /// Simulates [`RUNS`] runs, and predicts the end of each run after a tenth of its work. Returns the median
@@ -105,7 +101,7 @@ fn foretold(pools: &[(String, Vec<Task>)]) -> Result<(f64, f64)> {
         let mut chosen = shuffled(pool.len(), &mut rng);
         chosen.truncate(PAPER);
         let tasks: Vec<Task> = chosen.iter().map(|i| pool[*i].clone()).collect();
-        let (base, truth, volume) = (predicted(&tasks), measured(&tasks), volume_numbers(&tasks));
+        let (base, truth, volume) = parts(&tasks)?;
         let slots = [4, 8, 16, 32][(run / pools.len() as u64) as usize % 4];
         let volumes = volume.iter().max().map_or(1, |v| v + 1);
         let load = vec![0.0; volumes];
@@ -130,7 +126,7 @@ fn foretold(pools: &[(String, Vec<Task>)]) -> Result<(f64, f64)> {
 
 /// Plans a job of 10⁶ tasks. Returns the seconds from reading the job file to the first bundle, the seconds to the
 /// last bundle, and the peak memory of the process in GB.
-pub(crate) fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
+fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let volumes = folder.join("volumes");
     entire_io::files::make_folder(&volumes)?;
     for i in 0..100 {
@@ -191,7 +187,7 @@ pub(crate) fn all(folder: &Path) -> Result<Vec<Bar>> {
     let first_384 = &main[..main.len().min(PAPER)];
     let (all_frames, paper) = (worst_static(main)?.0, worst_static(first_384)?.0);
     println!("static: {PAPER} tasks of {}: at worst {paper:.4}", pools[0].0);
-    let loads = with_loads(&pools[1].1, 1000);
+    let loads = with_loads(&pools[1].1, 1000)?;
     let (error, share) = foretold(&pools)?;
     println!("planning: peak memory {peak:.3} GB, {first:.2} s to the first bundle");
     let mut bars = vec![

@@ -4,8 +4,9 @@ use super::description::{Orbit, Panel};
 use super::judge::{NETWORK, OURS};
 use super::results::{Fact, MEASURED, ORBIT_CHART, Results, percentiles, read_all, write};
 use anyhow::Result;
-use entire_farm::{Method, Plan, Task, plan};
+use entire_farm::Task;
 use entire_io::files::{fnv1a_text, make_folder_of, write_whole};
+use entire_steer::schedule::assign_longest_first;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -59,13 +60,10 @@ pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
             {
                 // A prediction that is not positive counts as 1 µs.
                 let deciding: Vec<f64> = deciding.iter().map(|t| t.max(1e-6)).collect();
-                let Plan::Assigned(assignment, _) = plan(Method::Longest, &deciding, &vec![1.0; nodes])?
-                else {
-                    continue;
-                };
+                let assignment = assign_longest_first(&deciding, &vec![1.0; nodes])?;
                 let mut loads = vec![0.0; nodes];
-                for (task, node) in assignment.node_of.iter().enumerate() {
-                    loads[*node] += measured[task];
+                for (node, seconds) in assignment.node_of.iter().zip(&measured) {
+                    loads[*node] += *seconds;
                 }
                 loads.sort_by(f64::total_cmp);
                 let most = loads.last().copied().unwrap_or(0.0);

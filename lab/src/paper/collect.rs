@@ -94,8 +94,8 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let mut add = |experiment: u64, i: u32, job: usize, scene: Scene| {
         out.push(Wanted { number: experiment * PER_EXPERIMENT + u64::from(i), job, scene });
     };
-    let held_out = parts.test.iter().chain(&parts.validation).filter_map(find);
-    for (i, job) in (0..).zip(held_out) {
+    let held_out: Vec<usize> = parts.test.iter().chain(&parts.validation).filter_map(find).collect();
+    for (i, &job) in (0..).zip(&held_out) {
         add(0, i, job, base.clone());
     }
     for i in 0..count {
@@ -113,8 +113,7 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
         };
         add(3, i, middle, Scene { camera, ..base.clone() });
     }
-    let all: Vec<usize> = parts.test.iter().chain(&parts.validation).filter_map(find).collect();
-    for (v, &job) in all.iter().take(paper.orbit.volumes).enumerate() {
+    for (v, &job) in held_out.iter().take(paper.orbit.volumes).enumerate() {
         for p in 0..paper.orbit.poses {
             let share = p as f64 / paper.orbit.poses as f64;
             let camera = Arcball { rx: 20.0, ry: (360.0 * share - 180.0) as f32, dz: base.camera.dz };

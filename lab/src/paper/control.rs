@@ -5,17 +5,16 @@ use super::Work;
 use super::description::Panel;
 use super::results::{Curve, Fact, Results, write};
 use super::section::Section;
-use crate::calibration::samples_of;
+use crate::calibration::{response_of, samples_by_volume};
 use crate::replay::Replayable;
 use crate::trace::Trace;
 use anyhow::{Context, Result};
-use entire_cli::steering::calibrate::response;
+use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::play::ActsOn;
 use entire_core::scene::Frame;
 use entire_io::files::{fnv1a_text, make_folder, read_bytes, read_text, write_whole};
 use entire_report::{Axis, Chart, Mark, Series, Table, encode_png};
-use entire_steer::features::PROBE_SIDE;
 use entire_vk_raycaster::{Image, Renderer};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -48,18 +47,6 @@ const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
 
 /// Side of a compared picture, pixels.
 const SIDE: u32 = 128;
-
-/// Replayed paths of a data set.
-pub(crate) struct Played<'a> {
-    /// The recorded paths.
-    pub(crate) traces: &'a [PathBuf],
-    /// Output of `entire-lab replay` with the paper's network.
-    pub(crate) network: &'a Path,
-    /// Output of the replay of the hybrid controller with our predictor.
-    pub(crate) ours: &'a Path,
-    /// The calibration table, from which G, the curve of frame time over ray step, is made.
-    pub(crate) calibration: &'a Path,
-}
 
 /// A row of `frames.csv`: a frame under one controller with one target.
 #[derive(Clone, Debug, Deserialize)]
@@ -101,14 +88,18 @@ pub(crate) fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     Ok(out)
 }
 
-/// Stores the results of the replay: scores; values per frame of one path, with pictures of three frames; and
-/// the curve G with the curves of the scenes that it is computed from.
+/// Stores the results of the replay of recorded paths (`traces`): scores; values per frame of one path, with pictures
+/// of three frames; and the curve G with the curves of the scenes of the table `calibration`, from which it is computed.
+/// `network` and `ours` are the folders of the replays with the paper's network and with our predictor.
 pub(crate) fn keep(
     work: &Work<'_>,
-    played: &Played<'_>,
+    (traces, calibration): (&[PathBuf], &Path),
+    (network, ours): (&Path, &Path),
     (set, mode): (&str, &str),
     renderer: &mut dyn Renderer,
 ) -> Result<()> {
+    let mut frames = rows(network)?;
+    frames.extend(rows(ours)?.into_iter().map(|r| Row { controller: OURS.into(), ..r }));
     let scores = |folder: &Path| -> Result<(String, serde_json::Value)> {
         let path = folder.join("scores.json");
         let text = read_text(&path, 256 << 20)?;
@@ -116,30 +107,28 @@ pub(crate) fn keep(
             serde_json::from_str(&text).with_context(|| format!("{} holds no scores", path.display()))?;
         Ok((text, found))
     };
-    let (text, network) = scores(played.network)?;
-    let (ours_text, ours) = scores(played.ours)?;
+    let (text, network) = scores(network)?;
+    let (ours_text, ours) = scores(ours)?;
     let mark = fnv1a_text((text + &ours_text).as_bytes());
     let mut results = Results::new(Panel::Steering, set, mode, mark);
-    let traces = network["traces"].as_array().cloned().unwrap_or_default();
-    let provenance = traces.first().map(|t| t["provenance"].clone()).unwrap_or_default();
+    let recorded = network["traces"].as_array().cloned().unwrap_or_default();
+    let provenance = recorded.first().map(|t| t["provenance"].clone()).unwrap_or_default();
     results.device = provenance["device"].as_str().unwrap_or_default().to_owned();
     results.machine = provenance["machine"].as_str().unwrap_or_default().to_owned();
-    results.frames.insert("paths".into(), [0, 0, traces.len()]);
+    results.frames.insert("paths".into(), [0, 0, recorded.len()]);
     results.facts = facts(&network, str::to_owned);
     results.facts.extend(facts(&ours, |_| OURS.into()));
-    let mut frames = rows(played.network)?;
-    frames.extend(rows(played.ours)?.into_iter().map(|r| Row { controller: OURS.into(), ..r }));
     if let Some(drawn) = one_path(&frames) {
         results.curves = curves(&drawn);
         let name = &drawn[0].trace;
-        for file in played.traces {
+        for file in traces {
             let trace = Trace::open(file)?;
             if trace.name == *name {
                 results.pictures = pictures(work, set, trace, &drawn, renderer)?;
             }
         }
     }
-    results.curves.extend(step_curves(played.calibration)?);
+    results.curves.extend(step_curves(calibration)?);
     write(work.out, &results)
 }
 
@@ -253,11 +242,9 @@ fn side_by_side(images: &[Image]) -> Image {
 
 /// Curves over the ray step: each calibration scene's time divided by its time at the reference step, and G.
 fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
-    let samples = samples_of(&[calibration.to_owned()], PROBE_SIDE)?;
-    let g = response(&samples).context(
-        "G, the curve of frame time over step, needs scenes that were timed \
-                                        at several steps",
-    )?;
+    let samples = samples_by_volume(&[calibration.to_owned()])?;
+    let samples: Vec<Sample> = samples.into_iter().map(|(_, sample)| sample).collect();
+    let g = response_of(&samples)?;
     let mut by_scene: BTreeMap<usize, Vec<(f64, f64)>> = BTreeMap::new();
     for s in &samples {
         by_scene.entry(s.scene).or_default().push((f64::from(s.setting.step), s.seconds));

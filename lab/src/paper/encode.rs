@@ -107,7 +107,7 @@ impl Record {
 }
 
 /// Every encoder of the study that can be trained on the available data sets.
-pub(crate) fn encoders(work: &Work<'_>, places: &[Place]) -> Vec<Encoder> {
+fn encoders(work: &Work<'_>, places: &[Place]) -> Vec<Encoder> {
     let asked = &work.paper.encoders;
     let swept = |e: &Encoder| e.channels.is_empty() || asked.capacity.data_sets.contains(&e.set);
     let names = places.iter().filter(|p| !p.splits.is_empty()).map(|p| p.set.name.as_str()).chain([ALL]);
@@ -121,13 +121,9 @@ pub(crate) fn encoders(work: &Work<'_>, places: &[Place]) -> Vec<Encoder> {
 }
 
 /// Trains missing encoders.
-pub(crate) fn encode(
-    work: &Work<'_>,
-    places: &[Place],
-    encoders: &[Encoder],
-    threads: Option<usize>,
-) -> Result<()> {
+pub(crate) fn encode(work: &Work<'_>, places: &[Place], threads: Option<usize>) -> Result<()> {
     make_folder(&work.out.join("volumenet"))?;
+    let encoders = encoders(work, places);
     let root = places.first().context("no data set")?.root.clone();
     for (i, encoder) in encoders.iter().enumerate() {
         if encoder.is_trained(work.out)? {

@@ -44,8 +44,7 @@ pub(super) fn by_volume<'a>(
 
 /// Returns the RMSE in seconds, averaged over the training runs; `None` without frames.
 pub(super) fn rmse(errors: &ByVolume) -> Option<f64> {
-    let all: Vec<&Errors> = errors.values().collect();
-    (!all.is_empty()).then(|| rmse_of(all.iter().copied()))
+    (!errors.is_empty()).then(|| rmse_of(errors.values()))
 }
 
 fn rmse_of<'a>(drawn: impl Iterator<Item = &'a Errors> + Clone) -> f64 {

@@ -4,6 +4,7 @@ use super::Work;
 use super::collect::protocol;
 use super::description::{Panel, RAYCASTER_MODES};
 use super::encode::Encoder;
+use super::frames::trained;
 use super::results::{Results, kept, write};
 use super::volumes::Place;
 use anyhow::{Context, Result, bail};
@@ -31,7 +32,9 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
         let Some(mode) = place.set.modes.iter().find(|m| RAYCASTER_MODES.contains(&m.as_str())) else {
             continue;
         };
-        let encoders = reconstructed(work, place)?;
+        // Reconstructions are drawn by the encoders with as many features as the main encoder.
+        let mut encoders = trained(work, Some(&place.set.name))?;
+        encoders.retain(|e| e.features == work.paper.encoders.main.1);
         let text = format!("{LOBES} {SIDE} {} {:?}", place.jobs.len(), encoders);
         let mark = fnv1a_text(text.as_bytes());
         let set = &place.set.name;
@@ -81,13 +84,6 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
         write(work.out, &results)?;
     }
     Ok(())
-}
-
-/// Returns the encoders whose reconstructions are drawn: those with as many features as the main encoder.
-fn reconstructed(work: &Work<'_>, place: &Place) -> Result<Vec<Encoder>> {
-    let mut found = super::frames::trained(work, Some(&place.set.name))?;
-    found.retain(|e| e.features == work.paper.encoders.main.1);
-    Ok(found)
 }
 
 fn reconstruct(work: &Work<'_>, place: &Place, encoder: &Encoder, name: &str) -> Result<()> {

@@ -26,10 +26,8 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
         "fig:error_distribution" => distributions(paper, &of, &mut s),
         "fig:nyx_results" => varied_curves(paper, &of, &mut s),
         "fig:time_vis" => orbits(paper, &of, &mut s),
-        "tab:quantitative" => each(paper, &of, &mut s, errors_table),
-        "tab:ablation" => each(paper, &of, &mut s, errors_table),
+        "tab:quantitative" | "tab:ablation" | "tab:prednet_select_1" => each(paper, &of, &mut s),
         "fig:num_sample_search" => samples(paper, &of, &mut s),
-        "tab:prednet_select_1" => each(paper, &of, &mut s, errors_table),
         "tab:feature_select_1" | "tab:feature_select_2" => {
             encoders(paper, &of, &mut s);
             reconstructions(paper, material, &mut s);
@@ -70,15 +68,15 @@ fn split_of(paper: &Paper, r: &Results) -> &'static str {
     if r.rows.iter().any(|x| x.split == rule) { rule } else { BY_VOLUMES }
 }
 
-fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> Table) {
+fn each(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of.iter().filter(|r| !r.rows.is_empty()) {
         let split = split_of(paper, r);
         let frames = r.frames.get(split).map_or(String::new(), |f| {
             let split = in_words(split);
             format!(" Split by {split}: {} training, {} validation and {} test frames.", f[0], f[1], f[2])
         });
-        s.tables
-            .push((table(r), format!("{}.{frames} Encoder of the network: {}.", title(paper, r), r.encoder)));
+        let caption = format!("{}.{frames} Encoder of the network: {}.", title(paper, r), r.encoder);
+        s.tables.push((errors_table(r), caption));
         let found = r.row(split, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
         if let Some(row) = found {
             s.summary = format!("{}: {} ± {} s", title(paper, r), seconds(row.rmse), seconds(row.rmse_sd));
@@ -171,7 +169,7 @@ fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
         .series(Series::new("mean over runs", Mark::Line(points)).color(0));
         s.charts.push((chart, "Each training run uses other random frames.".into()));
     }
-    each(paper, of, s, errors_table);
+    each(paper, of, s);
 }
 
 fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {

@@ -13,7 +13,7 @@ use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::VolumeNet;
 use entire_io::dataset::feature_table::{code_column, encoder_id};
-use entire_io::files::open_model;
+use entire_io::files::{note, open_model};
 use entire_io::progress::templated_bar;
 use entire_steer::predict::GroupKind;
 use entire_train::fit::{FitContext, Recipe};
@@ -56,10 +56,7 @@ pub(crate) fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     bar.set_length(todo.iter().map(|t| t.2.len() as u64).sum::<u64>() + u64::from(wanted(Panel::Tuning)));
     for (place, mode, panels) in &todo {
         let Some(loaded) = Loaded::read(work, place, mode, clock)? else {
-            entire_io::files::note(&format!(
-                "no frames of {} in mode {mode}; collect them first",
-                place.set.name
-            ));
+            note(&format!("no frames of {} in mode {mode}; collect them first", place.set.name));
             bar.inc(panels.len() as u64);
             continue;
         };
@@ -427,7 +424,7 @@ impl At<'_> {
         let trained = trained(self.work, Some(&self.place.set.name))?;
         for (size, features, preset) in &self.paper().finalists {
             let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
-                entire_io::files::note(&format!(
+                note(&format!(
                     "{} has no VolumeNet {size}³F{features}; train it with `entire-lab paper encode`",
                     self.place.set.name
                 ));

@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::GroupKind;
 use entire_core::nn::Target;
 use entire_io::dataset::{Clock, Table};
-use entire_io::files::{fnv1a_text, make_folder, read_text, write_json};
+use entire_io::files::{fnv1a_text, make_folder, note, read_text, write_json};
 use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
 use entire_train::fit::{FitContext, Recipe, TargetChoice};
@@ -87,7 +87,7 @@ impl Measured {
     /// Reads the tables; `None`, with a note, if one is missing.
     fn read(of: &TrialTables, clock: Clock) -> Result<Option<Self>> {
         if let Some(path) = [&of.training, &of.test].into_iter().find(|p| !p.exists()) {
-            entire_io::files::note(&format!("{} does not exist; its trials are left out", path.display()));
+            note(&format!("{} does not exist; its trials are left out", path.display()));
             return Ok(None);
         }
         let tables = vec![Table::read(&of.training, 0)?, Table::read(&of.test, 1)?];
@@ -174,7 +174,7 @@ fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Resul
 fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
     let path = &work.paper.trials.labels;
     if !path.exists() {
-        entire_io::files::note(&format!(
+        note(&format!(
             "{} does not exist; `make paper-frames DATA=FOLDER` writes it with a teacher model",
             path.display()
         ));

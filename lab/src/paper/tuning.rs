@@ -15,7 +15,7 @@ use entire_cli::calibrate::calibrate_to_frames;
 use entire_core::model::ModelFile;
 use entire_io::dataset::feature_table::{code_column, encoder_id};
 use entire_io::dataset::{Clock, Table, TimedFrame};
-use entire_io::files::open_model;
+use entire_io::files::{note, open_model};
 use entire_io::metrics::{Metrics, median};
 use entire_train::fit::{FitContext, Recipe, predict};
 use entire_train::split::TimedFrames;
@@ -81,7 +81,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         tables.push(Table { root: Some(place.root.clone()), ..Table::read(&path, tables.len())? });
     }
     if pieces.iter().all(|(p, _)| all[*p].set.only_tests) {
-        entire_io::files::note(&format!("no frames in mode {mode}; nothing to pre-train on"));
+        note(&format!("no frames in mode {mode}; nothing to pre-train on"));
         return Ok(());
     }
     let mut others: Vec<Found> = Vec::new();
@@ -105,9 +105,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
         let elsewhere = machine(&found[0]) != here.as_deref();
         if set == MACHINES && !elsewhere {
-            entire_io::files::note(&format!(
-                "{name} is left out: its frames are of the machine of the pre-training frames"
-            ));
+            note(&format!("{name} is left out: its frames are of the machine of the pre-training frames"));
             continue;
         }
         // Tables whose stored features lack the feature vectors of the network's encoder need their volumes.
@@ -115,7 +113,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         let lost = bare.flat_map(|t| t.frames.iter().map(move |f| (t, f)));
         let lost = lost.map(|(t, f)| (t, &f.scene.volume)).find(|(t, v)| t.resolve_volume(v).is_none());
         if let Some((_, volume)) = lost {
-            entire_io::files::note(&format!("{name} is left out: {} has no {volume}", work.data.display()));
+            note(&format!("{name} is left out: {} has no {volume}", work.data.display()));
             continue;
         }
         let name =
@@ -168,9 +166,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         let of = |t: usize| if *set == MACHINES { of_table(t).parted(known).0 } else { of_table(t) };
         let (learned, judged) = if first == last { halves(&of(*first)) } else { (of(*first), of(*last)) };
         if learned.frames.is_empty() || judged.frames.is_empty() {
-            entire_io::files::note(&format!(
-                "{name} is left out: it has no frames of the pre-training data sets"
-            ));
+            note(&format!("{name} is left out: it has no frames of the pre-training data sets"));
             continue;
         }
         targets.push(Target { name: name.clone(), learned, judged, set });

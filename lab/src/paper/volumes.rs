@@ -3,7 +3,7 @@
 use super::description::{BY_MEMBERS, BY_VOLUMES, DataSet, Paper};
 use anyhow::{Context, Result, ensure};
 use entire_cli::collection::Job;
-use entire_io::files::fnv1a;
+use entire_io::files::{fnv1a, note};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -175,9 +175,7 @@ pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Resul
     for set in paper.data_sets.iter().filter(|d| selection.has(&d.name)) {
         match Place::find(set, data)? {
             Some(place) => found.push(place),
-            None => {
-                entire_io::files::note(&format!("{} is not in {}; it is skipped", set.name, data.display()))
-            }
+            None => note(&format!("{} is not in {}; it is skipped", set.name, data.display())),
         }
     }
     ensure!(

@@ -3,8 +3,7 @@
 use super::{LIMITS, Replayable, Trial, replay};
 use crate::bars::Bar;
 use anyhow::Result;
-use entire_cli::steering::play::ActsOn;
-use entire_cli::steering::play::Contender;
+use entire_cli::steering::play::{ActsOn, Contender};
 use entire_steer::control::{Hybrid, HybridOptions, Prior, Session};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use std::ops::Range;

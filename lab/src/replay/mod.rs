@@ -19,13 +19,10 @@ pub(crate) use trials::{Outcome, Trial, play, trials, trials_of_all};
 
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
-use entire_cli::steering::play::ActsOn;
-use entire_cli::steering::play::Contender;
+use entire_cli::steering::play::{ActsOn, Contender};
 use entire_io::path::FlightPath;
-use entire_steer::control::ObserveFlags;
-use entire_steer::control::{Reason, StepLimits};
+use entire_steer::control::{ObserveFlags, Reason, StepLimits};
 use entire_steer::features::{Changes, VolumeSummary};
-use serde::Serialize;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -103,7 +100,7 @@ impl Replayable {
 }
 
 /// One frame of a replay.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Replayed {
     /// Target, seconds.
     pub target: f64,
@@ -140,7 +137,6 @@ pub struct Replayed {
     /// by a gradual motion of the camera.
     pub calm: bool,
     /// Reason for the decision.
-    #[serde(serialize_with = "reason_name")]
     pub reason: Reason,
 }
 
@@ -158,10 +154,6 @@ impl Replayed {
             ..*self
         }
     }
-}
-
-fn reason_name<S: serde::Serializer>(reason: &Reason, s: S) -> std::result::Result<S::Ok, S::Error> {
-    s.collect_str(reason)
 }
 
 /// A hash of two numbers.
