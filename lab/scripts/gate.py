@@ -36,7 +36,7 @@ SKIPPING = ("change", "nightly")
 NOISE_SECONDS = 20
 # Renamed tests: old name, new name.
 RENAMED = {
-    "the_counter_counts": "predictions_allocate_nothing",
+    "the_counter_counts": "an_allocation_aborts_the_process",
     "several_machines_make_one_prior_and_a_factor_stands_alone": "several_machines_make_one_prior",
     "a_frame_is_measured_with_the_probe_of_the_prior": "a_frame_is_measured_when_it_is_added",
     "a_recording_and_its_predictor_keep_to_one_probe": "a_recording_starts_from_unit_costs_alone",
@@ -60,7 +60,6 @@ RENAMED = {
     "prediction_with_feedback_beats_reaction_at_switches_and_in_calm": "ours_passes_every_scene",
     "an_unreachable_target_leaves_the_step_alone": "ours_passes_every_scene",
     "files_of_other_writers_come_back_voxel_for_voxel": "every_fixture_is_read_as_independent_readers_read_it",
-    "every_volume_format_renders_the_same_picture": "every_fixture_is_read_as_independent_readers_read_it",
     "blocks_of_any_edge_draw_the_same_picture_with_other_work":
         "render_skips_without_changing_the_picture_and_range_changes_it",
     "edges_are_checked_and_followed": "blocks_hold_their_voxels_and_one_layer_more",

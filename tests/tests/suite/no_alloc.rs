@@ -29,6 +29,22 @@ fn network() -> PredNetParts {
     }
 }
 
+/// A copy of this test that allocates, with the variable set, must be aborted.
+#[test]
+fn an_allocation_aborts_the_process() {
+    const ALLOCATES: &str = "ENTIRE_TEST_ALLOCATES";
+    if std::env::var_os(ALLOCATES).is_some() {
+        assert_no_alloc(|| drop(std::hint::black_box(vec![0u8; 64])));
+        return;
+    }
+    let copy = std::process::Command::new(std::env::current_exe().expect("the path of this test"))
+        .args(["--exact", "no_alloc::an_allocation_aborts_the_process"])
+        .env(ALLOCATES, "1")
+        .output()
+        .expect("a copy of this test");
+    assert!(!copy.status.success());
+}
+
 #[test]
 fn an_encoder_that_never_runs_has_no_working_memory() {
     use entire_core::nn::{ConvBlockParts, VolumeNet, VolumeNetParts};
