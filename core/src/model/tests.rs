@@ -121,11 +121,16 @@ fn volumenet_shapes_are_followed_and_batch_normalization_is_folded() {
     let net = model.volumenet.as_ref().unwrap();
     assert_eq!((net.input, net.features(), net.blocks.len()), (8, 4, 2));
     assert_eq!((net.blocks[0].output_edge, net.blocks[1].output_edge), (4, 2));
-    // gamma / sqrt(var + eps) with gamma = var = 0.5, applied to a weight of 0.5.
-    let scale = 0.5 / libm::sqrt(0.5 + 1e-5);
-    assert_eq!(net.blocks[0].weight[0], (0.5 * scale) as f32);
-    assert_eq!(net.blocks[0].bias[0], 0.5, "(bias - mean) * scale + beta");
-    assert_eq!(net.blocks[1].bias[0], (-0.5 * scale + 0.5) as f32, "no convolution bias");
+    // The factor is gamma / sqrt(var + eps) with gamma = 1 and var = 2.
+    let scale = 1.0 / (2.0f32 + 1e-5).sqrt();
+    for (found, expected) in [
+        (net.blocks[0].weight[0], 0.01 * scale),
+        (net.blocks[0].bias[0], (0.5 - 0.3) * scale + 0.2),
+        // This block's convolution has no bias.
+        (net.blocks[1].bias[0], (0.0 - 0.3) * scale + 0.2),
+    ] {
+        assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+    }
 }
 
 #[test]
@@ -239,25 +244,25 @@ fn metadata_is_checked() {
     fails(&set(Key::VolumeNet, &two(padded, good)), invalid, &["padding 3"]);
 }
 
-/// Returns a file with an encoder, all of whose numbers are 0.5. A block is (outputs, kernel, stride, padding); the
-/// dense layer has `features` outputs.
+/// Returns a file with an encoder. A block is (outputs, kernel, stride, padding); the dense layer has
+/// `features` outputs.
 fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features: usize) -> ModelFile {
     let mut file = ModelFile::default();
-    let mut set = |name: &str, shape: &[usize]| {
-        file.set_tensor(name, Dtype::F32, shape, &vec![0.5; shape.iter().product()]).unwrap();
+    let mut set = |name: &str, shape: &[usize], value: f32| {
+        file.set_tensor(name, Dtype::F32, shape, &vec![value; shape.iter().product()]).unwrap();
     };
     let (mut edge, mut channels, mut layout) = (input, 1, Vec::new());
     for (i, &(outputs, kernel, stride, padding)) in blocks.iter().enumerate() {
         let name = format!("volumenet.encoder.{i}");
-        set(&format!("{name}.conv.weight"), &[outputs, channels, kernel, kernel, kernel]);
-        for part in ["weight", "bias", "running_mean", "running_var"] {
-            set(&format!("{name}.bn.{part}"), &[outputs]);
+        set(&format!("{name}.conv.weight"), &[outputs, channels, kernel, kernel, kernel], 0.01);
+        for (part, value) in [("weight", 1.0), ("bias", 0.2), ("running_mean", 0.3), ("running_var", 2.0)] {
+            set(&format!("{name}.bn.{part}"), &[outputs], value);
         }
         layout.push(format!(r#"{{"stride":{stride},"padding":{padding}}}"#));
         (edge, channels) = ((edge + 2 * padding - kernel) / stride + 1, outputs);
     }
-    set("volumenet.fc.weight", &[features, channels * edge * edge * edge]);
-    set("volumenet.fc.bias", &[features]);
+    set("volumenet.fc.weight", &[features, channels * edge * edge * edge], 0.1);
+    set("volumenet.fc.bias", &[features], 0.0);
     file.metadata
         .insert(Key::VolumeNet.into(), format!(r#"{{"input":{input},"blocks":[{}]}}"#, layout.join(",")));
     file
