@@ -45,7 +45,8 @@ fn weights_that_leave_single_precision_are_an_error_and_never_a_time() {
         assert!(error.to_string().contains("train the model again"), "{error}");
     }
     // An exponential that overflows although its argument is finite.
-    assert!(predict(&model(1.0, [1.0; 4], Target::LogSeconds)).is_err());
+    let overflow = predict(&model(1.0, [1.0; 4], Target::LogSeconds)).expect_err("an overflow");
+    assert_eq!(overflow.kind(), ErrorKind::InvalidModel);
 }
 
 #[test]
