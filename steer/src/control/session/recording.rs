@@ -52,8 +52,9 @@ impl Recording {
     /// Stores the work of a planned frame. The first frames of the session and of a volume are not stored, since
     /// they include uploads.
     pub(super) fn plan(&mut self, id: u64, work: &[f64; COSTS], changes: Changes) {
+        let at = Self::place(id);
         let id = if changes.first || changes.volume { 0 } else { id };
-        self.planned[Self::place(id)] = Planned { id, work: *work, shown: self.shown };
+        self.planned[at] = Planned { id, work: *work, shown: self.shown };
     }
 
     /// Adds a planned frame with its time to the calibration.
@@ -232,6 +233,24 @@ mod tests {
         session.record(None, 100).unwrap();
         session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
         assert_eq!(session.recorded(), Some(0));
+    }
+
+    #[test]
+    fn a_withdrawn_plan_is_not_recorded_as_the_first_frame_of_a_volume() {
+        let mut session = Session::untrained();
+        session.set_volume(cube(24), None);
+        session.set_transfer(&lobe_at(0.3), None).unwrap();
+        session.record(None, 100).unwrap();
+        play(&mut session, 0..2);
+        assert_eq!(session.recorded(), Some(1));
+        let withdrawn = session.plan(&frame(2), 1.0).unwrap();
+        session.withdraw(withdrawn.id);
+        session.set_volume(cube(32), None);
+        session.set_transfer(&lobe_at(0.3), None).unwrap();
+        let first = session.plan(&frame(3), 1.0).unwrap();
+        assert_eq!(first.id, withdrawn.id);
+        session.observe(first.id, 0.01, ObserveFlags::default()).unwrap();
+        assert_eq!(session.recorded(), Some(1));
     }
 
     #[test]
