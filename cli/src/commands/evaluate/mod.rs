@@ -177,7 +177,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let hidden = ProgressBar::hidden();
     let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &|| false };
     for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
-        let predicted = predict_stored(&m.model, storage, &context, &refs)?;
+        let predicted = predict_stored(&m.model, storage, &context, &refs).with_context(|| m.name.clone())?;
         let name = format!("{}, {} weights", m.name, storage);
         let stored = assess(name, predicted, bound::of(&m.model))?;
         predictors.push(Predictor { frames_seen: frames_seen(m), ..stored });
