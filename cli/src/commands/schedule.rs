@@ -105,7 +105,8 @@ fn write(tasks: &[Task], speeds: &[f64], options: &Options) -> Result<()> {
         write_whole(out, &csv.into_inner()?)?;
     }
     println!(
-        "{} tasks on {} nodes: expected end after {:.3} s; no schedule ends before {bound:.3} s",
+        "{} tasks on {} nodes: expected end after {:.3} s; no schedule is expected to end before \
+         {bound:.3} s",
         tasks.len(),
         speeds.len(),
         line.makespan
