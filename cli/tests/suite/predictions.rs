@@ -129,6 +129,12 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
             }
         }
     }
+    println!(
+        "{} of {frames} predictions of frames, {} of {} of random inputs",
+        of_tables.iter().sum::<usize>(),
+        of_random.iter().sum::<usize>(),
+        RANDOM * models.len()
+    );
     println!("predictions not positive: {}", of_tables.iter().chain(&of_random).sum::<usize>());
     for ((name, _), of_tables) in models.iter().zip(of_tables) {
         assert_eq!(of_tables, 0, "{name}: of the tables' frames");
