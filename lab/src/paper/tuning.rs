@@ -194,7 +194,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
 }
 
 impl Pretrained<'_> {
-    /// Adapts both predictors to a target with increasing numbers of frames. Measures the errors on
+    /// Adapts the network and the unit costs to a target with increasing numbers of frames. Measures the errors on
     /// the target's test frames.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
         let Self { work, runner, context, recipe, network, costs } = self;
