@@ -2,8 +2,7 @@
 //! struct.
 
 use crate::error::{Error, Result};
-use crate::voxels::BLOCK_EDGE;
-use crate::voxels::Geometry;
+use crate::voxels::{BLOCK_EDGE, Geometry};
 use entire_core::scene::Frame;
 
 /// Direction towards the light of single scattering, in scene space, not normalized.

@@ -128,8 +128,8 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     let model = recipe.make(&context, train.timed(), held_out.timed()).unwrap().file.to_model().unwrap();
     let layout = Layout::of_model(&model).unwrap();
     let norm = model.prednet.as_ref().unwrap().input.as_ref().unwrap();
-    // Definition of a network's `Prediction::out_of_range`: over 0 for an input whose distance from its mean
-    // is over 2.5 standard deviations.
+    // The score of a network is over 0 if an input is more than 2.5 standard deviations from its mean; a
+    // test of steer/src/predict/network.rs checks `Prediction::out_of_range` against this.
     let out_of_range = |row: &[f32]| {
         let distances =
             row.iter().zip(&norm.mean).zip(&norm.std).map(|((x, mean), std)| (x - mean).abs() / std);

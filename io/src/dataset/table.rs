@@ -196,7 +196,9 @@ pub(super) fn unreadable(error: &csv::Error) -> anyhow::Error {
 fn describe(error: &csv::Error) -> String {
     match error.kind() {
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            format!("{len} fields found, {expected_len} expected; is the line cut off or a comma extra?")
+            format!(
+                "{len} fields found, {expected_len} expected; is the line cut off, or is there a comma too many?"
+            )
         }
         csv::ErrorKind::Utf8 { .. } => "the text is not UTF-8".into(),
         other => format!("{other:?}"),

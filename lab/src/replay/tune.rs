@@ -114,8 +114,8 @@ pub(crate) fn removed(
 }
 
 /// Renderers of a replay: the recorded one (`None`), and imitations of others, each with the multiple of a frame's
-/// shortest recorded time that is added to all times of the frame. With -0.9 the remaining time falls nearly with 1 /
-/// step; with 2 most of it does not depend on the step.
+/// shortest recorded time that is added to all times of the frame. With -0.9, the remaining time is nearly proportional
+/// to 1/step; with 2, most of the time does not depend on the step.
 pub(crate) const LAWS: [Option<f64>; 3] = [None, Some(-0.9), Some(2.0)];
 
 /// Returns the recorded path with the frame times of one of [`LAWS`].

@@ -198,7 +198,7 @@ impl Calibration {
         Ok(())
     }
 
-    /// As [`Calibration::add`], for a frame whose work is already computed; does not allocate.
+    /// Adds a frame whose work is already computed; does not allocate.
     pub(crate) fn add_work(&mut self, work: &[f64; COSTS], shown: Shown, seconds: f64) {
         let frame = Kept { work: *work, seconds, shown, order: self.offered };
         // Reservoir sampling: every offered frame is kept with the same probability.

@@ -81,7 +81,7 @@ struct Before {
 ///
 /// Set the volume and the transfer function. Then for every frame call [`Session::plan`], draw with the
 /// plan's step, and report the time to [`Session::observe`]. Observations may be late as long as their plan
-/// is among the last 64. Plan, choose, predict and observe do not allocate.
+/// is among the last 64 plans. Plan, choose, predict and observe do not allocate.
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
     pub(super) controller: Box<dyn Controller + Send>,

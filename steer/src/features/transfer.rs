@@ -165,7 +165,7 @@ impl TransferSummary {
         self.apply(volume, Some(table))
     }
 
-    /// As [`TransferSummary::update`]; `None` applies the present table to another time step of the volume.
+    /// Does the work of [`TransferSummary::update`]; `None` applies the present table to another time step.
     pub(crate) fn apply(&mut self, volume: &VolumeSummary, table: Option<&TransferTable>) -> Result<()> {
         let n = volume.low.len();
         let longest = volume.cells.into_iter().max().unwrap_or(1);

@@ -175,7 +175,7 @@ impl InputLayout {
         self.write_from(&values, scene, row)
     }
 
-    /// As [`InputLayout::write`], with values from another source. `scene` returns a quantity of the scene in its
+    /// Writes a row like [`InputLayout::write`], from other values. `scene` returns a quantity of the scene in its
     /// unit, or `None` where it is unknown. If `scene` gets unit costs, the quantity is the seconds that the
     /// frame's work takes with these costs.
     ///

@@ -1,6 +1,7 @@
 //! One file per instruction set of x86-64.
 
-/// Defines methods of a token, in terms of intrinsics. The first argument, `self`, is added.
+/// Defines methods of a token by intrinsics, and adds the first argument, `self`. Bodies use no pointers, since the
+/// SAFETY comment is about the instruction set alone.
 macro_rules! methods {
     ($(fn $name:ident($($argument:ident: $type:ty),*) -> $result:ty { $($body:tt)* })*) => {$(
         #[inline(always)]

@@ -248,7 +248,7 @@ class Session(_native.Session):
         Raises
         ------
         ValueError
-            For another number of frames.
+            If `frames` is outside 8 to 65536.
         ModelError
             For a model of another kind.
         """
