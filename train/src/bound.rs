@@ -22,10 +22,7 @@ pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Up
 
 /// Coverage and quantile loss of an upper bound; `None` without frames.
 pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
-    let factor = upper.factor();
-    // NaN stays NaN: an uncalibrated bound holds for no frame.
-    let factor = if factor < 1.0 { 1.0 } else { factor };
-    let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(usable(*p) as f32 * factor)).collect();
+    let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(upper.upper(usable(*p) as f32))).collect();
     BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
 }
 

@@ -5,6 +5,7 @@
 //! information matrix) to a power of its expected seconds. No candidate needs to be rendered for this choice.
 
 use super::pool::Pool;
+use entire_steer::numeric::dot;
 #[cfg(test)]
 use entire_steer::numeric::solve;
 
@@ -90,10 +91,6 @@ impl Design {
         }
         out
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// Returns the random candidates in rounds: each round contains one candidate of each volume and enlargement.

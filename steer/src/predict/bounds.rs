@@ -76,7 +76,7 @@ impl UpperBound {
     }
 
     /// The bound for a prediction; never below the prediction.
-    pub(crate) fn upper(&self, seconds: f32) -> f32 {
+    pub fn upper(&self, seconds: f32) -> f32 {
         if self.log_factor.is_finite() { seconds * self.factor().max(1.0) } else { f32::NAN }
     }
 }
