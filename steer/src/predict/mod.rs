@@ -24,7 +24,7 @@ pub(crate) use cost_fit::{COST_SD, CostFit, FitRow};
 pub use entire_core::model::GroupKind;
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};
-pub use network::{load, load_with};
+pub use network::{ModelPredictor, load, load_with};
 pub(crate) use quality::DISTANCE_RATIO;
 pub use quality::Quality;
 pub use range::InputRange;

@@ -85,7 +85,7 @@ pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor 
 /// The out-of-range score uses the inputs' distances from their training means, where the file has them.
 /// Volume features do not count, since an encoder's outputs are in a similar range for every volume.
 #[derive(Clone, Debug)]
-pub(crate) struct ModelPredictor {
+pub struct ModelPredictor {
     net: Arc<PredNet>,
     layout: InputLayout,
     /// Mean and standard deviation of each input; the mean is NaN if the input is ignored by the out-of-range
@@ -107,7 +107,7 @@ impl ModelPredictor {
     ///
     /// # Errors
     /// As [`load`].
-    pub(crate) fn new(model: &Model) -> Result<Self> {
+    pub fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet.as_ref() else {
             bail!(
                 InvalidModel,
@@ -170,7 +170,7 @@ impl ModelPredictor {
     }
 
     /// The out-of-range score of an input row in the model's order; see [`Prediction::out_of_range`].
-    pub(crate) fn out_of_range(&self, row: &[f32]) -> f32 {
+    pub fn out_of_range(&self, row: &[f32]) -> f32 {
         let (mut worst, mut known) = (0.0f32, false);
         for (x, &(mean, std)) in row.iter().zip(&self.spread) {
             if mean.is_nan() {
