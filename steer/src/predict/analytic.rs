@@ -154,10 +154,11 @@ impl AnalyticModel {
     /// same frames. Costs of work that no measurement has keep their prior values; costs that are 0 in
     /// `default` stay 0. The fit ignores frames with a time that is not positive or over
     /// [`LONGEST_FRAME`](super::LONGEST_FRAME), with work that is negative or not finite, or without work.
+    /// Returns |predicted / measured − 1| of the other frames.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable.
-    pub fn fit(&mut self, default: &UnitCosts, measurements: &[([f64; COSTS], f64)]) -> Result<()> {
+    pub fn fit(&mut self, default: &UnitCosts, measurements: &[([f64; COSTS], f64)]) -> Result<Vec<f64>> {
         let usable: Vec<&([f64; COSTS], f64)> = measurements
             .iter()
             .filter(|(work, seconds)| {
@@ -188,7 +189,7 @@ impl AnalyticModel {
         let logs = usable.iter().map(|(work, seconds)| libm::log(seconds / dot(&costs, work).max(1.0e-30)));
         self.calibration = UpperBound::from_groups(logs.map(|log| (log, ())));
         self.range = Some(range_of(usable.iter().map(|(work, _)| work)));
-        Ok(())
+        Ok(usable.iter().map(|(work, seconds)| libm::fabs(self.costs.time(work) / seconds - 1.0)).collect())
     }
 
     /// Number of unit costs up to the last one that is not 0, but at least `least`.
@@ -438,20 +439,17 @@ mod tests {
             .collect()
     }
 
-    /// Median and 95th percentile of |predicted / measured − 1|.
-    fn errors(model: &AnalyticModel, rows: &[([f64; COSTS], f64)]) -> [f64; 2] {
-        let mut sizes: Vec<f64> =
-            rows.iter().map(|(work, seconds)| (model.costs.time(work) / seconds - 1.0).abs()).collect();
-        let middle = median(&mut sizes).unwrap();
-        [middle, sizes[sizes.len() * 95 / 100]]
+    /// Median and 95th percentile of the errors of a fit.
+    fn quantiles(mut errors: Vec<f64>) -> [f64; 2] {
+        let middle = median(&mut errors).unwrap();
+        [middle, errors[errors.len() * 95 / 100]]
     }
 
     #[test]
     fn exact_times_give_back_their_costs() {
         let mut model = AnalyticModel::default();
         let rows = measurements(200, 0.0, false);
-        model.fit(&prior(), &rows).unwrap();
-        let [middle, p95] = errors(&model, &rows);
+        let [middle, p95] = quantiles(model.fit(&prior(), &rows).unwrap());
         assert!(middle < 4e-3 && p95 < 2e-2, "{middle} {p95}");
         for (i, (&c, &t)) in model.costs().seconds.iter().zip(&TRUTH).enumerate().take(9) {
             assert!((c / t - 1.0).abs() < 0.25, "{i}: {c} {t}");
@@ -469,13 +467,9 @@ mod tests {
             *seconds = dot(&truth, work);
         }
         let (mut plain, mut asked) = (AnalyticModel::default(), AnalyticModel::default());
-        plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
-        assert!(
-            plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0)
-                && errors(&plain, &rows)[0] > 0.02
-        );
-        asked.fit(&UnitCosts::CONVERTING, &rows).unwrap();
-        assert!(errors(&asked, &rows)[0] < 5e-3);
+        let [middle, _] = quantiles(plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap());
+        assert!(plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0) && middle > 0.02);
+        assert!(quantiles(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap())[0] < 5e-3);
         assert!((asked.costs().seconds[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
         // The file names the quantities with nonzero costs, and reads back.
         for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COMMON_COSTS)] {
@@ -492,8 +486,7 @@ mod tests {
     fn noise_and_outliers_do_not_carry_it_away() {
         let mut model = AnalyticModel::default();
         let noisy = measurements(200, 0.1, true);
-        model.fit(&UnitCosts::SOFTWARE, &noisy).unwrap();
-        let [middle, _] = errors(&model, &noisy);
+        let [middle, _] = quantiles(model.fit(&UnitCosts::SOFTWARE, &noisy).unwrap());
         assert!(middle < 0.06, "{middle}");
         let clean = measurements(50, 0.0, false);
         for (work, seconds) in &clean {
@@ -525,14 +518,14 @@ mod tests {
         rows.push(([f64::NAN; COSTS], 1.0));
         let fitted = |rows: &[([f64; COSTS], f64)]| {
             let mut model = AnalyticModel::default();
-            model.fit(&UnitCosts::SOFTWARE, rows).unwrap();
-            model
+            let used = model.fit(&UnitCosts::SOFTWARE, rows).unwrap().len();
+            (model, used)
         };
-        let mut model = fitted(&rows);
-        assert_eq!(model, fitted(&rows[..20]));
+        let (mut model, used) = fitted(&rows);
+        assert_eq!((&model, used), (&fitted(&rows[..20]).0, 20));
         // A time beyond the longest frame is refused, the longest one is used.
         let longest = f64::from(LONGEST_FRAME);
-        assert_ne!(fitted(&[rows[0], (rows[1].0, longest)]), fitted(&rows[..1]));
+        assert_eq!(fitted(&[rows[0], (rows[1].0, longest)]).1, 2);
         assert_eq!(fitted(&[rows[0], (rows[1].0, longest * 1.001)]), fitted(&rows[..1]));
         let before = model.clone();
         assert!(

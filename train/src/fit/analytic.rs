@@ -23,14 +23,7 @@ pub(super) fn fit_analytic(
         .map(|(row, &seconds)| (work_of(*row), seconds))
         .collect();
     let mut model = AnalyticModel::default().with_probe_side(probe_side);
-    model.fit(default, &measurements)?;
-    let costs = model.costs();
-    // Times of a table are valid, and counts are finite. The fit refuses frames with a negative count.
-    let mut errors: Vec<f64> = measurements
-        .iter()
-        .filter(|(work, _)| work.iter().all(|w| *w >= 0.0))
-        .map(|(work, seconds)| (costs.time(work) / seconds - 1.0).abs())
-        .collect();
+    let mut errors = model.fit(default, &measurements)?;
     let text = format!(
         "fitted to {} frames, {} refused, median error {:.2} %",
         errors.len(),
