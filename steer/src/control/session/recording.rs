@@ -156,6 +156,15 @@ mod tests {
         Frame::new(Camera::from_arcball(pose).unwrap(), 64 + i * 37 % 400, 64 + i * 53 % 300).unwrap()
     }
 
+    /// Returns a session that records the frames of a cube.
+    fn recording() -> Session {
+        let mut session = Session::untrained();
+        session.set_volume(cube(24), None);
+        session.set_transfer(&lobe_at(0.3), None).unwrap();
+        session.record(None, 100).unwrap();
+        session
+    }
+
     /// Simulated seconds of a machine whose unit costs are far from the session's initial ones.
     fn drawn(session: &Session, frame: &Frame, step: f32) -> f32 {
         let mut costs = UnitCosts::SOFTWARE;
@@ -212,10 +221,7 @@ mod tests {
 
     #[test]
     fn what_was_not_an_ordinary_frame_is_not_kept() {
-        let mut session = Session::untrained();
-        session.set_volume(cube(24), None);
-        session.set_transfer(&lobe_at(0.3), None).unwrap();
-        session.record(None, 100).unwrap();
+        let mut session = recording();
         let flags = |unusual, cancelled| ObserveFlags { unusual, cancelled };
         // Five frames: the first of the session, an ordinary one, an unusual one, a cancelled one, and one
         // that is never observed. Only the second must be recorded.
@@ -237,10 +243,7 @@ mod tests {
 
     #[test]
     fn a_withdrawn_plan_is_not_recorded_as_the_first_frame_of_a_volume() {
-        let mut session = Session::untrained();
-        session.set_volume(cube(24), None);
-        session.set_transfer(&lobe_at(0.3), None).unwrap();
-        session.record(None, 100).unwrap();
+        let mut session = recording();
         play(&mut session, 0..2);
         assert_eq!(session.recorded(), Some(1));
         let withdrawn = session.plan(&frame(2), 1.0).unwrap();
