@@ -6,7 +6,7 @@ use entire_vk_raycaster::Image;
 pub const BEST_PSNR: f64 = 100.0;
 
 /// Resizes a picture bilinearly; where it shrinks, by a triangle filter whose half width is one new pixel.
-/// `None` for a picture without pixels.
+/// `None` if the old or the new picture has no pixels.
 pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     let (from, to) =
         ([picture.width, picture.height].map(|n| n as usize), [width, height].map(|n| n as usize));
@@ -70,7 +70,7 @@ pub fn scaled_size(size: (u32, u32), scale: f32) -> (u32, u32) {
 }
 
 /// Peak signal-to-noise ratio of two 8-bit RGBA pictures over red, green and blue, decibels; infinite when
-/// they are equal. `None` when they differ in size.
+/// they are equal. `None` when they differ in size or have no pixels.
 pub fn psnr(a: &[u8], b: &[u8]) -> Option<f64> {
     if a.len() != b.len() || a.is_empty() {
         return None;
@@ -85,7 +85,7 @@ pub fn psnr(a: &[u8], b: &[u8]) -> Option<f64> {
 }
 
 /// Root mean squared difference of colors between two pictures of one size, on a scale of 0 to 255; `None`
-/// when they differ in size.
+/// when they differ in size or have no pixels.
 pub(crate) fn rmse(a: &[u8], b: &[u8]) -> Option<f64> {
     let decibels = psnr(a, b)?;
     Some(255.0 * 10f64.powf(-decibels / 20.0))

@@ -1,8 +1,9 @@
 //! Choice of the most informative frames: greedy D-optimal design over the candidates' features.
 //!
 //! The feature vector of a frame holds the constant 1 and the share of each kind of work in the expected time.
-//! The next frame is the one with the largest ratio of its information gain (increase of ln det of the
-//! information matrix) to a power of its expected seconds. No candidate needs to be rendered for this choice.
+//! Every second chosen frame is a random candidate. Each other frame is the one with the largest ratio of its
+//! information gain (increase of ln det of the information matrix) to a power of its expected seconds. No
+//! candidate needs to be rendered for this choice.
 
 use super::pool::Pool;
 use entire_steer::numeric::dot;

@@ -24,7 +24,7 @@ use std::time::Instant;
 /// frame is not slower than the second one.
 const LONG: f64 = 0.12;
 
-/// Standard deviation of ln(median time of a frame's repeats) below which two passes are enough.
+/// Noise of a batch (see [`Measuring::spread`]) below which two or three passes are enough.
 const ENOUGH: f64 = 0.02;
 
 /// Minimum and maximum number of passes over a batch.
@@ -256,8 +256,8 @@ impl<'a> Measuring<'a> {
         Ok(repeats)
     }
 
-    /// Standard deviation of ln(median time) of a batch's frames, or a quarter of the drift between passes if
-    /// that is larger; infinite if no frame was repeated.
+    /// Returns the noise of a batch: the standard deviation of ln(median time of a frame's repeats), or a
+    /// quarter of the drift between passes if that is larger; infinite if no frame was repeated.
     fn spread(&self, batch: &[usize]) -> f64 {
         let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
         let noise = self.noise(&frames);

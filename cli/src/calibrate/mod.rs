@@ -175,7 +175,7 @@ pub(crate) fn calibrate(
     bar.set_message("fitting");
     ensure!(
         frames.len() >= FEWEST_FRAMES,
-        "{} frames were drawn {}; at least {FEWEST_FRAMES} are needed, and nothing was written",
+        "{} frames were drawn {}; a fit needs at least {FEWEST_FRAMES} frames, so no model was made",
         frames.len(),
         if stop() { "before the interruption".to_owned() } else { too_short(settings.seconds, choosing) }
     );

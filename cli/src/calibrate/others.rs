@@ -56,7 +56,7 @@ fn own_seconds(text: &str) -> Option<f64> {
 /// Load of other programs over a calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct BackgroundLoad {
-    /// Wall seconds in which the load was measured.
+    /// Wall seconds of all stretches of rendering; a stretch whose load is unknown counts as undisturbed.
     pub seconds: f64,
     /// Part of `seconds` in which other programs used more than [`DISTURBED`] processors.
     pub disturbed: f64,

@@ -2,9 +2,9 @@
 //!
 //! The protocol is the paper's (section "Data collection"): the renderer takes one volume at a time, renders
 //! all its frames, each several times, and then takes the next volume; loading is not timed. Scenes come from
-//! [`entire_io::scenes::SceneDistribution`] and depend only on the seed, the volume and the scene's number.
-//! Every repeat is a row of the table (see [`entire_io::dataset`]); readers take the median of each frame's
-//! repeats.
+//! [`entire_io::scenes::SceneDistribution`]; a scene depends only on this distribution, the seed, the
+//! volume's name and the scene's number. Every repeat is a row of the table (see [`entire_io::dataset`]);
+//! readers take the median of each frame's repeats.
 
 mod passes;
 mod protocol;

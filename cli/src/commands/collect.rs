@@ -19,10 +19,11 @@ use std::path::{Path, PathBuf};
 
 /// Render many random frames of volumes and write their render times to a table.
 ///
-/// Cameras lie on semi-spheres of several radii, transfer functions are random Gaussian lobes, and image
-/// sides are log-uniform, square or not. Each frame is rendered several times and every repeat is a row; a
-/// manifest beside the table states machine, renderer and settings. The frames of a volume depend on the seed
-/// only. Ctrl-C keeps every finished frame; --resume continues.
+/// Cameras lie on semi-spheres of several radii, transfer functions are random Gaussian lobes, image sides
+/// are log-uniform, and half of the images are square. Each frame is rendered several times and every repeat
+/// is a row; a manifest beside the table states machine, renderer and settings. The frames of a volume depend
+/// only on the settings, the seed and the volume's name. Ctrl-C keeps every finished frame; --resume
+/// continues.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire collect data/*.nrrd --out frames.csv
@@ -47,7 +48,7 @@ pub(crate) struct Options {
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
     pub(crate) frames: u32,
-    /// Timed renderings of each frame [default: 5].
+    /// Timed renderings of each frame in each pass [default: 5].
     #[arg(long, value_name = "R")]
     pub(crate) repeats: Option<u32>,
     /// Passes over all volumes, each with --repeats renderings of every frame: repeats that are minutes apart

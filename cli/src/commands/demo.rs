@@ -43,10 +43,11 @@ const SMALLEST_SIDE: u32 = 96;
 /// Calibrate a model of this machine, play a path of cameras and transfer functions under several
 /// controllers, and write a report.
 ///
-/// If this machine has no model, the command calibrates one with other volumes. It then plays 120 frames of a
-/// volume that no model was trained on, with three abrupt switches of the transfer function, under five
-/// controllers (fixed step, OLP, PID, Algorithm 1, entire's). It prints the distance of each controller's
-/// frame times from the target, and writes a report.
+/// If this machine has no model, the command calibrates one with the other volumes in data/; without other
+/// volumes, it uses the shipped model. It then plays 120 frames of a volume that no model was trained on,
+/// with three abrupt switches of the transfer function, under five controllers (fixed step, OLP, PID,
+/// Algorithm 1, entire's). It prints the distance of each controller's frame times from the target, and
+/// writes a report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire demo

@@ -23,7 +23,7 @@ use std::time::Duration;
   entire doctor
   entire doctor --python venv/bin/python")]
 pub(crate) struct Options {
-    /// Python interpreter in which VTK, PyVista and the package entire are looked for.
+    /// Python interpreter in which Python packages are looked for.
     #[arg(long, default_value = "python3", value_name = "PROGRAM")]
     pub(crate) python: String,
 }
@@ -40,7 +40,7 @@ const PACKAGES: [(&str, &str); 5] = [
     ("pyvista", "steering of PyVista by pl.entire.hold(fps=15)"),
     ("trame", "volumes in a browser"),
     ("napari", "steering of napari's volumes"),
-    ("entire", "this project's Python package"),
+    ("entire", "prediction and steering in Python"),
 ];
 
 /// A line of the report: the version or location of a part, or the use of a missing part and the command that installs

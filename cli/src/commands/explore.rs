@@ -38,8 +38,8 @@ pub struct Options {
     /// wall`), else the shipped model, corrected by the measured time of every frame.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// Controller at the start. Controllers that change the image size in `entire steer` change the ray step
-    /// here.
+    /// Controller at the start. Controllers that act on image resolution in `entire steer` change the ray
+    /// step here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
     /// Shading of each sample.

@@ -11,9 +11,9 @@ use std::fmt::Write as _;
 /// Renders known scenes, and compares the picture of one scene with that of the CPU version of the raycaster.
 /// Prints the device, its limits and the quality of its timestamps. Then prints five numbers that describe
 /// the machine to a predictor. The first is the fixed time per frame. The others are rates per second: rays,
-/// coherent samples (parallel rays of equal length), divergent samples (rays in all directions), and skips of
-/// empty blocks. The exit status is 1 if the compared pictures differ by more than 2 of 255 levels in a
-/// channel, or by more than 0.1 levels on average.
+/// coherent samples (nearly parallel rays of equal length), divergent samples (a wide field of view, rays of
+/// random lengths), and skips of empty blocks. The exit status is 1 if the compared pictures differ by more
+/// than 2 of 255 levels in a channel, or by more than 0.1 levels on average.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire probe

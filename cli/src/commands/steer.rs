@@ -77,7 +77,7 @@ pub(crate) struct Options {
         value_parser = parse_distance
     )]
     pub(crate) max_image_sample_distance: f32,
-    /// Write every drawn frame into a timing table, for `entire train --fine-tune`.
+    /// Write every frame that a controller drew into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) table: Option<PathBuf>,
     /// Controllers to compare. Controllers that act on image resolution draw smaller images at the reference
@@ -114,7 +114,8 @@ pub(crate) struct Options {
     #[command(flatten)]
     pub(crate) reading: Reading,
     /// The clock of frame times; `auto`: the clock of --model or of the machine's model (`entire calibrate`),
-    /// else the device's timestamps on a GPU, else wall time. A model of another clock is refused.
+    /// else the device's timestamps on a GPU, else wall time. A --model of another clock is refused; the
+    /// machine's model is ignored if it states another clock.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
     /// Finest and coarsest allowed step, reference steps. Controllers that act on image resolution have their
@@ -136,7 +137,7 @@ pub(crate) struct Options {
 const MAX_IMAGE_SAMPLE_DISTANCE: f32 = 4.0;
 
 /// Message after Ctrl-C.
-pub(super) const INTERRUPTED: &str = "interrupted; nothing was written";
+pub(super) const INTERRUPTED: &str = "interrupted; no report was written";
 
 fn parse_retarget(text: &str) -> Result<(u32, f64)> {
     let (frame, time) = text

@@ -247,7 +247,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Returns the errors of a predictor without a file, which has seen no frame.
+/// Returns the errors of a predictor. The caller sets the file's hash, the latency and the number of seen
+/// frames; here they are `None`, `None` and 0.
 fn assess(
     name: String,
     predicted: Vec<f64>,
