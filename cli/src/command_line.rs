@@ -18,7 +18,7 @@ struct Cli {
     command: Command,
 }
 
-/// The commands. Their texts in the help are the doc comments of their options.
+/// The commands. The doc comment of each `Options` type is the help text of its command.
 #[derive(Debug, Subcommand)]
 enum Command {
     Collect(commands::collect::Options),

@@ -224,7 +224,8 @@ fn fit_to_frames(
     let renderer = expected_costs(context, part);
     let prior = PriorModel::new(priors, &renderer)?;
     let unknown = UnitCosts::OF_UNKNOWN;
-    // The longest rays of a renderer that may run on a GPU are counted in the volumes, which may be missing.
+    // A renderer of unknown kind may run on a GPU, where the longest rays have costs. The volumes, from which
+    // these rays are counted, may be missing; then a software renderer is assumed.
     let longest = || counts(context, part, &unknown[1], PROBE_SIDE).ok();
     let (renderers, work) = match (renderer == unknown[0]).then(longest).flatten() {
         Some(work) => (&unknown[..], work),
@@ -277,8 +278,8 @@ pub fn calibrate_to_tables(
         .unzip();
     ensure!(
         frames.len() >= FEWEST_FRAMES,
-        "the tables have {} frames with shading {} and a time by the clock; at least {FEWEST_FRAMES} are \
-         needed: log more frames, or choose another --shade",
+        "the tables have {} frames with shading {} and a time by --clock; at least {FEWEST_FRAMES} are \
+         needed: log more frames, or choose another --shade or --clock",
         frames.len(),
         shading
     );

@@ -56,7 +56,7 @@ pub(crate) fn of_another_kind(path: &Path, file: &ModelFile, backend: &str, devi
     })
 }
 
-/// The machine's model for a shading mode, which must exist.
+/// Returns the file of the machine's model for a shading mode.
 ///
 /// # Errors
 /// When there is no such model; the message names the command that makes one.

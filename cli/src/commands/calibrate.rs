@@ -47,8 +47,8 @@ pub(crate) struct Options {
     /// Volume files; default: all volumes in data/, but of ensembles only the training members.
     #[arg(value_name = "VOLUME")]
     pub(crate) volumes: Vec<PathBuf>,
-    /// Timing tables logged by your own renderer: nothing is rendered. The model is fitted to their frames
-    /// with the shading --shade that have a time by --clock. Needs --out.
+    /// Timing tables logged by your own renderer: nothing is rendered. The model is fitted to those of their
+    /// frames that have the shading --shade and a time by --clock. Needs --out.
     #[arg(
         long,
         num_args = 1..,
@@ -241,7 +241,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The manifest of the measured frames' table.
+/// Returns the manifest of the table of measured frames.
 fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
     let settings = json!({ "calibration": true, "reading": options.reading });
     // The number of repeats differs between frames, so the manifest states 0.

@@ -55,8 +55,8 @@ pub(crate) struct Options {
     /// show the machine's drift [default: 1].
     #[arg(long, value_name = "P")]
     pub(crate) passes: Option<u32>,
-    /// Renderings of each frame that are discarded before the timed ones: the first one, with a new image
-    /// size and transfer function, is slower [default: 1].
+    /// Renderings of each frame that are discarded before the timed ones: the first rendering with a new
+    /// image size and transfer function is slower than the next ones [default: 1].
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_repeats: Option<u32>,
     /// Renderings that are discarded after each volume is loaded, so that first-use work is not timed.
@@ -91,7 +91,8 @@ pub(crate) struct Options {
     /// ones.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
-    /// Render every volume resampled to EDGE voxels per side: the low-resolution proxy of the same frames.
+    /// Render every volume resampled to EDGE voxels per side, a low-resolution proxy, with the cameras,
+    /// transfer functions, image sizes and steps of the original volume's frames.
     #[arg(long, value_name = "EDGE", conflicts_with = "enlarge")]
     pub(crate) proxy: Option<usize>,
     /// Continue an interrupted table. Settings, machine and volume files must be those of its manifest.

@@ -165,8 +165,8 @@ fn fit_size(
     Ok(draw)
 }
 
-/// Returns a sentence that compares predicting and reactive controllers at switches; empty if one of the four
-/// is missing.
+/// Returns a sentence that compares predicting and reactive controllers at switches; empty if hybrid,
+/// algorithm1, olp or pid was not played, or the path has no switch.
 fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     let at = |name: &str| {
         let i = names.iter().position(|n| n == name)?;
@@ -288,8 +288,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "The fixed step ({:.2}) is the step at which the median random scene meets the target. OLP takes \
              the mean of the last three frame times, converted to the reference step by G, the frame \
              time as a function of the step. PID has the gains 0.3, 0.05, 0.1. Algorithm 1 predicts at \
-             the reference step and converts to other steps by G. The hybrid predicts at every step, \
-             corrects predictions by the times of earlier frames, and keeps a margin.",
+             the reference step and converts to other steps by G. entire's controller predicts at every \
+             step, corrects predictions by the times of earlier frames, and keeps a margin.",
             prepared.fixed_step
         ),
     ];

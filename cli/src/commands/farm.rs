@@ -212,7 +212,7 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses options of another engine. An OpenJD template has a time limit with every engine.
+/// Refuses options that the chosen engine does not use. With --openjd, --time-limit is for every engine.
 fn check_engine(options: &Options) -> Result<()> {
     let (hyperqueue, slurm) = (EngineOption::Hyperqueue, EngineOption::Slurm);
     for (name, given, engines) in [

@@ -69,7 +69,7 @@ fn write(tasks: &[Task], speeds: &[f64], options: &Options) -> Result<()> {
     // Expected seconds: the prediction of each task, or its measured time if it has no prediction.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, tasks, speeds)?;
-    // Sums in another order may round to more than the end.
+    // The bound adds the times in another order, so by rounding it may exceed the makespan.
     let bound = lower_bound(&expected, speeds)?.min(line.makespan);
     ensure!(
         line.makespan.is_finite() && bound.is_finite(),

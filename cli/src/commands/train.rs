@@ -71,8 +71,8 @@ pub struct Options {
     /// Group of frames that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub split: GroupBy,
-    /// Members or volumes (as --split says) for validation. If neither these nor --test-groups are named, a random tenth
-    /// is taken for validation, and another one for testing.
+    /// Members or volumes (as --split says) for validation. If neither these nor --test-groups are named, a
+    /// random tenth of the groups is taken for validation, and another tenth for testing.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub validation_groups: Vec<String>,
     /// Members or volumes for testing; see --validation-groups.
@@ -255,7 +255,7 @@ pub fn run(options: &Options) -> Result<()> {
     });
     trained.fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
     entire_io::clock::set(&mut trained.fitted.file, clock);
-    // A law or a name that a fine-tuned model brings along is of the renderer that it was trained on before.
+    // A fine-tuned model has the quality law and the names of the renderer of its earlier training.
     for key in [Key::Quality, Key::Renderer, Key::Device, Key::StepReference] {
         trained.fitted.file.metadata.remove(key.name());
     }
@@ -354,7 +354,7 @@ impl Options {
     }
 }
 
-/// Refuses the options of networks for models of kind analytic, which have no network, the target of residual
+/// Refuses options without effect: options of networks for models of kind analytic, --target for residual
 /// networks, and options of input groups that the model does not take.
 fn check_used(recipe: &Recipe) -> Result<()> {
     let usual = Recipe::default();

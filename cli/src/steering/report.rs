@@ -312,8 +312,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         });
         page.chart(
             &chart,
-            "Image sample distance of each controller. It changes only under controllers that act on image \
-             resolution, and under the hybrid, if the hybrid may coarsen the image.",
+            "Image sample distance of each controller. Only controllers that act on image resolution change \
+             this distance, and entire's controller, if it may coarsen the image.",
         );
     }
 
@@ -340,15 +340,15 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         page.chart(
             &chart,
             "Predicted time of each frame divided by its measured time. Algorithm 1 uses the uncorrected \
-             prediction. The hybrid corrects the prediction by the times of earlier frames, and aims below the \
-             target where the upper bound of the time would exceed the target.",
+             prediction; entire's controller corrects the prediction by the times of earlier frames, and \
+             aims below the target where the upper bound of the time would exceed the target.",
         );
     }
     if !story.response.points.is_empty() {
         page.chart(
             &story.response.chart(),
             "Algorithm 1 and OLP use this one curve for all scenes. The scatter of the scenes about the \
-             curve is the error of these two; the hybrid predicts each scene's own curve.",
+             curve is the error of these two; entire's controller predicts each scene's own curve.",
         );
     }
 

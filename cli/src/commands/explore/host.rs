@@ -88,7 +88,7 @@ impl Steering for Predicts {
         let mut out = format!("predicted by {}{corrected}", self.model.title());
         if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
             out += &format!(
-                "; it predicts {} seconds, the window measures {} seconds: the factor between them is \
+                "; the model predicts {} seconds, the window measures {} seconds: the factor between them is \
                  learned from the first frames",
                 clock.name(),
                 WINDOW.name()
