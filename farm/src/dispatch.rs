@@ -29,8 +29,9 @@ pub(crate) struct Ask<'a> {
     /// Time limit of a bundle, seconds. A bundle of several tasks is expected to take at most half of it without
     /// overhead and loading, and at most all of it with them. A bundle of a single task may exceed it.
     pub(crate) limit: f64,
-    /// True if expected times are neither predicted nor measured. A bundle then has at most a quarter of
-    /// a slot's share of the waiting tasks, and only `limit` restricts its expected seconds.
+    /// True if expected times are only assumed: no model or list gives them, and few tasks were measured. A
+    /// bundle then has at most a quarter of a slot's share of the waiting tasks, and only `limit` restricts
+    /// its expected seconds.
     pub(crate) blind: bool,
     /// Interval, in requests, at which the answer is a random task of the volume with the fewest sent tasks,
     /// for its information about the model; 0 for never. It has no effect if loading is expensive.
@@ -55,7 +56,7 @@ impl Ord for Time {
     }
 }
 
-/// Waiting tasks, in one list per volume that ends with the longest task.
+/// Waiting tasks, in one list per volume that ends with the task to send first.
 #[derive(Clone, Debug)]
 pub(crate) struct Dispatcher {
     seconds: Vec<f32>,
@@ -184,8 +185,8 @@ impl Dispatcher {
         let by_number = self.arrival;
         self.lanes.par_iter_mut().zip(&mut self.work).for_each(|(lane, work)| {
             let waiting = lane.iter().filter(|t| waits[**t as usize]);
-            // Sort key of a task, which puts the longest task last. The bits of positive floats are ordered
-            // like the floats.
+            // Sort key of a task: the task to send first has the largest key. The bits of positive floats are
+            // ordered like the floats.
             let key = |t: u32| {
                 let bits = if by_number { 0 } else { seconds[t as usize].to_bits() };
                 u64::from(bits) << 32 | u64::from(u32::MAX - t)

@@ -68,7 +68,7 @@ impl Planner {
         let expected: Vec<f64> = drawn.iter().map(|t| self.learner.seconds(*t as usize)).collect();
         let sampled = stride > 1;
         // If all tasks are drawn, a queue is simulated. If they are a sample, the end is all work divided by
-        // all speeds.
+        // the sum of all speeds, plus the mean time until a slot is free.
         let end = |times: &[f64], busy: &[f64]| {
             if sampled {
                 let work = scale * times.iter().sum::<f64>();

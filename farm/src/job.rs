@@ -265,7 +265,7 @@ impl Job {
         for (part, place) in parts.iter().zip(bytes.chunks_exact_mut(8)) {
             place.copy_from_slice(&part.to_le_bytes());
         }
-        // FNV-1a mixes the last bytes into the low bits only. The finalizer of SplitMix64 mixes all bits.
+        // FNV-1a mixes the last bytes into some bits only. The finalizer of SplitMix64 mixes all bits.
         let mut x = fnv1a(&bytes);
         x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -150,7 +150,7 @@ pub struct TransferEntry {
 pub enum Renderer {
     /// The project's raycaster.
     Entire {
-        /// `none`, `local` or `scatter`.
+        /// `none`, `local`, `scatter` or `local-scatter`.
         #[serde(default = "default_shade")]
         shade: String,
         /// `none`, `blocks` or `distance`.
@@ -249,7 +249,7 @@ pub(crate) fn frame(
 ///
 /// # Errors
 /// When the renderer is not the project's raycaster, a word is unknown (the message names the accepted
-/// words), or `termination` is outside 0 to 1.
+/// words), or `termination` is not above 0 and at most 1.
 pub(crate) fn draw_settings(renderer: &Renderer) -> Result<(Draw, Device)> {
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
         bail!("the renderer is not the project's raycaster, so it has no such settings")

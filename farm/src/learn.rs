@@ -457,8 +457,8 @@ impl Learner {
         if self.nodes.len() < 2 {
             return;
         }
-        // Variance of the nodes' residuals beyond the errors of their tasks. The variance cannot be estimated
-        // from one time per node.
+        // Variance of the nodes' residuals beyond the errors of their tasks. With one time per node, this
+        // variance and the errors cannot be told apart.
         let of_nodes: f64 =
             sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
         let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);
@@ -489,8 +489,8 @@ impl Learner {
             .collect();
         let stride = n.div_ceil(KEPT).max(1);
         self.residuals = errors.iter().step_by(stride).map(|e| *e as f32).collect();
-        // Drift of the machine: the variance of the mean residuals of consecutive eighths of the tasks,
-        // beyond the variance that the errors of the tasks explain.
+        // Drift of the machine: the standard deviation of the mean residuals of consecutive eighths of the
+        // tasks, after subtraction of the variance that the errors of the tasks explain.
         const PARTS: usize = 8;
         self.drift = 0.0;
         if n >= 4 * PARTS {

@@ -10,10 +10,10 @@ use std::path::PathBuf;
 /// - A fraction, if exactly one point is between digits: `0.25`; `1.2.3` is three numbers.
 /// - An exponent, if no letter or digit follows it: `1e-3`, `2.5E+4`. After an integer, an exponent without a
 ///   sign is recognized only if neither is padded with zeros: `s01e02` is two numbers.
-/// - The sign `+` before it.
-/// - The sign `-` before it, after any character except a letter or a digit (`t_-1`), and after a letter if
-///   another name has a number without a sign there (`t-1` and `t0`). Otherwise `-` is a hyphen (`run-1`,
-///   `2024-01-05`).
+/// - The sign `+` before it, except directly after another number.
+/// - The sign `-` before it: at the start of the path; after any character except a letter, a digit or `-`
+///   (`t_-1`); and after a letter if another name has a number without a sign there (`t-1` and `t0`).
+///   Otherwise `-` is a hyphen (`run-1`, `2024-01-05`).
 ///
 /// Equal numbers (`1`, `01`, `1.0`) are ordered by the rest of the name, then by text.
 pub(crate) fn sort(paths: &mut Vec<PathBuf>) {

@@ -14,7 +14,7 @@ use std::path::Path;
 const NAME: usize = 128;
 
 /// Cuts tasks into bundles of about equal expected seconds, each of one volume, the longest tasks first. A bundle of
-/// several tasks is expected to take at most half of the time limit (seconds).
+/// several tasks is expected to take at most two thirds of the time limit (seconds).
 pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize, limit: Option<f64>) -> Vec<Vec<u32>> {
     let shape = planner.learner().shape();
     let mut sorted = tasks.to_vec();

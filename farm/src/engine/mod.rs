@@ -27,9 +27,9 @@ pub struct Bundle {
     pub slot: Option<usize>,
     /// The work orders of the bundle's tasks.
     pub orders: Vec<Order>,
-    /// Time that is requested from the engine for the bundle, seconds: the 99 % quantile of its rendering
-    /// time, with loading and overhead, doubled for each loss of a task. Infinite for workers of this machine,
-    /// which need no request.
+    /// Time that is requested from the engine for the bundle, seconds: the sum of the 99 % quantile of its
+    /// rendering time, twice its expected loading time, and its overhead. The sum is doubled for each earlier
+    /// loss of a task, at most six times. Infinite for workers of this machine, which need no request.
     pub upper_s: f64,
 }
 
