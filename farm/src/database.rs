@@ -20,7 +20,7 @@ pub struct Database<'a> {
     pub(super) job: &'a Job,
     pub(super) journal: Journal,
     numbers: HashMap<u64, u32>,
-    /// Results of finished tasks. If an expected time was lost, it is the measured one.
+    /// Results of finished tasks. The measured time replaces an expected time that is unknown.
     pub(super) done: HashMap<u32, Answer>,
     pub(super) quarantined: HashMap<u32, String>,
     pub(super) run: u64,
@@ -161,9 +161,9 @@ impl<'a> Database<'a> {
         self.run
     }
 
-    /// Adds the spool's answers without an error to the journal, if the journal does not have their tasks as
-    /// finished and their images are complete. Then empties the spool folder and the folders of orders, of
-    /// cancellations and of images in progress.
+    /// Adds answers of the spool to the journal: those without an error whose images are complete and whose
+    /// tasks the journal does not list as finished. Then empties the spool folder and the folders of orders,
+    /// of cancellations and of images in progress.
     ///
     /// # Errors
     /// When a file cannot be read or written.

@@ -34,7 +34,8 @@ pub(crate) struct Ask<'a> {
     /// its expected seconds.
     pub(crate) blind: bool,
     /// Interval, in requests, at which the answer is a random task of the volume with the fewest sent tasks,
-    /// for its information about the model; 0 for never. It has no effect if loading is expensive.
+    /// so that the model of times learns about every volume; 0 for never. The interval has no effect if
+    /// loading is expensive.
     pub(crate) explore: u32,
 }
 

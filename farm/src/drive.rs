@@ -80,7 +80,8 @@ struct Drive<'a, 'b> {
     down: Option<String>,
 }
 
-/// Runs a job to its end.
+/// Runs a job to its end and returns the result. `base`: ln of the base seconds of every task; `start` starts
+/// an engine for the run with the given number.
 ///
 /// # Errors
 /// When the engine cannot be used, the disk is full, or Ctrl-C is pressed; finished tasks stay finished.
@@ -278,8 +279,8 @@ impl Drive<'_, '_> {
                 upper_s = self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead;
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
-            // Times that are only assumed exclude no task: the engine ends a bundle that takes longer than
-            // the limit.
+            // If expected times are only assumed, no task is given up because of them: the engine ends a
+            // bundle that takes longer than the limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
                 // Several tasks are bundled only if they are expected to keep to the limit, so this bundle has
                 // one task.
@@ -302,7 +303,7 @@ impl Drive<'_, '_> {
         Ok(ready.is_empty())
     }
 
-    /// Waiting bundles, the most urgent first.
+    /// Returns the numbers of the bundles that have not begun, the longest first.
     fn urgency(&self) -> Vec<u64> {
         let seconds = |b: &u64| self.planner.open(*b).iter().map(|t| self.planner.expected(*t)).sum::<f64>();
         let mut waits = self.planner.not_begun();

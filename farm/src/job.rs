@@ -427,7 +427,7 @@ fn at_each(distances: &[f32], views: u32, angles: impl Fn(u32) -> [f32; 2]) -> R
     let count = (views as usize).saturating_mul(distances.len());
     ensure!(
         count <= MAX_TASKS,
-        "cameras: {count} views are more than the {MAX_TASKS} tasks of a job; split it"
+        "cameras: {count} views are more than a job's maximum of {MAX_TASKS} tasks; split the job"
     );
     let mut out = Vec::with_capacity(count);
     for &dz in distances {

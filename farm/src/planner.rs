@@ -10,8 +10,8 @@ use std::collections::{BTreeMap, HashSet, VecDeque};
 mod eta;
 pub(crate) use eta::queue_end;
 
-/// Share of finished tasks up to which some requests are answered with a task that is chosen for its
-/// information about the model, and the interval of these answers in requests.
+/// Share of finished tasks up to which some requests are answered with a task that is chosen so that the
+/// model of times learns about every volume, and the interval of these answers in requests.
 const EXPLORED: (f64, u32) = (0.1, 4);
 
 /// State of a task.
@@ -167,7 +167,7 @@ impl Planner {
         self.states[task as usize] = State::Quarantined;
     }
 
-    /// Removes a task from the unfinished ones of a running bundle, which it returns.
+    /// Removes a task from the unfinished tasks of a running bundle. Returns the bundle.
     fn close(&mut self, bundle: u64, task: u32) -> Option<&mut Running> {
         let running = self.running.get_mut(&bundle)?;
         running.open.retain(|t| *t != task);

@@ -147,7 +147,7 @@ impl Session {
     }
 }
 
-/// Starts a thread that sends the lines of `reader` until it ends.
+/// Starts a thread that sends the lines of `reader` until the reader ends.
 pub(super) fn forward(reader: impl Read + Send + 'static, to: mpsc::Sender<String>) {
     std::thread::spawn(move || {
         for line in BufReader::new(reader).split(b'\n') {

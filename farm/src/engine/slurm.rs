@@ -41,7 +41,8 @@ pub struct Slurm {
     spool: Spool,
     /// Job of each bundle that was sent and has not ended.
     open: BTreeMap<u64, Job>,
-    /// Bundles without a job since the last query, each with the reason; empty if sbatch was not asked.
+    /// Bundles without a job since the last query, each with the reason. The reason is empty if sbatch was
+    /// not asked.
     refused: Vec<(u64, String)>,
     looked: Option<Instant>,
     /// Time of the first query without an answer since the last answer.
@@ -222,8 +223,8 @@ impl Slurm {
         id.with_context(|| format!("sbatch answered {:?}, not with a job's number", said.trim()))
     }
 
-    /// Queries the queue. Returns the bundles whose jobs were missing or ended in three queries, with the
-    /// reason.
+    /// Queries the queue. Returns the bundles whose jobs were missing or ended in three consecutive queries,
+    /// with the reason.
     fn look(&mut self) -> Result<Vec<(u64, String)>> {
         let queue: BTreeMap<u64, (String, String)> = self
             .queue()?
