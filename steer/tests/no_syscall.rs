@@ -1,8 +1,8 @@
 //! Tests that predictions, plans, observations and repeated encodings make no system call after set-up.
 //!
 //! Each case runs in a process of its own. After set-up the process enters seccomp's strict mode, in which
-//! the kernel kills it at the first system call other than read, write and exit. If the kernel refuses this
-//! mode, the cases are reported as ignored.
+//! the kernel kills it at the first system call other than read, write, exit and sigreturn. If the kernel
+//! refuses this mode, the cases are reported as ignored.
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::process::ExitCode;

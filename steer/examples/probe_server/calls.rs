@@ -11,7 +11,7 @@ use std::hint::black_box;
 use std::io::BufRead;
 use std::time::Instant;
 
-/// Number of bytes read to evict the first two cache levels.
+/// Size of the buffer that is written to evict the first two cache levels, in bytes.
 const EVICTED: usize = 8 << 20;
 
 /// Number of camera poses per transfer function.
@@ -142,7 +142,7 @@ fn frames(shading: Shading) -> Vec<Frame> {
         .collect()
 }
 
-/// Answers `plan/SIDE/warm|cold/none|scatter`: seconds of one plan per scene.
+/// Answers `plan/SIDE/warm|cold/none|scatter`: seconds of the fastest of several plans of each scene.
 fn plans(volumes: &mut Volumes, side: usize, cold: bool, shading: Shading) -> Vec<f64> {
     let summary = volumes.summary(256);
     let mut session = scene::session(side);

@@ -242,7 +242,8 @@ impl Calibration {
     /// renderer and the clock of their times, and is stored in the file.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`].
+    /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`], [`crate::ErrorKind::OutOfMemory`],
+    /// and as [`PriorModel::choose`].
     pub fn fit(&self, source: [&str; 2]) -> Result<Calibrated> {
         if self.kept.len() < FEWEST_FRAMES {
             bail!(

@@ -110,8 +110,8 @@ impl HybridOptions {
 ///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
 /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
-///   replaces the prediction if the prediction is out of range at the step that it would choose, or was
-///   recently clearly worse than the forecast. If neither is available, the coarsest step is chosen.
+///   replaces the prediction if the prediction is missing, is out of range at the step that it would choose,
+///   or was recently clearly worse than the forecast. If neither is available, the coarsest step is chosen.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,

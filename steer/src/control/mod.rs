@@ -83,14 +83,16 @@ pub enum Reason {
     Damped = 2,
     /// The previous step still fits and is close to the best step.
     Held = 3,
-    /// The finest allowed step fits.
+    /// The finest allowed step, which is expected to meet the target; its upper bound may exceed the
+    /// tolerance.
     FinestAllowed = 4,
     /// Even the coarsest allowed step is not expected to fit.
     TargetUnreachable = 5,
-    /// The step was chosen from recent frame times, since the prediction is out of range at the step that it
-    /// would choose, or was recently wrong.
+    /// The step was chosen from recent frame times, since the prediction is missing, is out of range at the
+    /// step that it would choose, or was recently wrong.
     History = 6,
-    /// The coarsest allowed step, since there is neither a prediction nor an observed time.
+    /// The coarsest allowed step, since there is neither a prediction nor an observed time since the last
+    /// announced change of the scene.
     NoInformation = 7,
     /// The frame's own step, since steering is off.
     Off = 8,
@@ -114,7 +116,8 @@ names! { Reason:
 pub struct PlanRequest<'a> {
     /// Target: seconds that the frame should not exceed; finite and positive.
     pub target: f32,
-    /// Range of steps.
+    /// Range of steps. If plans may coarsen the image ([`Session::set_max_image_sample_distance`]), every
+    /// step that a controller receives or returns stands for step · (image sample distance)².
     pub limits: StepLimits,
     /// Changes of the scene since the previous frame.
     pub changes: Changes,
@@ -125,7 +128,7 @@ pub struct PlanRequest<'a> {
 /// A controller's plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
-    /// Ray step to draw with.
+    /// Chosen step, in reference steps; see [`PlanRequest::limits`].
     pub step: f32,
     /// Expected seconds; NaN if the controller predicts no time.
     pub seconds: f32,
@@ -142,7 +145,7 @@ pub struct Decision {
 pub struct Observed {
     /// Measured seconds.
     pub seconds: f32,
-    /// Step of the frame.
+    /// Step of the frame, as in [`Decision::step`].
     pub step: f32,
     /// Target of the frame's plan.
     pub target: f32,

@@ -42,7 +42,8 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
 /// ray, are nonzero only for renderers like [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
-/// For each unit cost of the longest ray, the index of the unit cost of the same kind of work of all rays.
+/// For each unit cost of the longest ray, the index in [`UnitCosts::seconds`] of the cost of all rays'
+/// samples, lookups in the skip map, or shadow samples.
 const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 
 /// Index of [`SceneQuantity::TouchedVoxels`] in [`UnitCosts::seconds`].
@@ -70,9 +71,10 @@ impl UnitCosts {
     /// reference renderer, which packs a voxel into four bytes.
     pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
 
-    /// Unit costs of a software renderer on a machine with two processors: geometric means of measured costs, as
-    /// `lab/scripts/typical_costs.py` prints them. Only the ratios of the costs matter, since the first observed
-    /// frames set their scale.
+    /// Unit costs of a software renderer, in seconds of processor time: geometric means of the costs measured
+    /// on three machines with two processors each, as `lab/scripts/typical_costs.py` prints them. The first
+    /// observed frames of a session set the scale of the costs; from then on, only the ratios of the costs
+    /// matter.
     pub const SOFTWARE: Self = Self::new([
         2.1e-4, 7.9e-8, 5.4e-9, 4.4e-9, 2.9e-9, 5.5e-9, 1.5e-8, 1.8e-8, 2.7e-10, 4.4e-10, 4.2e-11, 5.5e-9,
         8.8e-8, 1.7e-8, 1.1e-10, 7.6e-8, 7.4e-8, 3.9e-8, 4.3e-9, 7.0e-9, 5.0e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -88,9 +90,9 @@ impl UnitCosts {
     };
 
     /// Two sets of typical unit costs for a renderer of unknown kind. Both have a cost for the conversion of
-    /// stored values. The second set, for a GPU, also has costs for the longest ray. Each of these costs is
-    /// 10⁴ times the cost of the same kind of work of all rays, between the ratios of a processor with two
-    /// cores and of a large GPU.
+    /// stored values. The second set, for a GPU, also has costs for the longest ray: each is 10⁴ times the
+    /// cost of a sample, a lookup in the skip map, or a shadow sample of all rays. This ratio lies between
+    /// that of a processor with two cores and that of a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
         let mut costs = Self::CONVERTING;
         let mut longest = COMMON_COSTS + 1;

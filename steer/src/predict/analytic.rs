@@ -150,14 +150,16 @@ impl AnalyticModel {
     }
 
     /// Fits the unit costs to measured frames, given as pairs of work ([`FrameFeatures::cost_work`]) and
-    /// seconds. The prior is `default`, scaled to this machine's speed. The upper bound is calibrated on the
-    /// same frames. Costs of work that no measurement has keep their prior values; costs that are 0 in
-    /// `default` stay 0. The fit ignores frames with a time that is not positive or over
-    /// [`LONGEST_FRAME`](super::LONGEST_FRAME), with work that is negative or not finite, or without work.
-    /// Returns |predicted / measured − 1| of the other frames.
+    /// seconds. The prior is `default`, scaled to the speed of the measured frames. The upper bound is
+    /// calibrated on the same frames. Costs of work that no measurement has keep their prior values; costs
+    /// that are 0 in `default` stay 0. The model's clock and picture quality law are removed. The fit ignores
+    /// frames with a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), with work
+    /// that is negative or not finite, or without work. Returns |predicted / measured − 1| of the other
+    /// frames.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable.
+    /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable, or if a fitted cost is not
+    /// finite or none is positive; the model is then unchanged.
     pub fn fit(&mut self, default: &UnitCosts, measurements: &[([f64; COSTS], f64)]) -> Result<Vec<f64>> {
         let usable: Vec<&([f64; COSTS], f64)> = measurements
             .iter()

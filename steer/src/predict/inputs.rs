@@ -91,7 +91,8 @@ pub trait Predictor {
         Ok(CostTerms::whole(p.seconds, p.out_of_range, p.source))
     }
 
-    /// Checks that every input of the model was supplied; cheaper than a prediction.
+    /// Checks that every input of the model was supplied. The default makes a prediction; an implementation
+    /// may check the inputs alone.
     ///
     /// # Errors
     /// As [`Predictor::predict`].

@@ -58,9 +58,8 @@ impl Stored {
 /// Returns the predictor of a model file: an analytic model if the file holds one, otherwise its PredNet.
 ///
 /// # Errors
-/// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for an
-/// unknown scene feature, [`crate::ErrorKind::InvalidModel`] for a file without PredNet or with a damaged
-/// calibration.
+/// As [`InputLayout::of_model`]; [`crate::ErrorKind::InvalidModel`] also for a file without PredNet, or with
+/// a damaged calibration or picture quality law; [`crate::ErrorKind::OutOfMemory`].
 pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
     Ok(match AnalyticModel::from_model(model)? {
         Some(analytic) => Box::new(analytic),

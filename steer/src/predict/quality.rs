@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 /// Picture error and time of a renderer as functions of ray step and image size. Among combinations of step
 /// and image size that take the same time, a plan uses the one with the smallest error.
 ///
-/// Let the step be s finest steps, and let neighboring rays be d pixels apart along each side. A power of
-/// the picture's error against full quality is then proportional to
-/// (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`,
-/// and its time is proportional to (`ray_share` + (1 − `ray_share`) / s) / d². The unit of the error does not
-/// matter. [`crate::calibrate::fit_quality`] fits the law to compared pictures.
+/// Let the step be s finest steps, and let neighboring rays be d pixels apart along each side. The error by
+/// the law is (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`. The picture's measured
+/// error against full quality is proportional to a power of it, in any unit. The picture's time is
+/// proportional to (`ray_share` + (1 − `ray_share`) / s) / d². [`crate::calibrate::fit_quality`] fits the law
+/// to compared pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
     /// Ratio of the error of an image of half the size along each side (d = 2) to the error of a step twice
@@ -73,8 +73,8 @@ impl Quality {
         Ok(())
     }
 
-    /// Returns the picture's error against full quality, in units of the error at a step of 2 finest steps
-    /// and full image size.
+    /// Returns the error by the law at a step, in finest steps, and an image sample distance, in pixels. The
+    /// unit is the error at step 2 and distance 1.
     pub fn error(&self, step: f64, distance: f64) -> f64 {
         let power = |x: f64, exponent: f32| if x > 0.0 { libm::pow(x, f64::from(exponent)) } else { 0.0 };
         power(step - 1.0, self.step_exponent)

@@ -98,7 +98,7 @@ impl Session {
         Ok(())
     }
 
-    /// Number of frames recorded since [`Session::record`]; `None` before.
+    /// Number of kept frames, at most the number given to [`Session::record`]; `None` before that call.
     pub fn recorded(&self) -> Option<usize> {
         self.recording.as_ref().map(|r| r.calibration.frames())
     }
@@ -124,8 +124,7 @@ impl Session {
     /// unchanged and keeps recording; [`Session::set_predictor`] installs the model.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before [`Session::record`] and for fewer than
-    /// [`crate::calibrate::FEWEST_FRAMES`].
+    /// [`crate::ErrorKind::NotReady`] before [`Session::record`]; otherwise as [`Calibration::fit`].
     pub fn calibrate(&self) -> Result<Calibrated> {
         let Some(recording) = &self.recording else {
             bail!(

@@ -85,7 +85,8 @@ pub(crate) struct Probe {
     pub(super) shadow_segments: f32,
     /// The largest work of a single ray.
     pub(super) longest: Longest,
-    /// Standard error of the sampled length, relative to this length; infinite where the error is unknown.
+    /// Standard error of the sampled length, relative to this length; infinite where the error is unknown, 0
+    /// if no ray met the box.
     pub(crate) error: f32,
     block_skips: Chords,
     distance_skips: Chords,

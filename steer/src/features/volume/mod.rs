@@ -36,12 +36,13 @@ pub(crate) const LARGEST_INDEX: i16 = i16::MAX;
 /// Largest number of blocks kept along an axis of a cell; beyond it, several blocks are merged into one.
 const BLOCKS_PER_CELL_AXIS: usize = 8;
 
-/// Summary of a volume: about 12 bytes per cell of 8³ voxels, without the voxels.
+/// Summary of a volume: about 11 bytes per cell of 8³ voxels, without the voxels.
 ///
 /// Along each axis, cell i with edge e covers the samples between the centers of voxels e·i and e·(i + 1). So
-/// the bounds of a cell include one voxel beyond its far side. The edge is 8 voxels, or a larger power of two
-/// along an axis that would otherwise have more than 48 cells. Cells with larger edges also keep the value
-/// bounds of the blocks inside them, because a renderer skips single blocks.
+/// the bounds of a cell include one voxel beyond its far side. In a summary of voxels, the edge is 8 voxels,
+/// or a larger power of two along an axis that would otherwise have more than 48 cells; cells with larger
+/// edges also keep the value bounds of the blocks inside them, because a renderer skips single blocks. In a
+/// summary of bricks ([`VolumeSummary::from_bricks`]), each brick is a cell.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
     pub(crate) scalar_type: ScalarType,
@@ -117,13 +118,14 @@ impl VolumeSummary {
     /// Makes a summary from bounds that the renderer already has: one (low, high) pair of normalized scalars
     /// per brick of `brick_edge` voxels, x fastest. Each axis has ⌈dims / `brick_edge`⌉ bricks. The bounds
     /// must include the neighboring voxels that interpolation inside the brick uses. Values inside a brick
-    /// are assumed to be uniformly distributed between its bounds. NaN bounds count as 0.
+    /// are assumed to be uniformly distributed between its bounds. Bounds are clamped to 0…1; NaN counts as
+    /// 0.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with`] refuses,
-    /// [`ErrorKind::SizeMismatch`] for a size over [`entire_core::scene::MAX_VOLUME_EDGE`] or a number of
-    /// bricks that does not agree with sizes and edge, [`ErrorKind::OutOfMemory`] if memory does not suffice
-    /// for the summary.
+    /// [`ErrorKind::SizeMismatch`] for a size over [`entire_core::scene::MAX_VOLUME_EDGE`], for more than 2²⁸
+    /// bricks, or unless there is one pair of bounds per brick, [`ErrorKind::OutOfMemory`] if memory does not
+    /// suffice for the summary.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],

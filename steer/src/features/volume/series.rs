@@ -96,10 +96,11 @@ impl SummarySeries {
     /// memory of a few rows of cells for each thread, and memory for cells with more entries than before.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume, and for a volume of
-    /// another type, spacing or range, [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; in
-    /// these cases nothing has changed. [`crate::ErrorKind::OutOfMemory`] if memory does not suffice; there
-    /// is then no summary until another update succeeds.
+    /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume or has a range that
+    /// ends before it starts, and for a volume of another type, spacing or range,
+    /// [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; in these cases nothing has changed.
+    /// [`crate::ErrorKind::OutOfMemory`] if memory does not suffice; there is then no summary until another
+    /// update succeeds.
     pub fn update(
         &mut self,
         volume: &VolumeView<'_>,
