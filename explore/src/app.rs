@@ -281,7 +281,7 @@ impl App {
     }
 
     /// Handles an error: reopens a lost device, shows other errors. Closes the window if the device cannot be
-    /// reopened or a script plays.
+    /// reopened, or if another error occurs while a script plays or before the window can show pictures.
     fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
         let Err(error) = result else { return };
         let is_lost = self.is_lost();

@@ -15,7 +15,7 @@ pub(crate) struct Histogram {
 }
 
 impl Histogram {
-    /// Histogram of all voxels, or of every n-th voxel of a volume with more than about [`SAMPLED`].
+    /// Returns the histogram of all voxels, or of every n-th voxel if there are at least twice [`SAMPLED`].
     pub(crate) fn of(view: &VolumeView<'_>) -> Self {
         let [nx, ny, _] = view.shape().dims;
         let stride = (view.shape().voxels / SAMPLED).max(1);

@@ -73,7 +73,7 @@ impl Log {
     }
 
     /// Writes the row of another timed activity: its kind, total seconds, seconds of ray casting, and seconds
-    /// of the longest slice.
+    /// of the longest slice (of the kind `open`: of the first frame).
     pub(crate) fn event(
         &mut self,
         frame: u64,
