@@ -174,7 +174,7 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 /// 0.3 seconds. On a file system without locks the file stays unlocked, and other processes cannot be excluded.
 ///
 /// # Errors
-/// When another process holds the lock: then the error ends with `busy`.
+/// When another process holds the lock (the error then ends with `busy`), or the system cannot lock the file.
 pub fn lock_alone(file: &File, path: &Path, busy: &str) -> Result<()> {
     let mut locked = file.try_lock();
     for _ in 0..10 {

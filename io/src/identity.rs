@@ -105,8 +105,8 @@ fn modified_ns(metadata: &Metadata) -> u64 {
 /// first.
 ///
 /// # Errors
-/// When one of the files cannot be read. A header that names no data file, or cannot be understood, counts as
-/// an ordinary file.
+/// When one of the files cannot be read. Data files that do not exist are left out. A header that names no
+/// data file, or cannot be understood, counts as an ordinary file.
 pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
     let name = name_of(path);
     let mut out = vec![Identity::of(path, &name)?];

@@ -1,4 +1,4 @@
-//! Ctrl-C: finish the current piece of work, and name the way to continue.
+//! Ctrl-C and similar signals: they raise a flag, so that a command can finish its current piece of work.
 
 use anyhow::{Context, Result};
 use std::sync::atomic::{AtomicBool, Ordering};

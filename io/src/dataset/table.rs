@@ -110,7 +110,7 @@ impl Table {
 /// Reads several tables.
 ///
 /// # Errors
-/// Those of [`Table::read`], and tables without any frame.
+/// Those of [`Table::read`]; when no table has a frame.
 pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
     let tables: Vec<Table> =
         paths.iter().enumerate().map(|(i, p)| Table::read(p, i)).collect::<Result<_>>()?;

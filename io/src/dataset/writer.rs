@@ -42,7 +42,7 @@ impl Writer {
     /// Starts a new table, also in a file that holds a table without frames.
     ///
     /// # Errors
-    /// When the file exists already (resume it or remove it) or cannot be written.
+    /// When the file exists with other content (resume it or remove it), is locked, or cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
         check_name(path)?;
         if path.is_file() && Self::is_fresh(path)? {

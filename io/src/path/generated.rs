@@ -11,7 +11,7 @@ pub enum Generated {
     Switches,
     /// One turn around the volume with one transfer function, without abrupt changes.
     Orbit,
-    /// A slow orbit while a lobe is dragged over the scalar range and back.
+    /// A slow orbit while the lobes are dragged to lower values and back.
     Drag,
     /// From far away into the volume and out again.
     FlyIn,

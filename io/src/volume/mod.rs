@@ -215,8 +215,8 @@ impl Volume {
     ///
     /// # Errors
     /// One line that names the file, what was expected, what was found and what to do: a missing or
-    /// unreadable file, an unknown format, a broken header, a zero size, more or fewer bytes of voxels than
-    /// the header requires, several components or time steps.
+    /// unreadable file, an unknown format, a broken header, a zero size, fewer bytes of voxels than the
+    /// header requires or at least twice as many, several components or time steps.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_as(path, &Reading::default(), None)
     }
