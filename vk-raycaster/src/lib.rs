@@ -10,8 +10,7 @@
 //!
 //! *Space.* Voxel coordinates p: the box spans 0…n along each axis (n voxels), voxel i is centered at i +
 //! 0.5. A ray goes through a pixel's center, from the eye or, with parallel rays, from the plane through the
-//! eye. With the frame's step δ (multiples of the reference step, the smallest spacing), D is the ray's
-//! advance per step in voxel coordinates.
+//! eye. The frame's step δ is in multiples of the reference step, the smallest spacing.
 //!
 //! *Samples.* The ray is inside the box from t_in to t_out, measured in steps from the ray's origin, with
 //! t_in ≥ 0. Sample k = 0, 1, … lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by
@@ -32,9 +31,9 @@
 //! never. The image holds C and A, 8 bits each, over black.
 //!
 //! *Local shading.* Samples with α′ > 0 are lit by a headlight, which shines along the ray: gradient g by
-//! central differences over one voxel along each axis (in world proportions), N·L = |g·v| / |g| with v the
-//! ray's direction, c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v).
-//! A sample whose gradient is zero keeps its c.
+//! central differences of one voxel to each side along each axis (in world proportions), N·L = |g·v| / |g|
+//! with v the ray's direction, c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector
+//! being v). A sample whose gradient is nearly zero keeps its c.
 //!
 //! *Single scattering.* Each sample with α′ > 0 casts a shadow ray towards a directional light that is fixed
 //! in scene space ([`LIGHT_DIRECTION`]). The shadow ray is sampled every [`SHADOW_STEP`] steps, for the first

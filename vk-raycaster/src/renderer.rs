@@ -110,7 +110,7 @@ pub trait Renderer {
     /// `vulkan` or `cpu`.
     fn backend(&self) -> &'static str;
 
-    /// Kind and limits of the device; `None` if the renderer runs on the host.
+    /// Kind and limits of the Vulkan device, which may be software; `None` if the renderer uses none.
     fn limits(&self) -> Option<DeviceLimits> {
         None
     }

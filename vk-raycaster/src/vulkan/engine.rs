@@ -97,8 +97,8 @@ pub(crate) struct Engine {
     /// True if the fence was submitted and not reset since: nothing is freed or submitted before the engine
     /// has waited for it.
     pending: bool,
-    /// True after a submission has exceeded its time limit: the engine then polls the device instead of
-    /// waiting.
+    /// True from the time at which a submission exceeds its time limit until it ends: meanwhile, the engine
+    /// polls the device instead of waiting.
     hangs: bool,
 }
 

@@ -62,7 +62,8 @@ pub(crate) struct Gpu {
     /// True if a call has returned `VK_ERROR_DEVICE_LOST`: nothing runs on the device, and nothing can be
     /// submitted.
     lost: AtomicBool,
-    /// True if a submission never ended: resources that the device may still use are never freed.
+    /// True if a submission was still running when its engine was dropped: resources that the device may
+    /// still use are never freed.
     abandoned: AtomicBool,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
 }
@@ -214,7 +215,8 @@ impl Gpu {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// True if a submission never ended and may still use the device's resources.
+    /// True if a submission was still running when its engine was dropped, so that it may still use the
+    /// device's resources.
     pub(crate) fn is_abandoned(&self) -> bool {
         self.abandoned.load(Ordering::Relaxed)
     }

@@ -134,8 +134,9 @@ fn number<T: FromStr + PartialOrd>(
 
 /// The Vulkan renderer: a compute shader that renders the picture that the crate documentation defines.
 ///
-/// With [`VoxelFetch::Texels`] and [`VoxelFetch::Packed`] it follows the CPU version in every operation; a
-/// sampler interpolates with the device's precision.
+/// With [`VoxelFetch::Texels`] it follows the CPU version in every operation, and with [`VoxelFetch::Packed`]
+/// in all but the colors, which are rounded to a sixteenth of a table entry and to 10 or 11 bits. A sampler
+/// interpolates with the device's precision.
 pub struct VulkanRaycaster {
     engine: Engine,
     options: VulkanOptions,

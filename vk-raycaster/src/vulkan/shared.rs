@@ -67,8 +67,9 @@ impl SharedDevice {
         self.gpu.is_lost()
     }
 
-    /// True if a submission did not end within [`VulkanOptions::longest_wait`]. It may still use what was made from the
-    /// device, so nothing of it may be waited for or destroyed.
+    /// True if a raycaster was dropped while one of its submissions exceeded [`VulkanOptions::longest_wait`].
+    /// The submission may still use objects that were made from the device, so none of these objects may be
+    /// waited for or destroyed.
     pub fn is_abandoned(&self) -> bool {
         self.gpu.is_abandoned()
     }
