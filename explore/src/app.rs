@@ -257,7 +257,7 @@ impl App {
         Job { path, index, source: None, crop: None, curve: None, shading, skipping }
     }
 
-    /// Starts a load; a running load is cancelled.
+    /// Starts a load; a running load is canceled.
     fn start(&mut self, job: Job) -> Result<()> {
         let device = self.device.as_ref().context("there is no device")?;
         if let Some(before) = self.loading.take() {

@@ -105,7 +105,7 @@ impl Viewpoint {
         self.zoom(scale / self.half_height());
     }
 
-    /// The default view with the current field of view and projection.
+    /// Resets the view to the default; field of view and projection stay.
     pub(crate) fn reset(&mut self) {
         *self = Self { fov_y: self.fov_y, orthographic: self.orthographic, ..Self::default() };
     }

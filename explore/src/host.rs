@@ -41,7 +41,7 @@ pub trait Steering: Send + Sync {
 
 /// The program that opens the window. It is also called from loading threads.
 pub trait Host: Send + Sync {
-    /// Reads a volume file, reports its progress, and stops once it is cancelled.
+    /// Reads a volume file, reports its progress, and stops once reading is canceled.
     ///
     /// # Errors
     /// When the file cannot be read, or reading was canceled.

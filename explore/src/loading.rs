@@ -58,7 +58,7 @@ pub(crate) struct Loading {
 }
 
 impl Loading {
-    /// Starts a thread that loads the volume. It wakes the event loop when it ends.
+    /// Starts a thread that loads the volume and then wakes the event loop.
     pub(crate) fn start(
         job: Job,
         host: &Arc<dyn Host>,

@@ -59,7 +59,8 @@ impl Recorder {
         self.panned |= view.target != glam::Vec3::ZERO;
         let mut camera = view.arcball();
         if !view.orthographic {
-            // A path has one field of view: the distance is recorded at which it shows as much.
+            // A path has one field of view. The recorded distance is the one at which this field of view
+            // shows the volume in the same size.
             camera.dz *= view.distance_factor(self.recording.fov_y_degrees);
         }
         let mut switched = false;
