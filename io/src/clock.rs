@@ -141,7 +141,7 @@ pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a M
         ensure!(
             asked == Clock::Auto || clock == asked,
             "{name} predicts {} seconds and --clock asks for {}; leave out --clock, or make a model for that \
-             clock: `entire calibrate --clock {}` for this machine, with --data TABLE.csv from a table",
+             clock: `entire calibrate --clock {}` measures this machine, or reads a table (--data TABLE.csv)",
             clock.name(),
             asked.name(),
             asked.name()

@@ -10,7 +10,8 @@ const SIGNALS: [i32; 3] =
 #[cfg(not(unix))]
 const SIGNALS: [i32; 1] = [signal_hook::consts::SIGINT];
 
-/// True if the parent process has set a signal to be ignored. Only Linux tells.
+/// True if the parent process has set a signal to be ignored; false on systems other than Linux, which do not
+/// report this.
 fn ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

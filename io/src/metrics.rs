@@ -124,7 +124,7 @@ impl BoundMetrics {
 }
 
 /// Returns the 95 % interval of a metric by bootstrap over whole groups (volumes, say); `None` with fewer
-/// than two groups.
+/// than two groups. `rounds`: number of random draws.
 pub fn bootstrap_by_group<G: Ord>(
     predicted: &[f64],
     measured: &[f64],

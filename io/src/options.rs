@@ -26,7 +26,7 @@ pub struct RenderArgs {
     pub device: Device,
 }
 
-/// Settings with which frames are drawn. In a file, modes and clock have their names.
+/// Settings with which frames are drawn. Files store modes and clock by name.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DrawSettings {
@@ -49,7 +49,7 @@ pub struct DrawSettings {
     pub clock: Clock,
 }
 
-/// Values that a file has by their names.
+/// Conversion of values that files store by name.
 mod by_name {
     use serde::de::{Deserialize, Deserializer, Error};
     use serde::ser::Serializer;

@@ -217,8 +217,8 @@ pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Opt
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a
     /// frame, divided by 0.6745·√2, as for a normal distribution. Both repeats are of one pass (of two passes
-    /// if a pass has one repeat). First, the trend that frames of similar duration have in common, such as a
-    /// slow first repeat, is removed.
+    /// if a pass has one repeat). Before the differences are taken, the trend that frames of similar duration
+    /// have in common, such as a slow first repeat, is removed.
     pub log_sd: f64,
     /// Standard deviation of ln(median seconds of a frame's repeats), computed from `log_sd`. The standard
     /// error of the median is taken as that of the mean, times sqrt(π/2) for three repeats or more.

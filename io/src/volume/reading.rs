@@ -10,7 +10,7 @@ use std::str::FromStr;
 /// Width of the value range of unsigned bytes, in scalar values, below which a note suggests `--range data`.
 const NARROW: f32 = 64.0;
 
-/// Options of reading a volume file, also of commands. The default determines all of them from the file.
+/// Options of reading a volume file, also options of commands. By default, all are determined from the file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default)]
 pub struct Reading {
