@@ -58,8 +58,9 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3]) -> 
     out
 }
 
-/// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest
-/// block of the other kind, 1…127. All blocks closer than that distance are of the block's own kind.
+/// One byte per block: bit 7 is set for an empty block; bits 0 to 6 are the Chebyshev distance in blocks to
+/// the nearest block of the other kind, 1…127. All blocks closer than that distance are of the block's own
+/// kind.
 pub(crate) struct SkipMap {
     pub(crate) dims: [usize; 3],
     pub(crate) bytes: Vec<u8>,

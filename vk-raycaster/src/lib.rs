@@ -21,10 +21,11 @@
 //! voxels keep their stored precision; where the range is narrower than the data they are requantized to 16
 //! bits over the range.
 //!
-//! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities α are
-//! corrected to the step: α′ = 1 − (1 − α)^(δ / unit distance). Opacities below 1/32768 per reference step
-//! count as zero ([`TransferTable::is_visible`](entire_core::scene::TransferTable::is_visible)), so that the
-//! tails of a Gaussian lobe leave empty space to skip.
+//! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities α
+//! hold over the table's unit distance (in reference steps) and are corrected to the step: α′ = 1 −
+//! (1 − α)^(δ / unit distance). Opacities below 1/32768 per reference step count as zero
+//! ([`TransferTable::is_visible`](entire_core::scene::TransferTable::is_visible)), so that the tails of a
+//! Gaussian lobe leave empty space to skip.
 //!
 //! *Compositing.* Each sample, with color c, is added to the ray's color C and opacity A, from front to back:
 //! C += (1 − A)·α′·c, A += (1 − A)·α′. The ray stops once A reaches the frame's termination opacity; 1 means
