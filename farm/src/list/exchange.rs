@@ -19,8 +19,8 @@ struct Change {
 
 /// In each round, moves a task from the node that ends last to another node, or exchanges two tasks of these
 /// nodes: the change that makes the longer load of the two nodes shortest. Stops when no change helps, or
-/// after 40 rounds per node. The makespan for `times` never grows. A round takes O(tasks of the node that ends
-/// last · nodes · log tasks).
+/// after 40 rounds per node. The makespan for `times` never grows. A round takes O(tasks of the node that
+/// ends last · nodes · log tasks).
 ///
 /// After assignment by longest processing time first, loads differ by about one short task. With few tasks
 /// per node, that is several percent; exchanges remove this difference. Errors of predicted times are not
