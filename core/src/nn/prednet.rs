@@ -49,8 +49,8 @@ impl PredNet {
     /// # Errors
     ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) for parts that do not fit together, values that are
-    /// not finite, a standard deviation that is not positive, or a weight that overflows half precision;
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
+    /// not finite, a standard deviation that is zero, negative or subnormal, or a weight that overflows half
+    /// precision; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
     pub fn new(parts: &PredNetParts) -> Result<Self> {
         let format = parts.layers.first().map_or(Dtype::F32, |layer| layer.dtype);
         let same = parts.layers.iter().all(|layer| layer.dtype == format);

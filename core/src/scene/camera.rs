@@ -56,7 +56,7 @@ impl Camera {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for values that are not finite, or a distance that is not
-    /// positive.
+    /// positive or over 1e6 bounding-sphere radii.
     pub fn from_arcball(pose: Arcball) -> Result<Self> {
         let Arcball { rx, ry, dz } = pose;
         if !(rx.is_finite() && ry.is_finite()) {

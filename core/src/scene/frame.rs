@@ -64,7 +64,8 @@ pub enum Skipping {
     None,
     /// Blocks whose min–max range is transparent under the transfer function are skipped.
     Blocks,
-    /// As `Blocks`, with a Chebyshev distance map, so that a run of empty blocks costs one step.
+    /// As `Blocks`, with a Chebyshev distance map: one skip crosses all blocks that the map shows to be
+    /// empty.
     Distance,
 }
 

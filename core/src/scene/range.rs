@@ -22,10 +22,13 @@ const DISTINCT: usize = 16;
 const MOST: usize = 4;
 
 impl VolumeView<'_> {
-    /// Fill values: values of voxels without data, such as -9999, 9.97e36, or the padding of a CT scan. A
-    /// fill value is the minimum or maximum of the volume, at least one voxel in 1024 has it, and its
-    /// distance from all other values is at least an eighth of the width of their range. The default range
-    /// excludes fill values; unsigned bytes have none.
+    /// Fill values: values of voxels without data, such as -9999, 9.97e36, or the padding of a CT scan. The
+    /// default range excludes fill values; unsigned bytes have none.
+    ///
+    /// At most 4 fill values are found, one after another. Each is the minimum or maximum of the values that
+    /// are not yet found to be fill values, at least one sampled voxel in 1024 has it, and its distance from
+    /// the rest of these values is at least an eighth of the width of their range. At least 16 distinct
+    /// values must remain in the sample.
     ///
     /// Samples 4096 voxels. If the sample suggests a fill value, scans all voxels.
     pub fn fill_values(&self) -> Vec<f32> {

@@ -14,7 +14,7 @@ pub const TABLE_LEN: usize = 256;
 
 /// Opacity per reference step below which a table entry counts as transparent, so that the tails of a
 /// Gaussian lobe leave empty space to skip. A ray of 1000 reference steps with opacities just below this
-/// threshold would accumulate an opacity of at most 0.03.
+/// threshold would accumulate an opacity of about 0.03.
 pub(crate) const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
 
 /// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) of the normalized scalar value s
