@@ -25,10 +25,10 @@
  * documentation says and are never freed. The inputs of a call that makes a handle may be freed after the call,
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
- * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const`
- * handle may run at the same time on several threads with the same handle; all other calls need exclusive use
- * of their handles. In other words: share models, volumes and transfer functions once they are made; give
- * every render loop a session of its own.
+ * Threads. The library starts no thread. The log callback is its only global state that callers can set.
+ * Calls with a `const` handle may run at the same time on several threads with the same handle; all other
+ * calls need exclusive use of their handles. In other words: share models, volumes and transfer functions once
+ * they are made; give every render loop a session of its own.
  *
  * Names. Functions are entire_<noun>_<what they do>. A function that only reads is named after its result,
  * without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
@@ -66,5 +66,6 @@
  * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
- * with its place in the error text; the handle then refuses every call but free.
+ * with its place in the error text; the handle then refuses every call but entire_<noun>_last_error
+ * and entire_<noun>_free.
  */

@@ -40,7 +40,8 @@ pub type entire_skipping = u32;
 pub const ENTIRE_SKIPPING_NONE: entire_skipping = 1;
 /// Transparent blocks are skipped.
 pub const ENTIRE_SKIPPING_BLOCKS: entire_skipping = 2;
-/// As ENTIRE_SKIPPING_BLOCKS, with a distance map, so that a run of empty blocks costs one skip.
+/// As ENTIRE_SKIPPING_BLOCKS, with a distance map: one skip crosses all blocks that the map shows to be
+/// empty.
 pub const ENTIRE_SKIPPING_DISTANCE: entire_skipping = 3;
 
 /// A frame to draw. Fill with entire_frame_init, then set what differs.

@@ -133,7 +133,8 @@ mod tests {
         }
     }
 
-    /// Many calls from `callers` threads at once; true if two of them ever saw the same piece.
+    /// Calls the pool from `callers` threads at once, and checks that no two calls use the same piece at the
+    /// same time.
     fn hammer(pool: &Pool<Piece<'_>>, callers: usize) {
         let start = Barrier::new(callers);
         std::thread::scope(|scope| {

@@ -16,7 +16,7 @@ use std::ptr::null_mut;
 use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
 /// Size in bytes of the largest piece that the reserve provides. (Under Miri, which is about a thousand times
-/// slower, all sizes are smaller.)
+/// slower than native code, this size and the reserve are smaller.)
 const LARGEST: usize = if cfg!(miri) { 1 << 12 } else { 1 << 16 };
 /// Size of a block in bytes, and largest alignment that the reserve provides.
 const BLOCK: usize = 256;

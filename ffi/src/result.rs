@@ -20,7 +20,8 @@ pub enum entire_result {
     ENTIRE_INVALID_MODEL = 3,
     /// A tensor of the model is missing or has another shape than its neighbors require.
     ENTIRE_INVALID_TENSOR = 4,
-    /// The model needs an input group that the caller did not supply, or the reverse.
+    /// The model needs an input group that the caller did not supply, that was supplied in another size, or
+    /// that this version does not know.
     ENTIRE_MISSING_INPUT = 5,
     /// The call needs something that was not set before it (volume, transfer function, model).
     ENTIRE_NOT_READY = 6,
@@ -35,7 +36,8 @@ pub enum entire_result {
     ENTIRE_STRUCT_SIZE = 101,
     /// A file cannot be read or written.
     ENTIRE_IO = 102,
-    /// A bug in the library. The handle refuses all further calls with this code and can only be freed.
+    /// A bug in the library. The handle refuses all further calls with this code, except
+    /// entire_<noun>_last_error and entire_<noun>_free.
     ENTIRE_PANIC = 103,
     /// There is not enough memory for the call.
     ENTIRE_OUT_OF_MEMORY = 104,

@@ -1,4 +1,4 @@
-//! Receiver of log messages: the library's only global state.
+//! Receiver of log messages: the library's only global state that callers can set.
 
 use std::cell::Cell;
 use std::ffi::{CString, c_char, c_void};

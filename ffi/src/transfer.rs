@@ -174,8 +174,8 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
 }
 
 /// Makes a transfer function from a table: `entries` entries of red, green, blue and opacity in [0, 1], not
-/// premultiplied. The first entry is at scalar value 0, the last at 1; values in between are interpolated
-/// linearly. The unit distance is one reference step.
+/// premultiplied. The first entry is at the normalized scalar value 0, the last at 1; values in between are
+/// interpolated linearly. The unit distance is one reference step.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
 /// (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.

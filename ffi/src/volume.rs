@@ -280,8 +280,9 @@ pub unsafe extern "C" fn entire_brick_desc_init(
 /// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type or ownership, a zero size, a spacing or range
 /// that is not accepted, strides of which only some are ENTIRE_STRIDE_CONTIGUOUS, borrowed voxels that are
 /// not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or sizes over the limits of
-/// entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs no memory),
-/// ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// entire_volume_desc), ENTIRE_OUT_OF_MEMORY (ENTIRE_VOXELS_BORROW needs no memory for
+/// voxels), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
+/// ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_new(
     desc: *const entire_volume_desc,

@@ -21,8 +21,8 @@ pub struct entire_session_options {
     /// of undisturbed frames over (1 + `tolerance`) * target is smaller, since many bounds are below that
     /// limit.
     pub miss_rate: f32,
-    /// Excess over the target above which a frame counts as missed, as a share of the target, not negative;
-    /// default 0.1.
+    /// Share of the target by which a plan's upper bound for undisturbed frames may exceed the target, not
+    /// negative; default 0.1.
     pub tolerance: f32,
     /// Out-of-range score above which steps are chosen from recent frames instead of the prediction,
     /// positive; default 2.

@@ -11,8 +11,9 @@ use entire_steer::predict::Source;
 
 /// Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
 pub type entire_reason = u32;
-/// The finest step that is expected to meet the target, with an upper bound of at most the target plus the
-/// session's tolerance.
+/// The finest step that is expected to meet the target and whose upper bound is at most (1 + tolerance) times
+/// the target. If no step has such a bound: a coarser step than the finest that is expected to meet the
+/// target.
 pub const ENTIRE_REASON_FITS: entire_reason = 1;
 /// The step moves slowly towards that of ENTIRE_REASON_FITS, because nothing changed abruptly.
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
@@ -230,11 +231,12 @@ pub unsafe extern "C" fn entire_session_plan(
 }
 
 /// Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
-/// that are expected to meet the target, with an upper bound of at most the target plus the session's
-/// tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
-/// receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The
-/// frame's own step must be in range, but is ignored; its width and height give the aspect ratio of all
-/// settings, and a change of its size or modes counts as a change of the scene. Does not allocate.
+/// that are expected to meet the target and whose upper bound is at most (1 + tolerance) times the target. If
+/// there are none, takes those that are expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS
+/// settings. `index` receives the index of the chosen settings, and `plan` their plan, to be observed like
+/// any other. The frame's own step must be in range, but is ignored; its width and height give the aspect
+/// ratio of all settings, and a change of its size or modes counts as a change of the scene. Does not
+/// allocate.
 ///
 /// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
 /// range, and with ENTIRE_SIZE_MISMATCH for too many.
