@@ -1,4 +1,4 @@
-//! Buffers that are allocated before any change, hashes, and work spread over threads.
+//! Allocates buffers before their owner is changed, hashes numbers, and spreads work over threads.
 
 use alloc::vec::Vec;
 use entire_core::Result;

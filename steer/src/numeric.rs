@@ -2,8 +2,8 @@
 
 use alloc::vec::Vec;
 
-/// Replaces a symmetric positive definite matrix of n rows, given by its lower half in row-major order, by
-/// its Cholesky factor. Returns false, and leaves the matrix in an unspecified state, where it is not
+/// Replaces a symmetric positive definite n × n matrix in row-major order by its Cholesky factor; reads and
+/// writes only the lower half. Returns false, and leaves the matrix in an unspecified state, where it is not
 /// positive definite.
 pub(crate) fn cholesky(a: &mut [f64], n: usize) -> bool {
     for j in 0..n {
@@ -25,7 +25,8 @@ pub(crate) fn cholesky(a: &mut [f64], n: usize) -> bool {
     true
 }
 
-/// Solves L·x = b for a Cholesky factor L.
+/// Returns the solution x of L·x = b for a Cholesky factor L, an n × n matrix in row-major order; b has n
+/// elements.
 pub fn forward(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
     for i in 0..n {
@@ -35,7 +36,7 @@ pub fn forward(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
-/// Solves Lᵀ·x = b for a Cholesky factor L.
+/// Returns the solution x of Lᵀ·x = b; L and b are as in [`forward`].
 pub fn back(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
     for i in (0..n).rev() {
@@ -45,8 +46,9 @@ pub fn back(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
-/// Solves A·x = b for a symmetric positive definite matrix A, given by its lower half in row-major order, and
-/// replaces A by its Cholesky factor. `None` where A is not positive definite.
+/// Returns the solution x of A·x = b for a symmetric positive definite n × n matrix A in row-major order, of
+/// which only the lower half is read, and n elements of b. Replaces A by its Cholesky factor. `None` where A
+/// is not positive definite.
 pub fn solve(a: &mut [f64], b: Vec<f64>) -> Option<Vec<f64>> {
     cholesky(a, b.len()).then(|| back(a, forward(a, b)))
 }

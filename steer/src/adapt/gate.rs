@@ -31,10 +31,10 @@ names! { Verdict:
 /// Flags of an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ObserveFlags {
-    /// The time includes work that most frames do not include (a compilation, an upload, a stall): nothing is
-    /// learned from it.
+    /// True if the time includes work that most frames do not include (a compilation, an upload, a stall);
+    /// nothing is then learned from it.
     pub unusual: bool,
-    /// The frame was abandoned before it was complete; its time is a lower bound.
+    /// True if the frame was abandoned before it was complete; its time is then a lower bound.
     pub cancelled: bool,
 }
 

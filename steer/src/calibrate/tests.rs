@@ -78,7 +78,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
     for (found, stored) in prior.costs.seconds.iter().zip(&UnitCosts::SOFTWARE.seconds) {
         assert!((found / stored - 1.0).abs() < 1e-6 || *stored == 0.0, "{found} {stored}");
     }
-    // On the simulated machine, three unit costs differ from the prior, and all are 1.7 times as large.
+    // On the simulated machine, three unit costs differ from the prior; then all costs are multiplied by 1.7.
     let mut machine = UnitCosts::SOFTWARE.seconds;
     (machine[1], machine[4], machine[13]) = (4.0 * machine[1], 2.0 * machine[4], 0.5 * machine[13]);
     let seconds = |i: usize| 1.7 * seconds_by(&machine, &work(i));
@@ -156,7 +156,7 @@ fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
         }
         let next = PriorModel::new(core::slice::from_ref(&chosen.file), &UnitCosts::SOFTWARE);
         assert_eq!(next.unwrap().costs.cached_voxels, cached_voxels);
-        // Groups too few for cross-validation keep the prior's number.
+        // With too few groups for cross-validation, the prior's number stays.
         let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
         assert!(!fitted(&prior, &few).file.metadata.contains_key(Key::CachedVoxels.name()));
     }

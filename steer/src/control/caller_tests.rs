@@ -61,7 +61,7 @@ fn a_withdrawn_plan_leaves_no_trace() {
         let plan = session.plan(&f, 1e-6).unwrap();
         session.withdraw(plan.id);
     }
-    // Nor does its size remain.
+    // A withdrawn plan for a smaller image must leave no trace either.
     let small = session.plan(&Frame { width: 256, height: 256, ..f }, 0.02).unwrap();
     session.withdraw(small.id);
     assert_eq!(std::format!("{:?}", session.plan(&f, 0.02).unwrap()), expected);

@@ -98,7 +98,7 @@ fn a_doubtful_first_frame_is_forecast_from_once_only() {
         hybrid.observe(&Observed { seconds: if i == 0 { 2.0 } else { seen.seconds }, ..seen });
         steps.push(plan.step);
     }
-    // The second frame alone is forecast from the doubtful one.
+    // Only the second frame is forecast from the first, doubtful frame.
     assert!(steps[1] > 8.0 && steps[2..].iter().all(|s| *s < 4.0), "{steps:?}");
 }
 

@@ -204,7 +204,7 @@ pub trait Controller {
     }
 
     /// Returns the prediction by which settings are chosen: that of [`Controller::correct`], without a load of
-    /// the machine that the controller ignores, and with the bound that chooses steps.
+    /// the machine that the controller ignores, and with the upper bound by which steps are chosen.
     fn judged(&self, terms: &CostTerms, changes: Changes) -> Prediction {
         self.correct(terms, changes)
     }

@@ -180,12 +180,12 @@ impl Session {
     /// Sets the summary of the volume's next time step (made by [`crate::features::SummarySeries`]), and
     /// VolumeNet's output for it; `None` keeps the output for the preceding time step. Transfer function and
     /// learned state stay: no change is announced. If the next frame includes an upload, announce it with
-    /// [`Session::mark`].
+    /// [`Session::mark`]. Does not allocate.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for a
     /// summary of other sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for a summary of
-    /// another voxel type; on an error nothing has changed. Does not allocate.
+    /// another voxel type; on an error nothing has changed.
     pub fn set_time_step(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) -> Result<()> {
         let Some(before) = &self.volume else {
             bail!(NotReady, "no volume is set; set the first time step of a series by set_volume");
@@ -278,8 +278,8 @@ impl Session {
     }
 
     /// Announces changes that the session cannot detect (a camera cut, a new pipeline), so that the next
-    /// frame does not smoothly continue the previous frame. Changes of volume, transfer function, size and
-    /// mode are detected.
+    /// frame is not taken for a smooth continuation of the previous one. Changes of volume, transfer
+    /// function, size and mode are detected.
     pub fn mark(&mut self, changes: Changes) {
         let c = &mut self.changes;
         c.first |= changes.first;
@@ -308,7 +308,8 @@ impl Session {
         Ok(self.controller.correct(&terms, changes))
     }
 
-    /// Chooses the step of the next frame; with steering off, the plan has the frame's own step.
+    /// Chooses the step of the next frame for a target in seconds; with steering off, the plan has the
+    /// frame's own step.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a target that is not finite and positive; otherwise as
@@ -417,7 +418,7 @@ impl Session {
         }
     }
 
-    /// Reports the time of a planned frame.
+    /// Reports the measured seconds of a planned frame. Returns how they were used.
     ///
     /// # Errors
     /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or already observed,

@@ -119,7 +119,8 @@ impl UnitCosts {
         Self { seconds, cached_voxels: Self::CACHED_VOXELS }
     }
 
-    /// Each unit cost with its name: `frame`, then the quantities' names.
+    /// Returns the name and the seconds of each unit cost: `frame`, then the quantities of
+    /// [`COST_QUANTITIES`].
     pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
         core::iter::once("frame").chain(COST_QUANTITIES.iter().map(|q| q.name())).zip(self.seconds)
     }

@@ -62,8 +62,8 @@ impl From<&Frame> for Setting {
     }
 }
 
-/// Changes since the preceding frame, as far as the caller knows. The default: only the camera has changed,
-/// by a smooth motion.
+/// Changes since the preceding frame, as far as the caller knows. The default means that only the camera has
+/// changed, by a smooth motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Changes {
     /// True where there is no preceding frame, or where the renderer's pipeline was rebuilt.
@@ -151,9 +151,9 @@ pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 /// Ray spacing at which half of the reads of shading are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
-/// Shadow samples for which rays far apart wait because their own sample is transparent, divided by the number if the
-/// visible voxels were spread evenly over each cell. The factor exceeds 1 because visible voxels lie close together.
-/// Fitted to training frames of two machines.
+/// Shadow samples for which rays far apart wait because their own sample is transparent, divided by the
+/// number of such samples in a volume whose visible voxels are spread evenly over each cell. The factor
+/// exceeds 1 because visible voxels lie close together. Fitted to training frames of two machines.
 const WAITING_TRANSPARENT: f64 = 4.0;
 
 /// Shadow samples for which rays far apart wait because they have ended, divided by all shadow samples, by the share
@@ -164,8 +164,8 @@ const WAITING_ENDED: f64 = 10.0;
 ///
 /// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step,
 /// skipping mode and image size (of the same aspect ratio) without marching again. It also evaluates other
-/// shading modes. Single scattering and skipping by a distance map require a frame measured with them. Nothing
-/// here allocates.
+/// shading modes. Single scattering and skipping by a distance map require a frame measured with them. No
+/// method allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe_side: usize,
@@ -340,9 +340,10 @@ impl FrameFeatures {
         work
     }
 
-    /// Number of shadow samples of eight adjacent rays in lockstep, divided by that of the rays alone; at least 1. A
-    /// ray waits while another one shades, if its own sample is transparent or if it has ended. Adjacent rays
-    /// shade at the same time; [`UNSHARED_SHADING`] apart, they wait half as long as rays far apart.
+    /// Returns the number of shadow samples of eight rays in lockstep, divided by the number without
+    /// lockstep; at least 1. A ray waits while another ray shades if its own sample is transparent or if it
+    /// has ended. Adjacent rays shade at the same time. Rays [`UNSHARED_SHADING`] apart wait half as long as
+    /// rays far apart. `ray_spacing` is in reference steps.
     fn waiting(&self, ray_spacing: f64) -> f64 {
         let p = &self.probe;
         let transparent = if p.visible > 0.0 { (f64::from(p.busy / p.visible) - 1.0).max(0.0) } else { 0.0 };

@@ -20,7 +20,8 @@ macro_rules! quantities {
     ($(
         $variant:ident, $name:literal, $unit:literal, $floor:literal, $step:ident, $probe:ident, $doc:literal;
     )*) => {
-        /// A physical quantity of a scene.
+        /// A physical quantity of a scene. The logarithm of a quantity ([`SceneFeature::log`]) is
+        /// ln(value + log floor).
         ///
         /// | name | unit | log floor | depends on the step | needs the probe | meaning |
         /// |---|---|---|---|---|---|

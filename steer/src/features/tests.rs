@@ -292,7 +292,7 @@ fn the_longest_ray_is_no_shorter_than_the_mean_ray_and_does_not_grow_with_the_im
             assert_eq!(most, quantity(&features, large, longest), "{longest} {shading}");
         }
     }
-    // A box that no sample is skipped in: the longest ray is its diagonal or shorter, and no shorter than an edge.
+    // No sample of this box is skipped, so the longest ray is at least an edge and at most the diagonal.
     let (s, t) = (summary(&[200; 4096], [16; 3], 48), table(|_| 1.0e-4));
     let frame = frame(0.0, 0.0, 3.0, 64);
     let most = quantity(&measured(&s, &t, &frame), Setting::from(&frame), SceneQuantity::LongestSamples);

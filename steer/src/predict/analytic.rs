@@ -398,8 +398,9 @@ mod tests {
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ];
 
-    /// A prior for the tests, apart from the built-in one: every other cost is too high by one standard deviation
-    /// ([`COST_SD`]), the others too low. Costs that [`TRUTH`] lacks are 1 ns.
+    /// Returns a prior other than the built-in one. In ln(cost), its costs are alternately too high and too
+    /// low by one standard deviation ([`COST_SD`]). Costs that are 0 in [`TRUTH`] are 1 ns if
+    /// their index is below [`COMMON_COSTS`], otherwise 0.
     fn prior() -> UnitCosts {
         let mut costs = [1e-9; COSTS];
         costs[COMMON_COSTS..].fill(0.0);

@@ -40,7 +40,7 @@ pub(crate) struct FitRow {
     pub(crate) log: f64,
 }
 
-/// Fitted parameters.
+/// Fitted parameters: the unit costs c_i exp(θ_i) in seconds, and b.
 pub(crate) struct CostFit {
     pub(crate) costs: [f64; COSTS],
     pub(crate) bias: f64,

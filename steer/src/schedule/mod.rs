@@ -22,12 +22,13 @@ pub struct Assignment {
 }
 
 impl Assignment {
-    /// Time until the last node has finished, for given task times and node speeds.
+    /// Time until the last node has finished, for given task times and node speeds; its unit is that of
+    /// `times`.
     ///
     /// # Errors
     /// [`crate::ErrorKind::SizeMismatch`] where `times` does not have one time per task or `speeds` does not
-    /// have one speed per node; [`crate::ErrorKind::InvalidArgument`] for an invalid time or speed, or a task
-    /// on a node that does not exist.
+    /// have one speed per node; [`crate::ErrorKind::InvalidArgument`] for a task on a node that does not
+    /// exist; for other invalid values, as [`assign_longest_first`].
     pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
         check(times, speeds)?;
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
@@ -44,7 +45,7 @@ impl Assignment {
         let mut loads = filled(self.nodes, 0.0)?;
         for (&node, &time) in self.node_of.iter().zip(times) {
             let Some(load) = loads.get_mut(node) else {
-                bail!(InvalidArgument, "the assignment names node {node}, there are {}", self.nodes);
+                bail!(InvalidArgument, "the assignment names node {node}, but has {} nodes", self.nodes);
             };
             *load += time / speeds[node];
         }

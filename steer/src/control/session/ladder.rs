@@ -51,8 +51,8 @@ impl Cast {
     fn serves(&self, other: &Self, tolerance: f32) -> bool {
         let distance = self.eye.length();
         let height = self.heights[0] + distance * (self.heights[1] - self.heights[0]);
-        // A view that shows less than half of its distance from the volume's center is moved by a smaller turn
-        // to other parts of the volume.
+        // If the visible height is less than half of the eye's distance from the volume's center, a smaller
+        // turn already shows other parts of the volume.
         let tolerance = tolerance * (2.0 * height / distance).min(1.0);
         let least = libm::cosf(TURN * tolerance);
         let near =

@@ -204,8 +204,8 @@ const SHADOW_LIMIT_TOLERANCE: f64 = 0.04;
 /// samples do.
 const SEGMENTS_LIMIT_TOLERANCE: f64 = 0.05;
 
-/// As [`LIMIT_TOLERANCE`], for the ray with the most samples or lookups along shadow rays: a single ray, of
-/// which another shadow ray may be taken.
+/// As [`LIMIT_TOLERANCE`], for the ray with the most samples or lookups along shadow rays. It is a single
+/// ray, and its shadow ray may start at another point.
 const LONGEST_LIMIT_TOLERANCE: f64 = 0.25;
 
 #[test]

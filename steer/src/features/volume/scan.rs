@@ -29,8 +29,8 @@ impl Grid {
         core::array::from_fn(|a| self.dims[a].div_ceil(self.block[a]))
     }
 
-    /// Distance in bytes between the entries of neighboring cells. It is not a power of two, since cells
-    /// would then map to few cache sets.
+    /// Distance in bytes between the entries of neighboring cells. It is not a power of two; otherwise, cells
+    /// would map to few cache sets.
     pub(super) fn room(&self) -> usize {
         self.edge.iter().product::<usize>() + 64
     }
