@@ -25,7 +25,7 @@ pub enum ErrorKind {
     RejectedObservation = 7,
     /// This build or this model lacks the feature.
     Unsupported = 8,
-    /// The allocation failed.
+    /// An allocation failed.
     OutOfMemory = 104,
 }
 

@@ -14,7 +14,7 @@ pub enum Executor<'a> {
     /// The work is split over the threads of a pool; the caller waits.
     #[cfg(feature = "rayon")]
     Rayon(&'a rayon::ThreadPool),
-    /// Cannot be made; it uses the lifetime where there are no pools.
+    /// Cannot be constructed. It uses the lifetime parameter in builds without the feature `rayon`.
     #[cfg(not(feature = "rayon"))]
     #[doc(hidden)]
     Never(core::convert::Infallible, core::marker::PhantomData<&'a ()>),

@@ -43,10 +43,12 @@ pub trait Simd: Copy + 'static {
     fn prefetch_near(self, p: *const f32);
     /// `x` in every lane.
     fn splat(self, x: f32) -> Self::F;
+    /// Loads `LANES` floats.
     /// # Safety
     ///
     /// `p` must be valid for reading `LANES` floats.
     unsafe fn load(self, p: *const f32) -> Self::F;
+    /// Stores `LANES` floats.
     /// # Safety
     ///
     /// `p` must be valid for writing `LANES` floats.
@@ -95,6 +97,7 @@ pub trait Simd: Copy + 'static {
     fn to_f(self, v: Self::I) -> Self::F;
     /// The same four bytes in every lane.
     fn splat_bytes(self, bytes: u32) -> Self::I;
+    /// Loads 4·`LANES` bytes, four per lane.
     /// # Safety
     /// `p` must be valid for reading 4·`LANES` bytes.
     unsafe fn load_bytes(self, p: *const i8) -> Self::I;

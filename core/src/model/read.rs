@@ -114,7 +114,7 @@ impl Source<'_> {
     fn required(&self, key: Key, example: &str) -> Result<&str> {
         match self.metadata.get(key.name()) {
             Some(text) => Ok(text),
-            None => bail!(InvalidModel, "the metadata lacks {:?}, for example {example}", key.name()),
+            None => bail!(InvalidModel, "the metadata lacks {:?}; a valid value is {example}", key.name()),
         }
     }
 

@@ -35,17 +35,18 @@ pub struct EncodeScratch {
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
 /// [`input`](VolumeNetParts::input)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
-/// = (z, y, x). A block with a kernel of k³ taps maps a tensor `x` of `Cin × n³` values to `Cout × m³`
-/// values, where m = (n + 2·padding − k) / stride + 1, rounded down:
+/// = (z, y, x). A block with a kernel of k³ taps maps a tensor `in` of `Cin × n³` values to a tensor
+/// `out` of `Cout × m³` values, where m = (n + 2·padding − k) / stride + 1, rounded down:
 ///
 /// ```text
-/// y[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · x[i, z·stride + a − padding,
-///                                                                           y·stride + b − padding,
-///                                                                           x·stride + c − padding] )
+/// out[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · in[i, z·stride + a − padding,
+///                                                                              y·stride + b − padding,
+///                                                                              x·stride + c − padding] )
 /// ```
 ///
-/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in the
-/// order (channel, z, y, x), is the input of the dense layer, which has no activation.
+/// where i runs over 0 … Cin − 1; a, b and c run over 0 … k − 1; `in` is 0 outside its edge. The last
+/// block's output, flattened in the order (channel, z, y, x), is the input of the dense layer, which has no
+/// activation.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
     input: usize,
