@@ -27,8 +27,8 @@
  *
  * Threads. The library starts no thread. The log callback is its only global state that callers can set.
  * Calls with a `const` handle may run at the same time on several threads with the same handle; all other
- * calls need exclusive use of their handles. In other words: share models, volumes and transfer functions once
- * they are made; give every render loop a session of its own.
+ * calls need exclusive use of their handles. In other words: share models, volumes and transfer functions
+ * once they are made; give every render loop a session of its own.
  *
  * Names. Functions are entire_<noun>_<what they do>. A function that only reads is named after its result,
  * without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
@@ -50,11 +50,12 @@
  * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says
  * so; it is never zero. The result for zero, negative, infinite and NaN inputs is documented.
  *
- * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits (some are in advanced.h) before anything is
- * allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory whose size the caller or a file
- * determines (copies, features, batches) is requested in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
- * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB if the system refuses them; while half
- * of it is in use, calls that make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
+ * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits (some are in
+ * advanced.h) before anything is allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory
+ * whose size the caller or a file determines (copies, features, batches) is requested in a way that can fail:
+ * if the system refuses it, the call returns ENTIRE_OUT_OF_MEMORY. Small pieces (handles, texts, a model's
+ * tables) come from a reserve of 1 MiB if the system refuses them; while half of it is in use, calls that
+ * make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.

@@ -37,8 +37,8 @@ const LARGEST_STRUCT: usize = 1 << 16;
 /// A by-value struct whose first field is `struct_size: usize`, the size in the caller's header.
 ///
 /// # Safety
-/// The type is `repr(C)`, its first field is `struct_size: usize`, no padding matters, and every bit pattern
-/// of every field is a value (integers, floats, pointers).
+/// The type is `repr(C)`, its first field is `struct_size: usize`, padding may have any bytes, and every bit
+/// pattern of every field is a value (integers, floats, pointers).
 pub(crate) unsafe trait ByValue: Copy {
     /// Name of the struct in error messages.
     const NAME: &'static str;

@@ -6,8 +6,8 @@ use crate::result::{Failure, refuse};
 
 /// Maximum number of voxels along one axis of a volume.
 pub const ENTIRE_MAX_SIDE: usize = 1_048_576;
-/// Maximum number of voxels of a volume whose strides are zero or overlap, so that it has fewer elements in
-/// memory.
+/// Maximum number of voxels of a volume whose strides are zero or overlap, so that there are fewer elements
+/// in memory than voxels.
 pub const ENTIRE_MAX_REPEATED_VOXELS: usize = 134_217_728;
 /// Maximum number of bricks of a volume.
 pub const ENTIRE_MAX_BRICKS: usize = 134_217_728;

@@ -9,6 +9,8 @@ use std::ffi::c_void;
 /// Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`.
 /// When the call returns, the earlier callback is no longer running and its `user_data` may be freed. Must
 /// not be called from within a callback.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (an unknown level, or a call from within a callback).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_set_log(
     callback: entire_log_callback,

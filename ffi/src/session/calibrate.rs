@@ -133,13 +133,13 @@ pub unsafe extern "C" fn entire_session_calibrate(
 
 /// Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
 /// model then contains this renderer's quality law (picture error as a function of ray step and image size),
-/// and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw at least
-/// 3 scenes, all at the same settings. `scene` is a number that identifies the view, `step` is the ray step
-/// in multiples of the finest, `image_sample_distance` is the distance of neighboring rays in pixels, and
-/// `seconds` is the time that the drawing took. Include full quality (1 and 1, `error` 0), coarser steps
-/// alone, smaller images alone, and both. `error` is any measure that is 0 for equal pictures and grows with
-/// the difference, such as the root mean squared difference of colors, or 1 - SSIM. Enlarge smaller pictures
-/// to full size before the comparison. The first 65536 pictures are kept.
+/// and sessions that steer this renderer with this model coarsen the ray step or the image size, whichever
+/// adds less error. Draw at least 3 scenes, all at the same settings. `scene` is a number that identifies the
+/// view, `step` is the ray step in multiples of the finest, `image_sample_distance` is the distance of
+/// neighboring rays in pixels, and `seconds` is the time that the drawing took. Include full quality (1 and
+/// 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for
+/// equal pictures and grows with the difference, such as the root mean squared difference of colors, or 1 -
+/// SSIM. Enlarge smaller pictures to full size before the comparison. The first 65536 pictures are kept.
 ///
 /// Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
 /// below 1, seconds that are not positive, a negative error, numbers that are not finite),

@@ -11,11 +11,11 @@ use entire_steer::features::SummarySeries;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Sets the next time step of a volume. It must have the volume's sizes, spacing and scalar type. `desc`
-/// describes its voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps
-/// the volume's; any other range must equal the volume's. Precomputed features are removed, since they belong
-/// to the previous time step. After this call, call entire_session_set_time_step for each session. No other
-/// call may use the volume during this one.
+/// Sets the next time step of a volume. The time step must have the volume's sizes, spacing and scalar type.
+/// `desc` describes its voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN,
+/// NaN keeps the volume's range; any other range must equal the volume's. Precomputed features are removed,
+/// since they belong to the previous time step. After this call, call entire_session_set_time_step for each
+/// session. No other call may use the volume during this one.
 ///
 /// One pass over the voxels finds the changes; it is much faster than the scan of a new volume. Only changed
 /// cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
