@@ -366,8 +366,8 @@ impl Session {
     }
 
     /// Chooses a setting from a list that is sorted by picture quality, best first. The choice is the first
-    /// setting whose expected time is at most the target and whose upper bound is at most the target plus the
-    /// tolerance. If there is none, it is the setting with the shortest expected time.
+    /// setting whose expected time is at most the target and whose upper bound is at most (1 + `tolerance`)
+    /// times the target. If there is none, it is the setting with the shortest expected time.
     ///
     /// For renderers that allow only a few steps or sizes.
     ///

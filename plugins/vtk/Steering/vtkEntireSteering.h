@@ -240,7 +240,7 @@ public:
    * SaveState() writes the learned state of the mapper that was drawn last to a file, completely or not at all.
    * LoadState() starts from such a file: now, or at Attach() if nothing is attached, and again whenever the learned
    * state is discarded, until Reset() or Detach(). Only regular files of at most 1 MiB are read. A file is valid
-   * only for the same model, class of mapper, and Clock: otherwise it is refused, or dropped with a warning if it
+   * only for the same model, class of mapper, and Clock: otherwise it is refused, or ignored with a warning if it
    * was loaded before Attach(). Both return false, set Status and report an error on failure.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);

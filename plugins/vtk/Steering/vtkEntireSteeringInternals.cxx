@@ -21,7 +21,7 @@ namespace
 // from the caches.
 constexpr std::uint32_t PROBE_SIDE = 7;
 // Estimated error of the probe, as a share of the frame's time, up to which a plan keeps its first probe of 4 rays
-// along each side. Four rays are enough except for sparse volumes.
+// along each side. This probe is enough except for sparse volumes.
 constexpr float PROBE_TOLERANCE = 0.3f;
 
 void Copy(char*& to, const char* text)

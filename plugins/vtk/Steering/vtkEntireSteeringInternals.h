@@ -137,7 +137,7 @@ public:
     int Depth = 0;
   };
 
-  // Seconds since Begin().
+  // Seconds counted since Begin().
   double Seconds()
   {
     this->Count();

@@ -55,7 +55,8 @@ public:
 
   ///@{
   /**
-   * A file with a learned state from which steering starts, read when it is set; nullptr or an empty name for none.
+   * A file with a learned state from which steering starts; nullptr or an empty name for none. It is read when it is
+   * set, and for each volume that is attached later.
    */
   void SetStateFileName(VTK_FILEPATH const char* fileName);
   vtkGetFilePathMacro(StateFileName);

@@ -174,9 +174,9 @@ class Session(_native.Session):
         Predictor, or an argument of :class:`Model`. Without one, a linear cost model adapts to the renderer
         in the first frames.
     tolerance : float, optional
-        Excess over the target above which a frame counts as missed, as a share of the target. Default 0.1.
+        Share of the target by which a plan's upper bound may exceed the target. Default 0.1.
     miss_rate : float, optional
-        Share of frames that may be missed, above 0 and at most 0.5. Default 0.05.
+        Share of calm frames that may exceed their upper bound, above 0 and at most 0.5. Default 0.05.
     trust_limit : float, optional
         Out-of-range score above which recent frames are used instead of the prediction. Default 2.
     damping : bool, optional

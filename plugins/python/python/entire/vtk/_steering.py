@@ -591,8 +591,8 @@ def hold(
 ) -> Steering:
     """Holds volumes of a renderer to a frame time, from the next frame on.
 
-    Before each frame, the mapper's sample distance and image sample distance are set so that the frame's upper bound
-    meets the target; after the frame they are restored. VTK draws still frames without steering, pixel for pixel. No
+    Before each frame, the mapper's sample distance and image sample distance are set so that the frame is expected to
+    meet the target; after the frame they are restored. VTK draws still frames without steering, pixel for pixel. No
     frame is drawn finer than with the mapper's own settings, except with `finest`.
 
     Parameters
