@@ -7,7 +7,7 @@
 #                                         under out/fuzz/TARGET, where new inputs are kept
 #
 # An input that crashes a target is kept under fuzz/artifacts; the run then fails, after the other targets had their time.
-# Without a sanitizer, a test without coverage guidance runs the corpus and mutations of it.
+# Without an address sanitizer or a C++ compiler, a test without coverage guidance runs the corpus and mutations of it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh

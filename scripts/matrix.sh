@@ -11,8 +11,8 @@
 # MATRIX_FOLDERS  where the folders are kept (default target/matrix); a folder is made again if its list of packages has changed
 # MATRIX_MIRROR   Debian's package mirror (default: that of this machine's apt sources)
 # MATRIX_FRESH    if set, all folders are made again
-# MATRIX_OUT      default out/matrix
-# ENTIRE_SDK      the folder of an installed libentire (default: that of `make install` is built into target/sdk)
+# MATRIX_OUT      folder of results and logs (default out/matrix)
+# ENTIRE_SDK      the folder of an installed libentire (default: target/sdk, into which the library is built and installed)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
@@ -28,14 +28,14 @@ esac
 for name in "${names[@]}"; do
     case $name in
         host | stable | testing) ;;
-        *) echo "matrix.sh: found word \"$name\"; use host, stable, testing, or only short or short install" >&2; exit 2 ;;
+        *) echo "matrix.sh: found word \"$name\"; use any of host, stable and testing, or short, or short install" >&2; exit 2 ;;
     esac
 done
 
 packages=(ca-certificates g++ cmake ninja-build pkg-config valgrind xvfb xauth libgl1-mesa-dri python3 python3-numpy
     libvtk9-dev python3-vtk9)
 # Commands that run in the folder after its installation. They install ParaView's Python modules; in some releases these
-# conflict with VTK's modules and are unpacked into another folder instead. And they make links to extension modules under
+# conflict with VTK's modules and are unpacked into another folder instead. The commands also link extension modules under
 # names without Python's suffix, which the CMake packages of newer ParaView versions in Debian expect.
 # shellcheck disable=SC2016
 finish='export DEBIAN_FRONTEND=noninteractive
@@ -61,7 +61,8 @@ inside() {
         PYTHONDONTWRITEBYTECODE=1 "${@:2}"
 }
 
-# folder NAME: makes the folder if it is missing, and writes the seconds that this took into its file made-in.
+# folder NAME: makes the folder if it is missing, if its list of packages has changed or if MATRIX_FRESH is set. Writes the
+# seconds that this took into its file made-in.
 folder() {
     local name=$1 folder=$folders/$1 began=$SECONDS list
     list=$(printf '%s\n' "${packages[@]}" "$finish")

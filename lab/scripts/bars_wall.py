@@ -3,8 +3,8 @@
 
 `entire demo` plays each volume --runs times on a quiet machine, and as often while a neighbor (another program) takes a
 core in bursts of 50 to 500 ms, a fifth of the time. Medians over the runs are compared. Rivals are the demo's other
-controllers.
-Finished runs are not repeated, so that an interrupted command continues.
+controllers, except the fixed step. `entire steer` plays another scan as often, on a quiet machine only, for the bar
+`wall/bonsai-10ms/late`. Finished runs are not repeated, so that an interrupted command continues.
 """
 
 import argparse

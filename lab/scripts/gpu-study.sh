@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Puts everything that a study of a GPU needs into one folder that runs on a machine without network and without Rust:
-# out/gpu-study-folder/ (programs, volumes, the Vulkan loader). Copy it there and run ./run.sh, or `make gpu-study`.
+# out/gpu-study-folder/ (programs, volumes, the Vulkan loader). Copy it there and run ./run.sh; `make gpu-study` runs it here.
 #   FOLDER   the folder to make; default: out/gpu-study-folder
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -37,7 +37,7 @@ out=${OUT:-$here/results}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
 cd "$here"
-# Uses the loader of this folder, and writes a manifest of the driver, if the system has none.
+# If the system has no Vulkan loader, that of this folder is used. If it has no manifest of a driver, one is written.
 if [[ -e lib/libvulkan.so.1 ]] && ! ldconfig -p 2>/dev/null | awk '/libvulkan\.so\.1 / { found = 1 } END { exit !found }'; then
     export LD_LIBRARY_PATH="$here/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
 fi

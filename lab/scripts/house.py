@@ -6,7 +6,8 @@
     house.py --measure-build OLD NEW                  also builds `entire` at two revisions, and compares the builds'
                                                       processor seconds
 
---quick leaves out what needs cargo or built programs. Needs Python 3.9 and git, and nothing else.
+--quick leaves out what needs cargo or built programs; with --bin-dir, it uses built programs. Needs Python 3.9 and git.
+The book's C and C++ blocks are compiled only if there is a C compiler.
 """
 import argparse
 import math

@@ -4,9 +4,9 @@
 
 Usage: python3 lab/scripts/memory.py [TABLE.csv …]
 
-Reads the training tables in data/timings (ensemble members are held out), and tables given as arguments, all as one
-(volumes are held out). Their features must lie beside them (`entire features`). Unit costs are fitted by non-negative
-least squares of the relative error. Needs numpy and scipy.
+Reads the training tables in data/timings (ensemble members are held out), and joins the tables given as arguments into
+one (volumes are held out). The tables' features must lie beside them (`entire features`). Unit costs are fitted by
+reweighted non-negative least squares, which minimize about the mean absolute relative error. Needs numpy and scipy.
 """
 
 import csv
@@ -21,7 +21,7 @@ TRAINING = ["none-train", "none-epyc-train", "none-xeon-train", "local-train", "
 NEAR = """pixels rays skips samples lane_samples runs segments local_samples scatter_samples shadow_samples
 lane_shadow_samples""".split()
 FAR = "far_skips far_samples far_segments far_local_samples far_shadow_samples far_x far_y far_z".split()
-CACHED, READ = 8.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/features/frame.rs
+CACHED, READ = 8.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/features (cost.rs, frame.rs)
 
 
 def lines(path):
@@ -45,8 +45,8 @@ def read(path, by_volume):
 
 
 def work(f, law):
-    """Amounts of work, one column per unit cost; `law` gives the share of unshared reads that wait, and voxels that have
-    a cost each, or None."""
+    """Amounts of work, one column per unit cost. `law` returns the share of unshared reads that wait for memory, and the
+    number of voxels that have a cost each (None: voxels have no cost). If `law` is None, nothing waits."""
     columns = [np.ones_like(f["pixels"]), *(f[name] for name in NEAR)]
     if law:
         square = f["ray_spacing"] ** 2

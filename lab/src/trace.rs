@@ -7,10 +7,11 @@
 //!
 //! # File format
 //!
-//! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the volumes (file and enlargement), the path
-//! ([`entire_io::path`]), `hold` (frames per volume of a series; 0 for a single volume), `scales` (image
-//! scale from a frame on), the draw settings, the grid, and per frame the seconds of every repeat at every
-//! step and scale, with the PSNR and the structural similarity to the picture at the reference step.
+//! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the name, the volumes (file, enlargement and
+//! identity), the path ([`entire_io::path`]), `hold` (frames per volume of a series; 0 for a single volume),
+//! `scales` (image scale from a frame on), the draw settings, the points of every frame's grid, and the
+//! provenance. A point has its ray step and image scale, the seconds of every repeat, and the PSNR and the
+//! structural similarity to the picture at the reference step.
 
 mod format;
 
@@ -218,7 +219,7 @@ fn record_on(
         }
         let mut seconds = vec![Vec::with_capacity(recording.repeats); grid.len()];
         let mut looks = vec![(0.0, 0.0); grid.len()];
-        // The picture at the reference step, unless the grid begins with it.
+        // The picture at the reference step. If the grid begins with it, the loop below sets this variable.
         let mut reference: Option<Image> = None;
         if grid.first() != Some(&(1.0, 1.0)) {
             let rendered = renderer.render(&Frame { step: 1.0, ..frame }.checked()?).with_context(place)?;

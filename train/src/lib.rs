@@ -1,5 +1,5 @@
 //! Training and evaluation of predictors on measured frames: splits of a timing table, inputs of a model,
-//! unit costs by least squares, PredNet by gradient descent, errors and upper bounds.
+//! unit costs by robust regression, PredNet by gradient descent, errors and upper bounds.
 
 pub mod bound;
 pub mod evaluation;

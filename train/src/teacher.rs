@@ -19,8 +19,7 @@ impl Teacher {
     /// Returns a teacher named `name` from a model whose only inputs are scene features.
     ///
     /// # Errors
-    /// When the model predicts no times, or needs inputs that a renderer does not get (volume features,
-    /// Gaussian lobes).
+    /// When the model predicts no times, or has inputs other than scene features.
     pub fn new(name: &str, model: &Model) -> anyhow::Result<Self> {
         let predictor = load(model)?;
         if let Some(group) = model.inputs.iter().find(|g| g.name != "scene_features") {

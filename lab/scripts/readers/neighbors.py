@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Mutated fixtures (*neighbors*): copies with a few changed header fields or bytes, reproducible by seed.
 
-differential.py reads them. Each lies in a folder of its own, with links to the files that its header names.
+differential.py reads them. Each lies in a folder of its own. The folder of a header (such as .nhdr) also has links to
+the other files of the fixture's folder.
 """
 import gzip
 import os
@@ -143,7 +144,7 @@ def change_case(source, text):
 
 
 def change_attribute(source, text):
-    """Drops, doubles or moves an attribute of XML."""
+    """Drops or doubles an attribute of XML, or changes its quotation marks or the blanks around its equals sign."""
     spots = list(re.finditer(r' [A-Za-z_]+="[^"]*"', text))
     if not spots:
         return text
@@ -164,7 +165,7 @@ def change_lines(source, text, kind):
         del lines[a]
     else:
         put = source.choice(LINES.get(kind, [""]))
-        # The line is put after the first line and mostly before the last one.
+        # The line is put after the first line, and before the last one if there are several.
         lines.insert(source.randrange(1, max(2, len(lines) - 1)), put)
     return "\n".join(lines)
 

@@ -4,12 +4,11 @@
 
     python3 lab/scripts/robust/kills.py --entire target/release/entire --lab target/release/entire-lab
 
-Every round runs one of `entire collect`, `calibrate`, `calibrate --data`, `train`, `render` and `entire-lab record` over the
-files of an earlier run. Afterwards the earlier file or the complete new one must be there; interrupted tables and traces
-must continue with --resume and end with every frame. A full disk is simulated by a limit on the size of files
+`entire calibrate`, `calibrate --data`, `train` and `render` write over the file of an earlier run; afterwards, that file
+or the complete new one must be there. `entire collect` and `entire-lab record` start without a file; continued with
+--resume, the table or trace must have every frame. A full disk is simulated by a limit on the size of files
 (RLIMIT_FSIZE), which needs no privilege: writes beyond it fail as on a full disk. Prints `bar NAME VALUE LIMIT ok|short`;
-exit
-status 1 when a bar is short. A bar is also short if fewer commands were ended than it needs.
+exit status 1 when a bar is short. A bar is also short if fewer commands were ended than it needs.
 """
 
 import argparse
@@ -193,7 +192,7 @@ def measure(options, bars):
             clear(file)
             if not commands.resumes(what):
                 shutil.copy(good / file, folder / file)
-            # A run that can be continued is ended several times.
+            # A run that can be continued is ended one to four times.
             resume = []
             for _ in range(draw.randint(1, 4) if commands.resumes(what) else 1):
                 after = draw.choice([draw.uniform(0.001, 0.03), draw.uniform(0.01, 1.1 * took[what] + 0.02)])
@@ -215,7 +214,8 @@ def measure(options, bars):
             status, said = run(command, file_limit=limit)
             reason = (said.strip().splitlines() or [""])[-1]
             if status != 1 or "cannot write" not in reason or str(folder / file.split(".")[0]) not in reason:
-                wrong["full_disk"].append(f"{what}: status {status}, and no file in the last line: {said.strip()!r}")
+                wrong["full_disk"].append(f"{what}: status {status} (right: 1), or no 'cannot write FILE' in the last line:"
+                                          f" {said.strip()!r}")
             finish("full_disk", what, f"with space for {limit} of {size} bytes")
     for kind, count in (("kill", ended), ("full_disk", options.full)):
         for line in wrong[kind]:

@@ -8,9 +8,9 @@ that other work on the machine affects all alike:
   full        full quality: sample distance 1, nothing adjusted
   auto        AutoAdjustSampleDistances as shipped, asked for 1 / target
   between     AutoAdjustSampleDistances asked for a rate between that of `auto` and that of `scaled`
-  scaled      AutoAdjustSampleDistances asked for the lower rate at which its mean frame time is the target: found by
-              bisection in short runs, then in runs of the whole path until it is within MEET, or as close as the mapper
-              gets in interaction
+  scaled      AutoAdjustSampleDistances asked for the lower rate at which its mean frame time is the target. The rate is
+              found by bisection in short runs, then refined in at most five runs of the whole path, until the mean frame
+              time is within MEET of the target
   cold        vtkEntireSteering without a model, learning from its first frame on
   calibrated  vtkEntireSteering with a model trained on random frames of this mapper (--model), of other volumes
 
@@ -139,9 +139,10 @@ def clock_of(name, options):
 
 
 def find_scale(options, image, n, target_cpu, target_wall):
-    """Factor, 1 to 16, on the wall target of AutoAdjust with which its mean frame time equals the target. The mappers treat
-    a frame of a second or more as a still one, so the factor keeps the target below a second. The largest factor is
-    returned if frames are shorter than the target even then."""
+    """Returns the factor, 1 to 16, on the wall target of AutoAdjust with which its mean frame time is closest to the
+    target, and this mean time divided by the target. The mappers treat a frame of a second or more as a still one, so
+    the factor keeps the target below a second. If frames are shorter than the target even with the largest factor, that
+    factor is returned."""
     most = max(1.0, min(16.0, 0.95 / target_wall))
 
     def spent(scale, frames, repeats):

@@ -23,8 +23,9 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     }
 }
 
-/// Returns the bars; a bar without a value is short. Bars on a data set are about the paper's base mode and
-/// the paper's split of that data set. `missing` is the number of labels without a table or figure.
+/// Returns the bars; a bar without a value is short. A bar on a data set is about the paper's split of that
+/// data set, and about the paper's base mode unless its name has another mode. `missing` is the number of
+/// labels without a table or figure.
 pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],

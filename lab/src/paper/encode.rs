@@ -84,7 +84,7 @@ pub(crate) struct Record {
     pub(crate) seconds: f64,
 }
 
-/// Inputs and results of a training.
+/// Results of a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Provenance {
     /// Mean peak signal-to-noise ratio over volumes, dB, by part and data set.

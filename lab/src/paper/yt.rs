@@ -1,5 +1,5 @@
-//! Frames drawn by yt. The collector in `examples` is called once for every volume, so that a stopped collection can be
-//! continued.
+//! Frames drawn by yt. The collector in `examples` is called once for every volume and once for its
+//! low-resolution proxy, so that a stopped collection can be continued.
 
 use super::Work;
 use super::collect::{Kind, table_path};

@@ -47,7 +47,8 @@ pub struct Replayable {
     pub images: Option<Vec<Curve>>,
     /// Summary of each volume.
     pub summaries: Vec<VolumeSummary>,
-    /// Frames with an abrupt change: a switch of the path, another volume, another image size.
+    /// True for frames with an abrupt change: a switch of the path, another image size, or another volume if
+    /// each volume is shown for at least four frames.
     pub switches: Vec<bool>,
     /// Slowdown by other programs during the replay, if any.
     pub disturbance: Option<Arc<Disturbance>>,

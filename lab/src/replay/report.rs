@@ -79,7 +79,7 @@ impl Results<'_> {
         for (player, s) in self.players.iter().zip(self.scores) {
             row(player.kind.title(), player.acts_on_name(), s);
         }
-        row("oracle: knows every cost but not the noise", ActsOn::RayStep.name(), &self.oracle());
+        row("oracle: knows every frame time but not the noise", ActsOn::RayStep.name(), &self.oracle());
         for (column, (_, value, _, lowest)) in (2..).zip(FIGURES) {
             if let Some(lowest) = lowest {
                 table.mark_best(column, &self.scores.iter().map(value).collect::<Vec<_>>(), lowest);
@@ -210,7 +210,8 @@ impl Results<'_> {
                  changed, and not abruptly. Jumps: share of the calm frames whose step differs from that of \
                  the previous frame by over 20 %. In bound: share of the abrupt changes whose first frame \
                  stayed below its upper bound. SSIM: mean structural similarity to the picture at the \
-                 reference step, divided by the oracle's. The best value of each column is bold."
+                 reference step, divided by the oracle's. The best value of each column except In bound is \
+                 bold."
             ),
         );
         if let Some(f) = frontier {

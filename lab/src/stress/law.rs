@@ -316,7 +316,8 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
     }
 }
 
-/// Scene 22: a target that no step meets, then a possible target, then a target that every step meets.
+/// Scene 22: after 60 frames with a possible target, a target that no step meets, then the possible target
+/// again, then a target that every step meets.
 fn clamps(method: ControllerKind) -> Verdict {
     let mut seen = Vec::new();
     let mut c = new(method);
@@ -343,10 +344,10 @@ fn clamps(method: ControllerKind) -> Verdict {
     let under = at(275..320, &|s| s.seconds < 0.75 * s.target);
     let coarse = at(340..400, &|s| s.step > 1.05);
     let broken = [
-        (away > 0).then(|| format!("not at the coarsest step in {away} of 180 frames")),
-        (over > 0).then(|| format!("{over} frames over 1.1 T after")),
-        (under > 0).then(|| format!("integral windup: {under} frames under 0.75 T after")),
-        (coarse > 0).then(|| format!("not at the finest step in {coarse} of 60 slack frames")),
+        (away > 0).then(|| format!("not at the coarsest step in {away} of 180 frames with a 1 ms target")),
+        (over > 0).then(|| format!("{over} frames over 1.1 T after the 1 ms target")),
+        (under > 0).then(|| format!("integral windup: {under} frames under 0.75 T after the 1 ms target")),
+        (coarse > 0).then(|| format!("not at the finest step in {coarse} of 60 frames with a 10 s target")),
         (method == ControllerKind::Hybrid && unsaid > 0)
             .then(|| format!("did not report an unreachable target in {unsaid} frames")),
     ];
@@ -482,7 +483,7 @@ fn bursts(method: ControllerKind) -> Verdict {
     let back = |&&end: &&usize| seen[end + 2].step <= 1.1 * seen[begun(end).saturating_sub(1)].step;
     let share = ends.iter().filter(back).count() as f64 / ends.len() as f64;
     let broken = (share < 0.9)
-        .then(|| format!("back at the earlier step two frames after {:.0} % of bursts", 100.0 * share));
+        .then(|| format!("back at the earlier step two frames after only {:.0} % of bursts", 100.0 * share));
     judge(29, method, &seen, Limits { quality: 0.85, ..Limits::missed(0.08) }, broken)
 }
 
@@ -514,6 +515,6 @@ fn halved(method: ControllerKind) -> Verdict {
     let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.02, spikes: Some(0.0) };
     let seen = seen_of(method, &mut script, 31);
     let late = seen[103..130].iter().filter(|s| s.seconds > 1.1 * s.target).count();
-    let broken = (late > 0).then(|| format!("{late} frames over 1.1 T from the 4th on"));
+    let broken = (late > 0).then(|| format!("{late} frames over 1.1 T from the 4th slow frame on"));
     judge(31, method, &seen, Limits { inside: 0.9, ..Limits::missed(0.03) }, broken)
 }

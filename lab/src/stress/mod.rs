@@ -1,9 +1,10 @@
 //! Stress scenes, in which methods of holding a frame time are known to fail: each is a script with a rule
 //! for passing.
 //!
-//! [`law`] has scenes whose frame times follow a law of the step that the script changes; [`world`] has
+//! [`law`] has scenes whose frame times are a function of the step, which the script changes; [`world`] has
 //! scenes of real geometry, whose work is counted by the CPU version of the raycaster. Both run on a scripted
-//! clock, the same in every run.
+//! clock, the same in every run. Some scenes of [`world`] can also be played on a real renderer with a real
+//! clock.
 
 pub(crate) mod law;
 pub(crate) mod report;
@@ -15,8 +16,9 @@ use entire_io::dataset::Clock;
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::Serialize;
 
-/// The stress scenes in the order of their numbers, from 1 on. `docs/src/stress.md` has the rule for passing each of
-/// them. The rules are the same for every method, except for parts that need an upper bound.
+/// The stress scenes in the order of their numbers, from 1 on. `docs/src/stress.md` has the rule for passing
+/// each of them. The rules are the same for every method, except for parts that need an upper bound or that
+/// only entire's controller must meet.
 const SCENES: [&str; 31] = [
     "abrupt transfer-function switches, then one in every frame",
     "transfer-function drag, its map rebuilt in every frame",
@@ -32,23 +34,23 @@ const SCENES: [&str; 31] = [
     "images from 32 x 32 to 8192 x 8192, odd shapes",
     "window resized mid path",
     "another volume in every frame (time series)",
-    "volumes unlike anything the predictor saw, twice as expensive as it says",
-    "pipeline built in the first frame and in a flagged one mid path",
+    "volumes unlike any training data, twice as expensive as predicted",
+    "pipeline compiled in the first frame and in one frame mid path; only the latter is flagged as unusual",
     "background load comes and goes unannounced",
     "clock boost, then throttling ramps",
     "timer glitches: zero, negative, NaN, huge, missing, three frames late",
     "only wall times rounded up to the display's interval",
     "shading toggled: 15 times the cost and back",
-    "impossible target, then a possible one, then a slack one",
+    "target that no step meets, then one that some steps meet, then one that every step meets",
     "target from 33 ms to 16, 200, 11 and 33 ms",
     "cost oscillates with periods of 2, 3, 4, 6 and 10 frames",
     "clipping, cropping and occluders that the prediction does not include",
     "memory pressure: bursts in which a third of the frames take 4 times as long",
     "a long run with switches, other speeds and timer glitches",
     "damaged and foreign model files and states",
-    "a neighbor takes half of the machine in bursts of 2 to 20 frames, a fifth of the time",
+    "another program takes half of the machine in bursts of 2 to 20 frames, a fifth of the time",
     "single frames of 3 times the time",
-    "the clock speed is halved for good, and the transfer function switched later",
+    "the clock speed is halved permanently, and the transfer function is switched later",
 ];
 
 /// Number and description of every scene.
@@ -75,7 +77,7 @@ pub(crate) struct Seen {
     pub(crate) upper: f64,
     /// Expected seconds; NaN for methods that make no prediction.
     pub(crate) predicted: f64,
-    /// True if the frame is the first one after a change that the controller was told.
+    /// True if the frame is the first one after a change that was reported to the controller.
     pub(crate) first: bool,
     /// True if the rule ignores the frame, for example because a pipeline is built in it.
     pub(crate) excused: bool,

@@ -1,7 +1,7 @@
 //! Fitting of predictors to measured frames.
 //!
-//! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one
-//!   dense layer on counts that gives seconds.
+//! * `analytic`: unit costs of estimated work, by robust regression of ln(seconds) with a prior for each
+//!   cost. Stored as one dense layer on counts that gives seconds.
 //! * `prednet`: PredNet by gradient descent.
 //! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
 //!   as dense layers that add the input `log_estimated_seconds` to the network's output.

@@ -29,7 +29,7 @@ pub enum Kind {
     /// A network, by gradient descent.
     #[default]
     Prednet,
-    /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
+    /// Unit costs of estimated work, by robust regression with a prior; stored as one dense layer.
     Analytic,
     /// The analytic model times a factor from a small network, which is trained on ln(measured / analytic).
     Residual,

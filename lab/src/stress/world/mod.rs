@@ -135,9 +135,9 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
     Ok(shot.speed * law(pixels(frame), &counts))
 }
 
-/// Plays a scene of this file. On a real machine the limits are wider, since the noise is unpredictable: 5 %
-/// more of the frames may take longer than 1.1 times the target, and two more in a row; quality may be lower
-/// by 0.1; 80 % of first frames within their bound suffice.
+/// Plays a scene of real geometry, or scene 28. On a real machine the limits are wider, since the noise is
+/// unpredictable: 5 % more of the frames may take longer than 1.1 times the target, and two more in a row;
+/// quality may be lower by 0.1; 80 % of first frames within their bound suffice.
 pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     if number == 28 {
         return damaged(method, machine);
