@@ -1,3 +1,3 @@
 .PHONY: setup
-setup: ## Check for Rust, a C compiler and a Vulkan driver; install missing ones if it has the rights
+setup: ## Check for Rust, a C compiler and a Vulkan driver; install missing ones if this user has the rights
 	@bash scripts/setup.sh

@@ -38,8 +38,8 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 stress: steer-build ## Play the scenes in which frame-time methods fail, among them a run of a million frames: out/stress/report.html
 	@"$(TARGET_DIR)/release/entire-lab" stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
 
-# Measured on rendered frames by wall time: about half an hour. No other program should run meanwhile. After an
-# interruption, the same command continues.
+# `make bars-wall` measures rendered frames by wall time and takes about half an hour. No other program should run meanwhile.
+# After an interruption, the same command continues.
 WALL_OUT ?= out/bars-wall
 
 .PHONY: bars-wall

@@ -50,7 +50,7 @@ mutants() {
             echo "mutants: $line"
             break
         fi
-        # The process ended by itself: its current seed is the cause, and the run continues with the next one.
+        # The process ended before the last seed: its current seed is the cause, and the run continues with the next seed.
         aborts=$((aborts + 1))
         panics=$((panics + $(grep -c '^panic at' "$folder/err" || true)))
         next=$(awk '{ print $1 }' "$folder/progress" 2>/dev/null || echo "$next")

@@ -63,7 +63,8 @@ sdk() {
 }
 
 # cmake_build SOURCE FOLDER LOGS OPTION...: configures and builds a CMake project against the installed C library, with
-# VTK_JOBS parallel compilations if it is set. LOGS begins the names of both logs; prints the end of the one that failed.
+# VTK_JOBS parallel compilations if it is set. LOGS begins the names of both logs. If a step fails, prints the end of its log
+# and ends the script.
 cmake_build() {
     local source=$1 folder=$2 logs=$3 sdk
     shift 3
@@ -101,8 +102,8 @@ folder_lacking() {
 install_debian() {
     local release=$1 folder=$2 mirror=$3 log=$4
     shift 4
-    # Mounts that mmdebstrap makes end when it ends. Files are not flushed to disk one by one, since an incomplete folder is
-    # installed again.
+    # When mmdebstrap ends, so do the mounts that it has made. Files are not flushed to disk one by one, since an incomplete
+    # folder is installed again.
     unshare --mount mmdebstrap --mode=root --dpkgopt=force-unsafe-io "$@" \
         "$release" "$folder" "deb $mirror $release main" >"$log" 2>&1 || {
         echo "mmdebstrap failed:"

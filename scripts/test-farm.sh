@@ -21,7 +21,7 @@ within=(timeout --kill-after=10 120)
 # The environment's packages, each with the tested version.
 packages=(hyperqueue==0.27.0 cinemasci==1.7.9 openjd-cli==0.8.0)
 
-# Makes the Python environment with these packages, and prints the path of its Python; with FARM_PYTHON, only prints that.
+# Makes the Python environment with these packages, and prints the path of its Python. If FARM_PYTHON is set, only prints it.
 python() {
     if [[ -n ${FARM_PYTHON:-} ]]; then
         echo "$FARM_PYTHON"

@@ -9,7 +9,7 @@ status 1 when a bar is short or has no value. FOLDER holds ensembles/ and scans/
 Test frames are timed once before the calibration of their shading mode and once after it, and the mean of both times is
 used: if the machine's speed changes meanwhile, its mean speed in the tests is about its speed during the calibration.
 Every step leaves a file in --out and is skipped if that file exists, so that the work can be done in slices of a few
-minutes on a quiet machine: --steps lists the steps, --only runs some and prints the bars for which they suffice.
+minutes on a quiet machine: --steps lists the steps, --only runs only some. A bar whose steps are not all done is short.
 Needs Python 3.9 and `entire` (--bin), and nothing else.
 """
 import argparse

@@ -63,7 +63,8 @@ SPEED = {"u8": 2.5, "u16": 3.0, "f32": 3.0}
 
 
 def asked_for():
-    """Returns for each bar its limit and its measurements. Of a ratio to REVISION, the working tree's is the first."""
+    """Returns for each bar its limit and its measurements. In a ratio to REVISION, the first measurement is that of the
+    working tree, the second that of REVISION."""
     out = {}
     for mode in MODES:
         warm, cold, fine = (f"plan/{what}/{mode}" for what in ("11/warm", "11/cold", "24/cold"))

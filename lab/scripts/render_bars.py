@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
 """Times our Vulkan raycaster beside VTK's two volume mappers: same volume, transfer function, camera, ray step (one
-voxel) and image, each with its own early termination and space leaping. Interleaved in one run, medians.
+voxel) and image size, each with its own early termination and space leaping. Frames are interleaved in one run; times
+are medians.
 
 usage: render_bars.py --server FRAME_SERVER [--out FOLDER] [--scans FOLDER] [--rounds N] [--size PIXELS] [--bars]
 
 Prints a line per contestant and scene, how well the pictures agree, the time of a change of the transfer function, and with
---bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when a bar is short; without VTK or a scan, its
+--bars one line `bar NAME VALUE LIMIT ok|short` per bar (exit status 1 when a bar is short; without VTK or a scan, its
 bars are short). The pictures go to FOLDER as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and
 python3 that can import vtkmodules); it needs an X server, which xvfb-run provides.
 

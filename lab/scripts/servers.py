@@ -9,7 +9,7 @@ import tempfile
 
 
 def raise_priority(nice):
-    """Raises the priority of this session: with automatic groups, niceness of a process acts only inside its session."""
+    """Raises the priority of this session: with the kernel's autogroups, niceness of a process acts only in its session."""
     try:
         os.setsid()
     except OSError:

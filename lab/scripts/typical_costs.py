@@ -24,7 +24,7 @@ TABLES = {
     "SOFTWARE": ("cpu", ["none-train", "none-epyc-train", "none-xeon-train", "local-train", "scatter-train"]),
     "GPU": ("device", ["none-h100-train", "local-h100-train", "scatter-h100-train"]),
 }
-# Shading modes that have a cost; all others are of every mode.
+# Costs of a single shading mode, by mode; all other costs are of every mode.
 ONLY = {
     "local": {"local_samples", "far_local_samples"},
     "scatter": {"scatter_samples", "shadow_samples", "lane_shadow_samples", "far_shadow_samples",

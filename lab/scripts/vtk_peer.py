@@ -123,7 +123,7 @@ def main():
         name, *rest = line.split()
         try:
             say(commands[name](*rest))
-        except Exception as error:  # told to the driver, which names it
+        except Exception as error:  # render_bars.py prints it
             say({"err": f"{line.strip()}: {error!r}"})
 
 

@@ -99,7 +99,7 @@ pub fn encode_png(picture: &Image) -> Result<Vec<u8>> {
     let rgb: Vec<u8> = picture.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     ensure!(
         rgb.len() == 3 * picture.width as usize * picture.height as usize,
-        "a {} x {} picture came with {} bytes",
+        "a {} x {} picture came with {} bytes; 4 per pixel are needed",
         picture.width,
         picture.height,
         picture.rgba.len()

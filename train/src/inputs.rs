@@ -90,7 +90,8 @@ impl Layout {
         self
     }
 
-    /// Returns the layout with Gaussian lobes sorted by center, or in their given order.
+    /// Returns the layout with Gaussian lobes sorted by center if `sorted_lobes` is true, else in their given
+    /// order.
     pub fn with_sorted_lobes(mut self, sorted_lobes: bool) -> Self {
         self.layout.sorted_lobes = sorted_lobes;
         self

@@ -10,8 +10,9 @@ short.
 The makespan of a run is divided by the least possible makespan: the lower bound of its measured task times plus the
 overhead that the engine cannot avoid. This overhead is one start of the engine (measured with a job of one task) and,
 on every slot, the time from the end of a bundle to the start of the next one (measured with a job of short bundles that
-keep all slots busy). Both are minima over REPEATS measurements. If a run ends earlier, the overhead was measured too
-high, and the run is compared with the lower bound of its task times alone, which is stricter."""
+keep all slots busy). Both are minima over REPEATS measurements. If a run takes less than the least possible makespan,
+the overhead was measured too high. The run is then compared with the lower bound of its task times alone, which is
+stricter."""
 
 import argparse
 import csv
@@ -44,8 +45,8 @@ RUNS = 20
 
 
 def lower_bound(times, slots):
-    """Returns a lower bound of the makespan for every order of the tasks: the sum of their times divided by the slots,
-    or the longest task."""
+    """Returns a lower bound of the makespan for every order of the tasks: the larger of the sum of their times divided
+    by the number of slots, and the longest time."""
     return max(sum(times) / slots, max(times))
 
 

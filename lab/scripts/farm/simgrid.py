@@ -4,7 +4,7 @@
     simgrid.py --bin target/release
 
 Needs g++ and SimGrid (Debian: libsimgrid-dev); without them the check is skipped with a message. Fails if a makespan
-differs by more than 0.1 percent."""
+differs from SimGrid's by more than 0.1 percent."""
 
 import argparse
 import csv

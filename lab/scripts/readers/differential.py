@@ -175,7 +175,7 @@ def convention(kind, reader, path, fields, mine, theirs, read):
                 return "ITK turns NIfTI's spacing into millimeters; here, as in nibabel, it stays in the file's unit"
         slope, intercept = scaling(path)
         if set(fields) <= values and (slope == 0 or not math.isfinite(slope)):
-            return "a slope of 0, or none that is finite, says that nothing is scaled; ITK adds the intercept nevertheless"
+            return "a slope that is 0 or not finite says that nothing is scaled; ITK adds the intercept nevertheless"
         backed = "nibabel" in read and not differences(mine, read["nibabel"])
         if set(fields) <= values and backed and abs(slope - 1) < 1e-6 and abs(intercept) < 1e-30:
             return "ITK ignores a scaling whose effect is below its rounding error; nibabel applies it"
@@ -184,7 +184,7 @@ def convention(kind, reader, path, fields, mine, theirs, read):
             return "ITK rounds wide numbers to 32-bit floats before it scales them; here, as in nibabel, they are rounded once"
     if reader == "nibabel" and fields == ["spacing"] and all(
             close(a, b) or a == 1 and not math.isfinite(b) for a, b in zip(mine.spacing, theirs.spacing)):
-        return "nibabel hands out a pixdim that is not finite; here, as in ITK, it is not known and 1 is taken"
+        return "nibabel returns a pixdim that is not finite; here, as in ITK, such a spacing is unknown and set to 1"
     if reader == "pynrrd" and fields == ["spacing"] and "SimpleITK" in read and not differences(mine, read["SimpleITK"]):
         header = path.read_bytes()[:4096].decode("latin-1")
         if any(name != name.lower() for name in re.findall(r"^(spacings|space directions):", header, re.M | re.I)):

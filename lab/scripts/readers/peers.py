@@ -115,12 +115,12 @@ def with_nibabel(path):
     if (image.dataobj.slope, image.dataobj.inter) == (1.0, 0.0):
         array = np.asanyarray(image.dataobj.get_unscaled())
     else:
-        # nibabel adds no intercept of 0, which leaves a zero times a slope below 0 as -0.
+        # nibabel does not add an intercept of 0, so that 0 times a negative slope is -0. Adding 0 makes it 0.
         array = np.asanyarray(image.get_fdata(dtype=np.float64)) + 0.0
     return reading(array.ravel(order="F"), array.shape, [float(z) for z in image.header.get_zooms()])
 
 
-# VTK's own arrays, which are the volume only if they are named.
+# Names of VTK's own arrays. Such an array is the volume only if the file names it as its scalars.
 VTK_OWN = re.compile(r"vtk[A-Z]")
 
 

@@ -18,7 +18,8 @@ import subprocess
 
 RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
 HOW = "--model-kind residual --batch 128 --learning-rate 0.003 --epochs 150".split()
-# Inputs of the factor: distant memory and the conversion of stored values cost these renderers more than the raycaster.
+# Inputs of the factor. Some describe waiting for memory and the conversion of stored values, which take these renderers
+# longer than the raycaster.
 # The factor is the mean of eight networks with different seeds.
 MORE = """log_pixels log_samples_per_pixel log_shadow_per_pixel log_segments_per_ray log_ray_spacing footprint_share
 terminated_share log_divergence occupied_share log_visible_share log_mean_extinction log_mean_chord log_step log_voxels

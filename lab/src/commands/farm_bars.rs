@@ -114,6 +114,10 @@ pub(crate) struct StandInOptions {
 }
 
 pub(crate) fn run_stand_in(options: &StandInOptions) -> Result<()> {
-    ensure!(options.scale.is_finite() && options.scale >= 0.0, "--scale is {}", options.scale);
+    ensure!(
+        options.scale.is_finite() && options.scale >= 0.0,
+        "--scale is {}; it must be finite and not negative",
+        options.scale
+    );
     stand_in::serve(&options.tasks, options.scale)
 }

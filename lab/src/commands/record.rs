@@ -23,8 +23,8 @@ const SEED: u64 = 1;
 ///
 /// Every frame is drawn at nine ray steps from 1 to 16 reference steps, and at the reference step as eleven
 /// smaller images down to a tenth of every side (every fourth frame also as smaller images at coarser steps).
-/// `entire-lab replay` then simulates controllers and targets on the recorded curves in milliseconds, beside
-/// an oracle that knows them.
+/// `entire-lab replay` then simulates controllers and targets on the recorded curves without rendering,
+/// beside an oracle that knows the curves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out \

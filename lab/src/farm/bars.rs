@@ -38,7 +38,8 @@ pub(crate) fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Settin
     planner
 }
 
-/// Settings of a planner: longest tasks first, equal slots that are bound to volumes, no overhead per bundle.
+/// Settings of a planner: longest tasks first, each bundle sent to a given slot, which keeps its volume, no
+/// overhead per bundle.
 pub(crate) fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
 }

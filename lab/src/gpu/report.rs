@@ -131,8 +131,9 @@ impl Found {
     pub(crate) fn page(&self, device: String) -> Page {
         let mut page = Page::new(
             "Study of a device",
-            "Pictures against the CPU version, the cost of each part of a frame, frame times in three \
-             shading modes, models that the device calibrated, and frames held across switches.",
+            "Pictures compared with the CPU version, the device's rates, frame times in three shading modes, \
+             models calibrated to the device, and frames held at a target across switches of the transfer \
+             function.",
         );
         page.table(&self.steps(), "Steps. A step that ran out of time counts with its partial results.");
         page.heading("Pictures");

@@ -60,8 +60,8 @@ impl Extent {
         volumes: 16,
         picture: 256,
     };
-    /// Size for tests on a software driver. The numbers of frames end its steps: the time limits are those of a
-    /// program without optimization on a busy machine.
+    /// Size for tests on a software driver. Steps end when all their frames are done: the time limits suffice
+    /// for a program without optimization on a busy machine.
     pub(crate) const SHORT: Self = Self {
         frames: 6,
         max_size: 96,

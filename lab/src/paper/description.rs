@@ -500,7 +500,10 @@ fn check(paper: &Paper) -> Result<()> {
         paper.frames.training
     );
     ensure!(paper.in_mode.values().all(|m| m.repeats != Some(0)), "in_mode: repeats must be at least 1");
-    ensure!(paper.repeats > 0 && paper.yt.repeats > 0 && paper.runs > 0, "repeats and runs are at least 1");
+    ensure!(
+        paper.repeats > 0 && paper.yt.repeats > 0 && paper.runs > 0,
+        "repeats and runs must be at least 1"
+    );
     let trials = &paper.trials;
     ensure!(
         !trials.tables.is_empty() && trials.runs.min(trials.label_runs) > 0,

@@ -69,8 +69,9 @@ pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option
     let n = frames as f64;
     (frames > 0).then(|| {
         format!(
-            "Quality model (step and image size) on {frames} choices of volumes that it was not fitted to: mean \
-             SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
+            "Quality law (step and image size) on {frames} pairs of a frame and a target, of volumes that \
+             the law was not fitted to: mean SSIM {:.4} if the law chooses, {:.4} by the step alone, {:.4} at \
+             best.",
             by_model / n,
             by_step / n,
             best / n

@@ -18,8 +18,9 @@ pub(crate) const STUDY_KEY: &str = "entire.study_key";
 const MADE_AS: u32 = 2;
 
 /// Identity of a model: a hash of the program's version, the recipe, the bytes of the model files that it
-/// starts from, and the frames of each part with their seconds (which depend on the clock) and the bytes of
-/// their tables and feature tables. Paths of files are not part of the hash.
+/// starts from, the frames of each part with their seconds (which depend on the clock) and the bytes of
+/// their tables and feature tables, and `residuals`, from which the upper bound follows (empty without a
+/// cross-validation). Paths of files are not part of the hash.
 pub(super) fn identity(
     recipe: &Recipe,
     tables: &[Table],
