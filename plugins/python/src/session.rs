@@ -219,6 +219,7 @@ impl Session {
     /// Parameters
     /// ----------
     /// enabled : bool
+    ///     True to turn steering on, False to turn it off.
     fn set_enabled(&self, py: Python<'_>, enabled: bool) -> PyResult<()> {
         self.state(py)?.core.set_enabled(enabled);
         Ok(())
@@ -230,11 +231,11 @@ impl Session {
     /// Parameters
     /// ----------
     /// camera : bool, optional
-    ///     The camera jumped.
+    ///     True if the camera jumped.
     /// mode : bool, optional
-    ///     The render mode changed.
+    ///     True if the render mode changed.
     /// first : bool, optional
-    ///     The renderer must build a pipeline first, or draws on another device.
+    ///     True if the renderer must build a pipeline first, or draws on another device.
     #[pyo3(signature = (*, camera = false, mode = false, first = false))]
     fn mark(&self, py: Python<'_>, camera: bool, mode: bool, first: bool) -> PyResult<()> {
         self.state(py)?.core.mark(Changes { camera, mode, first, ..Changes::default() });
@@ -429,9 +430,9 @@ impl Session {
     /// seconds : float
     ///     Measured time of the frame.
     /// unusual : bool, optional
-    ///     The time includes work that is not the frame's (a compilation, an upload, a stall).
+    ///     True if the time includes work that is not the frame's (a compilation, an upload, a stall).
     /// cancelled : bool, optional
-    ///     The frame was abandoned; its time is only a lower bound.
+    ///     True if the frame was abandoned; its time is then only a lower bound.
     ///
     /// Returns
     /// -------

@@ -97,10 +97,10 @@ impl Data {
 ///     smallest and the largest finite voxel that is not a fill value.
 /// fill : "auto", None, float or sequence of float, optional
 ///     Values of voxels without data. Such voxels, those that a masked array hides, and NaN count as the low
-///     end of the range. A warning names detected fill values, or says how many voxels are hidden by a mask or
-///     a given fill value. If no range is given, "auto" (the default) warns of voxels that are not finite, and
-///     detects fill values: the smallest or the largest value is a fill value if at least 0.1 % of the voxels
-///     have it and it is far from all other values. With None, every value is data.
+///     end of the range. A warning names detected fill values, or says how many voxels are hidden by a mask
+///     or a given fill value. If no range is given, "auto" (the default) warns of voxels that are not finite,
+///     and detects fill values: the smallest or the largest value is a fill value if at least 0.1 % of the
+///     voxels have it and it is far from all other values. With None, every value is data.
 ///
 /// Masked arrays, arrays with a given fill value, and arrays with a detected fill value above all other values
 /// are copied.

@@ -19,7 +19,7 @@
 
 namespace
 {
-// `code` is a value of errno, or one of another kind.
+// Returns an error text. `code` is a number of the category `kind`: by default, a value of errno.
 std::string Because(const char* name, const char* what, int code,
   const std::error_category& kind = std::generic_category())
 {

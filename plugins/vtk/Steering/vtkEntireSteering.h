@@ -210,8 +210,8 @@ public:
   ///@{
   /**
    * If true, pictures keep their quality while other programs slow frames down, and frames exceed the target. If
-   * this lasts longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps are
-   * chosen for it. Default false. A change discards the learned state.
+   * the load lasts longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
+   * are chosen for it. Default false. A change discards the learned state.
    */
   vtkSetMacro(IgnoreLoad, bool);
   vtkGetMacro(IgnoreLoad, bool);

@@ -183,8 +183,8 @@ class Session(_native.Session):
         If true, the step changes only slowly while nothing in the scene changes abruptly. Default True.
     ignore_load : bool, optional
         If true, the picture keeps its quality while other programs slow frames down, and frames exceed the
-        target. If this lasts longer than 32 frames, the slower speed counts as the machine's normal speed from
-        then on, and steps are chosen for it. Default False.
+        target. If the load lasts longer than 32 frames, the slower speed counts as the machine's normal speed
+        from then on, and steps are chosen for it. Default False.
     probe_side : int, optional
         Rays along each side of the probe that estimates a frame's work, 1 to 24, for linear cost models.
         Default 11.

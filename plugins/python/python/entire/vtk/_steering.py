@@ -620,8 +620,8 @@ def hold(
         share of frames that may be missed. Default 0.25 and 0.02.
     ignore_load : bool, optional
         True to keep the picture's quality while other programs slow frames down; frames then exceed the target. If
-        this lasts longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
-        are chosen for it. Default False.
+        the load lasts longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and
+        steps are chosen for it. Default False.
     always : bool, optional
         True to steer every frame. False to steer only frames for which the window's ``DesiredUpdateRate`` is at
         least `still_rate`; the others are still frames. Default: True if the window has no interactor.
