@@ -1,6 +1,6 @@
-//! Structure-aware mutants of model files. Every file's length field is right; the data after it are wrong in
-//! ways that a reader must detect. Random byte changes rarely give such files, since they break the header's
-//! length.
+//! Structure-aware mutants of model files. Every file's length field is right; the data after it may be wrong
+//! in ways that a reader must detect. Random byte changes rarely give such files, since they break the
+//! header's length.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{GroupKind, Key, Model};
