@@ -1,5 +1,5 @@
-//! Compares the estimates of the coarse ray probe with the exact counts of the CPU version, on the volumes in
-//! `data/`.
+//! Compares the estimates of the coarse ray probe with the exact counts of the CPU raycaster, on the volumes
+//! in `data/`.
 
 use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
 use entire_io::scenes::SceneDistribution;
