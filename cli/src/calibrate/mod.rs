@@ -34,7 +34,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Seconds that are reserved for the fit.
-const FIT_SECONDS: f64 = 6.0;
+const FIT_SECONDS: f64 = 1.0;
 
 /// Share of the time for comparing pictures.
 const PICTURES_SHARE: f64 = 0.08;
@@ -155,7 +155,7 @@ pub(crate) fn calibrate(
 ) -> Result<Calibrated> {
     ensure_fixed(settings.clock)?;
     let start = Instant::now();
-    let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(1.0));
+    let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(0.0));
     bar.set_length(settings.seconds.ceil() as u64);
     bar.set_message("choosing frames");
     let (files, names) = named(priors);
@@ -298,4 +298,27 @@ pub fn calibrate_to_tables(
     let mut file = chosen.file;
     report.write_into(&mut file, device, &observed, &chosen.crossed)?;
     Ok((file, report))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scripted::ScriptedRenderer;
+
+    #[test]
+    fn a_calibration_without_time_for_frames_names_enough_seconds() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("v.nrrd");
+        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 6 6 6\nencoding: raw\n\n".to_vec();
+        bytes.extend(0..216);
+        std::fs::write(&path, bytes).unwrap();
+        let settings = Settings { seconds: FIT_SECONDS, ..Settings::brief(vec![path]) };
+        let threads = entire_io::options::thread_pool(Some(1)).unwrap();
+        let mut renderer = ScriptedRenderer::default();
+        let error = calibrate(&settings, &[], &mut renderer, &threads, &|| false, &ProgressBar::hidden());
+        let text = error.err().unwrap().to_string();
+        for part in ["0 frames were drawn within 1 s", "choice of frames took", "give --seconds "] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+    }
 }

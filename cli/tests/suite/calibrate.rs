@@ -187,10 +187,6 @@ fn what_cannot_be_calibrated_is_said() {
     refuses_after_output(at, &line, &["no clock device", "--clock"]);
     let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";
     refuses_after_output(at, twice, &["./a.nrrd is given twice, first as a.nrrd"]);
-    // After the time that is reserved for the fit, no time is left for frames.
-    let short = "calibrate a.nrrd --device cpu --seconds 5 --threads 1 --quiet --out m.safetensors";
-    let parts = ["0 frames were drawn within 5 s", "choice of frames took", "give --seconds "];
-    refuses_after_output(at, short, &parts);
     assert!(!at.join("m.safetensors").exists());
 }
 
