@@ -56,7 +56,7 @@ fn own_seconds(text: &str) -> Option<f64> {
 /// Load of other programs over a calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct BackgroundLoad {
-    /// Wall seconds of all stretches of rendering; a stretch whose load is unknown counts as undisturbed.
+    /// Wall seconds of the stretches of rendering whose load is known.
     pub seconds: f64,
     /// Part of `seconds` in which other programs used more than [`DISTURBED`] processors.
     pub disturbed: f64,
@@ -65,16 +65,15 @@ pub struct BackgroundLoad {
 }
 
 impl BackgroundLoad {
-    /// Adds a stretch of `wall` seconds in which other programs used `others` processors on average.
+    /// Adds a stretch of `wall` seconds in which other programs used `others` processors on average, if known.
     pub(crate) fn add(&mut self, wall: f64, others: Option<f64>) {
-        if let Some(others) = others {
-            let before = self.mean.unwrap_or(0.0) * self.seconds;
-            self.mean = Some((before + others * wall) / (self.seconds + wall).max(1e-9));
-            if others > DISTURBED {
-                self.disturbed += wall;
-            }
-        }
+        let Some(others) = others else { return };
+        let before = self.mean.unwrap_or(0.0) * self.seconds;
         self.seconds += wall;
+        self.mean = Some((before + others * wall) / self.seconds.max(1e-9));
+        if others > DISTURBED {
+            self.disturbed += wall;
+        }
     }
 
     /// True if more than a fifth of the time was disturbed.
@@ -102,6 +101,8 @@ mod tests {
         let mut others = BackgroundLoad::default();
         others.add(8.0, Some(0.05));
         others.add(2.0, Some(0.9));
+        // A stretch whose load is unknown changes nothing.
+        others.add(90.0, None);
         assert!(!others.busy() && (others.mean.unwrap() - 0.22).abs() < 1e-12);
         others.add(1.0, Some(1.0));
         assert!(others.busy());
