@@ -37,12 +37,13 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate
-        measures without shading on the volumes in data/, and stores the model in the user's data folder
+        measures without shading on the volumes in data/, and stores the model
+        in the user's data folder
   entire calibrate --shade all
         one model each for none, local and scatter, a minute and a half each
   entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
-        fits the model to frames that your own renderer logged, and renders nothing")]
+        fits the model to frames that your own renderer logged; renders nothing")]
 pub(crate) struct Options {
     /// Volume files; default: all volumes in data/, but of ensembles only the training members.
     #[arg(value_name = "VOLUME")]

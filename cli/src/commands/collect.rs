@@ -27,8 +27,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire collect data/*.nrrd --out frames.csv
-  entire collect castro_blast/m0?/t00*.nrrd --out castro.csv --frames 100 --shade local
-  entire collect skull.nii.gz --out skull.csv --steps 0.5,1,2,4 --max-size 512 --resume
+  entire collect castro_blast/m0?/t00*.nrrd --out castro.csv --shade local
+  entire collect skull.nii.gz --out skull.csv --steps 0.5,1,2,4 --resume
   entire collect --like data/timings/none-train.csv.gz --out again.csv")]
 pub(crate) struct Options {
     /// Volume files. Files named like `t0012.nrrd` are time steps; their folder is their ensemble member.

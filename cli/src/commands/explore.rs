@@ -23,7 +23,8 @@ use std::path::PathBuf;
   entire explore data/nyx_cosmology/m01/t0010.nrrd
   entire explore ct.nii.gz --target 60fps --shade local --skip distance
   entire explore t1.nrrd t2.nrrd t3.nrrd --model out/calibrated.safetensors
-  xvfb-run -s '-screen 0 1280x900x24' entire explore skull.nrrd --script events.jsonl --log frames.csv")]
+  xvfb-run -s '-screen 0 1280x900x24' entire explore skull.nrrd \\
+      --script events.jsonl --log frames.csv")]
 pub struct Options {
     /// The volume file, or the files of a time series in order; without a file, the window is empty.
     #[arg(value_name = "VOLUME")]

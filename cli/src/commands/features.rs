@@ -19,7 +19,8 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire features --data frames.csv
-  entire features --data frames.csv --volumenet models/volumenet-128f2.safetensors --root ../volumes")]
+  entire features --data frames.csv --root ../volumes \\
+      --volumenet models/volumenet-128f2.safetensors")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]

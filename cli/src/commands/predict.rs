@@ -23,9 +23,10 @@ use std::path::{Path, PathBuf};
   entire predict --model model.safetensors --inputs inputs.csv
   my-renderer --log-inputs | entire predict --model model.safetensors --inputs -
 
-The columns are the inputs that the model file lists in its metadata, under the key entire.inputs. If a
-row has another number of columns, the error names the input groups and their sizes. To predict the frames
-of timing tables, use `entire evaluate`.")]
+The columns are the inputs that the model file lists in its metadata, under the
+key entire.inputs. If a row has another number of columns, the error names the
+input groups and their sizes. To predict the frames of timing tables, use
+`entire evaluate`.")]
 pub(crate) struct Options {
     /// Model file of a predictor; default: this machine's model for --shade (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]

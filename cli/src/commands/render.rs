@@ -20,9 +20,11 @@ use std::path::PathBuf;
 /// step.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
-  entire render ct.nii.gz --camera -10,120,3 --tf 0.2,0.002,0.1,0.7,0.01,0.8 --size 1280x720 --step 2 \\
-      --shade local --skip distance --device vulkan --repeats 5 --out ct.png --json")]
+  entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 \\
+      --size 512x512 --out banana.png
+  entire render ct.nii.gz --camera -10,120,3 --tf 0.2,0.002,0.1,0.7,0.01,0.8 \\
+      --size 1280x720 --step 2 --shade local --skip distance \\
+      --device vulkan --repeats 5 --out ct.png --json")]
 pub(crate) struct Options {
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
     pub(crate) volume: PathBuf,

@@ -18,7 +18,7 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv
-  entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out order.json")]
+  entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out q.json")]
 pub(crate) struct Options {
     /// The task list: CSV with a header line, or a JSON array of objects (.json). Columns: `predicted_s` or
     /// `measured_s`, in seconds on a node of speed 1; optionally `task` (a name), `volume`, and `load_s`, the

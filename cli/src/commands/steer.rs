@@ -31,13 +31,13 @@ use std::path::{Path, PathBuf};
 /// under every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
-  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out \
-  out/skull
-  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget \
-  30:60fps,60:15fps --out out/series
-  entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 1 --table observed.csv \
-  --out out/skull")]
+  entire steer skull.nrrd --generate switches --target 30fps --out out/steer
+  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms \\
+      --controllers olp,hybrid --out out/skull
+  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit \\
+      --target 30fps --retarget 30:60fps,60:15fps --out out/series
+  entire steer skull.nrrd --generate fly-in --target 60fps \\
+      --max-image-sample-distance 1 --table observed.csv --out out/skull")]
 pub(crate) struct Options {
     /// The volume file; several files are a series of volumes (see --hold).
     #[arg(value_name = "VOLUME", required = true)]

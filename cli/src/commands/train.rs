@@ -32,18 +32,20 @@ use std::time::Instant;
 Examples:
   entire train --data frames.csv --out model.safetensors
         a small network on scene features, log seconds, split by ensemble member
-  entire train --data frames.csv --out paper.safetensors --preset 12C256 --target seconds \\
-        --inputs volume_features,camera,resolution,transfer_function --volumenet \
-        models/volumenet-128f2.safetensors
+  entire train --data frames.csv --out paper.safetensors --preset 12C256 \\
+      --target seconds --volumenet models/volumenet-128f2.safetensors \\
+      --inputs volume_features,camera,resolution,transfer_function
         the paper's configuration
-  entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate \
-  1e-4
+  entire train --data new-machine.csv --out tuned.safetensors \\
+      --fine-tune model.safetensors --learning-rate 1e-4
   entire train --data frames.csv --out costs.safetensors --model-kind analytic
         unit costs: a few frames are enough
-  entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
+  entire train --data frames.csv --out residual.safetensors \\
+      --model-kind residual --layers 32
         the analytic model times a learned factor
-  entire train --data frames.csv --pictures pictures.csv --out both.safetensors --model-kind analytic
-        frame times, and the picture errors of coarser steps and smaller images")]
+  entire train --data frames.csv --pictures pictures.csv \\
+      --out both.safetensors --model-kind analytic
+        frame times, and picture errors of coarser steps and smaller images")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]

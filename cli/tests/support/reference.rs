@@ -22,8 +22,12 @@ pub(crate) fn check_page(name: &str, program: Command, intro: &str) {
     assert_eq!(kept.len(), made.len(), "docs/src/{name} is out of date; run `make reference`");
 }
 
+/// Columns of a narrow terminal. A longer line of a help text is wrapped, so that an example cannot be copied.
+const TERMINAL_COLUMNS: usize = 80;
+
 /// Checks that every command has examples at the end of its help, and accepts them.
 pub(crate) fn check_examples(program: impl Fn() -> Command) {
+    check_width(&program());
     for (name, example) in reference::examples(program()) {
         let example = example.unwrap_or_else(|| panic!("{name} --help has no examples"));
         assert!(example == name || example.starts_with(&format!("{name} ")), "{name} --help has {example:?}");
@@ -31,6 +35,15 @@ pub(crate) fn check_examples(program: impl Fn() -> Command) {
             panic!("{example}: {error}");
         }
     }
+}
+
+/// Checks the lines at the end of the help of a command and of its subcommands.
+fn check_width(command: &Command) {
+    let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+    for line in help.lines() {
+        assert!(line.chars().count() <= TERMINAL_COLUMNS, "{} --help: {line}", command.get_name());
+    }
+    command.get_subcommands().for_each(check_width);
 }
 
 /// Returns the words of a command line without nested quotes.
