@@ -1,5 +1,5 @@
-//! The `entire` command. Exit status: 0, 1 for bad input (one line on standard error that says why and what
-//! to do), 2 for wrong usage.
+//! The `entire` command. Exit status: 0 for success, 1 for any error (one line on standard error says why and
+//! what to do), 2 for wrong usage.
 
 use std::process::ExitCode;
 

@@ -50,8 +50,8 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
     }
     ensure!(
         with == 0 || with == all,
-        "{with} of {all} repeats have device timestamps, the others wall time only; choose a clock that all \
-         have: --clock wall or cpu"
+        "{with} of {all} repeats have device timestamps, the others have none; choose another clock: --clock \
+         wall, or --clock cpu if all repeats have CPU time"
     );
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
 }

@@ -21,7 +21,7 @@ pub(crate) struct Options {
     /// Model file with a VolumeNet.
     #[arg(long, value_name = "M.safetensors")]
     pub(crate) model: PathBuf,
-    /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
+    /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json, .raw or .raw.gz.
     pub(crate) volume: PathBuf,
     /// Options for reading the volume.
     #[command(flatten)]

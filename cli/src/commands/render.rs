@@ -26,7 +26,7 @@ use std::path::PathBuf;
       --size 1280x720 --step 2 --shade local --skip distance \\
       --device vulkan --repeats 5 --out ct.png --json")]
 pub(crate) struct Options {
-    /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
+    /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json, .raw or .raw.gz.
     pub(crate) volume: PathBuf,
     /// Rotation about x and y in degrees, and the eye's distance in bounding-sphere radii.
     #[arg(long, value_name = "RX,RY,DZ", value_parser = parse_camera, allow_hyphen_values = true)]

@@ -432,7 +432,7 @@ fn byte_order_marks_are_no_part_of_the_text() {
 fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
     assert_right("skip-minus-one.nhdr");
     assert_right("skip-minus-five.nhdr");
-    // Without compression; a skip of -6 needs more bytes than the file has.
+    // These voxels are not compressed. A skip of -6 needs 8 bytes after the header, and there are 7.
     let header = |skip: i64| {
         format!(
             "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1 1 3\nencoding: raw\nbyte skip: {skip}\n\n1234567"
