@@ -32,7 +32,8 @@ pub(crate) enum Neighbor {
 /// `entire-lab replay --disturbance` replays recorded paths with these slowdowns.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab disturb data/nyx_cosmology/m04/t0010.nrrd --neighbor bursts --out bursts.csv")]
+  entire-lab disturb data/nyx_cosmology/m04/t0010.nrrd --neighbor bursts \\
+      --out bursts.csv")]
 pub(crate) struct Options {
     /// The volume file.
     #[arg(value_name = "VOLUME")]

@@ -16,7 +16,8 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab farm tasks.csv --report out/farm
-  entire-lab farm --trace farm.json --training before.json --probe-side 24 --report out/farm --bars")]
+  entire-lab farm --trace farm.json --training before.json --probe-side 24 \\
+      --report out/farm --bars")]
 pub(crate) struct Options {
     /// The task list.
     #[arg(value_name = "TASKS", required_unless_present = "trace")]

@@ -42,7 +42,8 @@ const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06)
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
-  entire-lab frames --data xeon.csv epyc.csv --judged xeon-members.csv epyc-members.csv \
+  entire-lab frames --data xeon.csv epyc.csv \\
+      --judged xeon-members.csv epyc-members.csv \\
       --priors xeon.safetensors epyc.safetensors --out out/frames")]
 pub(crate) struct Options {
     /// Timing tables, one for each type of machine.

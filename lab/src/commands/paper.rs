@@ -19,7 +19,7 @@ use entire_io::options::thread_pool;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Folder of the recorded paths for the paper's use case 1, steering (`make steer-traces` records them).
+/// Folder of the recorded paths for the paper's use case 1, steering (`make steer-traces STEER_OUT=data/steer` records them).
 const RECORDED: &str = "data/steer";
 
 /// Reproduce every table and figure of the paper, beside our results.
@@ -28,10 +28,11 @@ const RECORDED: &str = "data/steer";
 /// OUT: a stopped command continues where it was, and nothing is computed twice.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab paper all --data ../shared/data
-  entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20
-  entire-lab paper encode --data ../shared/data --python venv/bin/python
-  entire-lab paper train --data ../shared/data --only overall,ablation --runs 1
+  entire-lab paper all --data volumes
+  entire-lab paper collect --data volumes --data-sets castro_blast \\
+      --modes none --budget 20
+  entire-lab paper encode --data volumes --python venv/bin/python
+  entire-lab paper train --data volumes --only overall,ablation --runs 1
   entire-lab paper report --bars")]
 pub(crate) struct Options {
     #[command(subcommand)]
@@ -42,7 +43,7 @@ pub(crate) struct Options {
 enum Step {
     /// Run every step, one after another.
     #[command(after_help = "Example:
-  entire-lab paper all --data ../shared/data")]
+  entire-lab paper all --data volumes")]
     All {
         #[command(flatten)]
         step: StepOptions,
@@ -54,15 +55,16 @@ enum Step {
     /// Render frames with our raycaster in every mode and with yt, and some of these frames also at low
     /// resolution (the proxy).
     #[command(after_help = "Example:
-  entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20")]
+  entire-lab paper collect --data volumes --data-sets castro_blast \\
+      --modes none --budget 20")]
     Collect(StepOptions),
     /// Train VolumeNets.
     #[command(after_help = "Example:
-  entire-lab paper encode --data ../shared/data --python venv/bin/python")]
+  entire-lab paper encode --data volumes --python venv/bin/python")]
     Encode(Making),
     /// Train predictors on the collected frames and test them.
     #[command(after_help = "Example:
-  entire-lab paper train --data ../shared/data --only overall,ablation --runs 1")]
+  entire-lab paper train --data volumes --only overall,ablation --runs 1")]
     Train {
         #[command(flatten)]
         step: StepOptions,
@@ -270,7 +272,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
         if calibration.exists() && folder.is_dir() { trials::steering_network(work, mode)? } else { None };
     if network.is_none() {
         note(&format!(
-            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces) and the frames of \
+            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces STEER_OUT=data/steer) and the frames of \
              its network"
         ));
         return Ok(());

@@ -68,9 +68,10 @@ impl Paths {
 /// step, and the report says so. DIR gets report.html, scores.json and frames.csv.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab replay data/steer/traces/*.json.gz --calibration data/steer/calibration.csv.gz --out out/steer
-  entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
-  --out out/nyx")]
+  entire-lab replay data/steer/traces/*.json.gz \\
+      --calibration data/steer/calibration.csv.gz --out out/steer
+  entire-lab replay nyx.json --calibration calibration.csv \\
+      --targets 30fps,60fps --controllers olp,hybrid --out out/nyx")]
 pub(crate) struct Options {
     /// Paths to replay.
     #[command(flatten)]

@@ -26,9 +26,10 @@ type Played = ([Replayable; 3], Calibrated);
 /// `steer/src/adapt/constants.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --rounds 0
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --only full,gain")]
+  entire-lab tune data/steer/training/*.json.gz \\
+      --calibration data/steer/training/calibration.csv.gz
+  entire-lab tune nyx.json --calibration calibration.csv --rounds 0
+  entire-lab tune nyx.json --calibration calibration.csv --only full,gain")]
 pub(crate) struct Options {
     /// Paths to replay.
     #[command(flatten)]
