@@ -27,10 +27,12 @@ const SEED: u64 = 1;
 /// beside an oracle that knows the curves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out \
-  out/steer/nyx.json
-  entire-lab record a.nrrd b.nrrd --enlarge 2 --calibration 24 --clock cpu --out out/steer/calibration.csv
-  entire-lab record t0001.nrrd t0002.nrrd t0003.nrrd --hold 20 --generate orbit --out series.json")]
+  entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 \\
+      --generate switches --clock cpu --out out/steer/nyx.json
+  entire-lab record a.nrrd b.nrrd --enlarge 2 --calibration 24 --clock cpu \\
+      --out out/steer/calibration.csv
+  entire-lab record t0001.nrrd t0002.nrrd t0003.nrrd --hold 20 \\
+      --generate orbit --out series.json")]
 pub(crate) struct Options {
     /// The volume files, shown one after the other (see --hold).
     #[arg(value_name = "VOLUME", required = true)]
@@ -177,6 +179,12 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
 /// Writes a timing table of random scenes, each at every calibration step.
 fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
+    let timing: fn(f64) -> Timing = match options.clock {
+        Clock::Cpu => |seconds| Timing { cpu: Some(seconds), ..Timing::default() },
+        Clock::Device => |seconds| Timing { device: Some(seconds), ..Timing::default() },
+        Clock::Wall => |seconds| Timing { wall: Some(seconds), ..Timing::default() },
+        Clock::Auto => bail!("--calibration needs --clock device, wall or cpu"),
+    };
     let draw = DrawSettings::new(options.size, &options.render, options.clock);
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.render.device)?;
@@ -218,14 +226,7 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
                 termination: draw.termination,
                 lobes: s.lobes,
             };
-            let seconds = Some(s.seconds);
-            let measured = match draw.clock {
-                Clock::Cpu => Timing { cpu: seconds, ..Timing::default() },
-                Clock::Device => Timing { device: seconds, ..Timing::default() },
-                Clock::Wall => Timing { wall: seconds, ..Timing::default() },
-                Clock::Auto => bail!("--calibration needs --clock device, wall or cpu"),
-            };
-            table.append(number, &scene, &[measured])?;
+            table.append(number, &scene, &[timing(s.seconds)])?;
             number += 1;
         }
     }
