@@ -76,9 +76,7 @@ pub(crate) fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &
 pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
     let held = |quantity: &str| match quantity {
         "local_samples" | "far_local_samples" => shading.is_lit(),
-        "scatter_samples" | "shadow_samples" | "lane_shadow_samples" | "far_shadow_samples" => {
-            shading.scatters()
-        }
+        name if name == "scatter_samples" || name.contains("shadow_samples") => shading.scatters(),
         _ => true,
     };
     let of_costs = |costs: &UnitCosts| costs.named().filter(|(name, c)| *c > 0.0 && held(name)).count();
