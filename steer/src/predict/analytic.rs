@@ -178,17 +178,20 @@ impl AnalyticModel {
                 measurements.len()
             );
         }
-        let rows: Vec<FitRow> =
-            usable.iter().map(|(work, seconds)| FitRow { work: *work, log: libm::log(*seconds) }).collect();
+        let rows: Vec<FitRow> = usable
+            .iter()
+            .map(|(work, seconds)| FitRow { work: default.work(work), log: libm::log(*seconds) })
+            .collect();
         let fitted = CostFit::new(&default.seconds, &[COST_SD; COSTS], &rows.iter().collect::<Vec<_>>());
         let costs = fitted.unit_costs();
         if !costs.iter().all(|c| c.is_finite()) || costs.iter().all(|&c| c <= 0.0) {
             bail!(InvalidArgument, "the measurements give no positive cost; check that times are in seconds");
         }
-        self.costs = UnitCosts::new(costs);
+        self.costs = UnitCosts { seconds: costs, cached_voxels: default.cached_voxels };
         self.fitted = true;
         (self.clock, self.quality) = (None, None);
-        let logs = usable.iter().map(|(work, seconds)| libm::log(seconds / dot(&costs, work).max(1.0e-30)));
+        let predicted = rows.iter().map(|row| dot(&costs, &row.work).max(1.0e-30));
+        let logs = usable.iter().zip(predicted).map(|((_, seconds), p)| libm::log(seconds / p));
         self.calibration = UpperBound::from_groups(logs.map(|log| (log, ())));
         self.range = Some(range_of(usable.iter().map(|(work, _)| work)));
         Ok(usable.iter().map(|(work, seconds)| libm::fabs(self.costs.time(work) / seconds - 1.0)).collect())
@@ -459,6 +462,23 @@ mod tests {
         }
         // Costs that were never observed keep their default ratio to the other costs and are not zero.
         assert!(model.costs().seconds[9] > 0.0 && model.costs().seconds[10] > 0.0);
+    }
+
+    #[test]
+    fn a_fit_keeps_the_number_of_cached_voxels_of_its_prior() {
+        let index = |name: &str| 1 + COST_QUANTITIES.iter().position(|q| q.name() == name).unwrap();
+        let machine = UnitCosts { cached_voxels: 2e6, ..UnitCosts::SOFTWARE };
+        let frame = |i: usize| {
+            let mut work = [0.0; COSTS];
+            (work[0], work[index("samples")]) = (1.0, 1e6 * (1 + i % 7) as f64);
+            work[index("far_samples")] = 5e5 * (i % 5) as f64;
+            work[index("touched_voxels")] = 1e5 * libm::exp((i % 11) as f64 / 2.0);
+            (work, machine.time(&work))
+        };
+        let mut model = AnalyticModel::default();
+        let errors = model.fit(&machine, &(0..150).map(frame).collect::<Vec<_>>()).unwrap();
+        assert_eq!(model.costs().cached_voxels, 2e6);
+        assert!(errors.iter().all(|e| *e < 1e-3), "{errors:?}");
     }
 
     #[test]
