@@ -120,8 +120,9 @@ impl Normalization {
         if let Some(i) = self.std.iter().position(|&s| s < f32::MIN_POSITIVE) {
             bail!(
                 InvalidTensor,
-                "{name}.std[{i}] is {}: it must exceed 1.2e-38 (drop or rescale an input that never varies)",
-                self.std[i]
+                "{name}.std[{i}] is {}: it must be at least {:e} (drop or rescale an input that never varies)",
+                self.std[i],
+                f32::MIN_POSITIVE
             );
         }
         Ok(())
