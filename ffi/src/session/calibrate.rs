@@ -114,6 +114,7 @@ pub unsafe extern "C" fn entire_session_calibrate(
             }
             reserve::check()?;
             let made = state.session.calibrate()?;
+            give_model(&made.file.to_bytes()?, "calibrated model", model)?;
             if !report.is_null() {
                 let out = entire_calibration_report {
                     frames: made.frames,
@@ -126,7 +127,7 @@ pub unsafe extern "C" fn entire_session_calibrate(
                 };
                 write_struct(report, &out)?;
             }
-            give_model(&made.file.to_bytes()?, "calibrated model", model)
+            Ok(())
         })
     }
 }
