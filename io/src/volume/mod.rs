@@ -226,7 +226,7 @@ impl Volume {
     ///
     /// # Errors
     /// Those of [`Volume::open`] and of the watcher; when `reading` names an array that the file lacks, or
-    /// the format has no named arrays; when every voxel holds one of the given fill values.
+    /// the format has no named arrays; when every finite voxel holds one of the given fill values.
     pub fn open_as(
         path: impl AsRef<Path>,
         reading: &Reading,

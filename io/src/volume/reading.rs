@@ -157,7 +157,7 @@ as_text!(Fill Range);
 /// note for the user, if any.
 ///
 /// # Errors
-/// When every voxel holds one of the given values.
+/// When every finite voxel holds one of the given values.
 pub(super) fn hide_fill(
     data: &mut VolumeData,
     dims: [usize; 3],
@@ -182,7 +182,7 @@ pub(super) fn hide_fill(
             (low, high) = (low.min(v), high.max(v));
         }
     }
-    ensure!(low <= high, "every voxel holds a fill value ({fill}); give other values, or none");
+    ensure!(low <= high, "every finite voxel holds a fill value ({fill}); give other values, or none");
     let shown = match reading.range {
         Range::Given(from, _) => low.min(from.floor()),
         Range::Default if matches!(data, VolumeData::U8(_)) => 0.0,
