@@ -528,6 +528,8 @@ uint32_t entire_abi_version(void);
  * Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`.
  * When the call returns, the earlier callback is no longer running and its `user_data` may be freed. Must
  * not be called from within a callback.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (an unknown level, or a call from within a callback).
  */
 entire_result entire_set_log(entire_log_callback callback, void *user_data, entire_log_level level);
 
@@ -677,11 +679,11 @@ entire_result entire_volume_last_error(const entire_volume *volume,
                                        size_t *length);
 
 /**
- * Sets the next time step of a volume. It must have the volume's sizes, spacing and scalar type. `desc`
- * describes its voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN, NaN keeps
- * the volume's; any other range must equal the volume's. Precomputed features are removed, since they belong
- * to the previous time step. After this call, call entire_session_set_time_step for each session. No other
- * call may use the volume during this one.
+ * Sets the next time step of a volume. The time step must have the volume's sizes, spacing and scalar type.
+ * `desc` describes its voxels: new ones, or the borrowed ones, overwritten by the caller. A range of NaN,
+ * NaN keeps the volume's range; any other range must equal the volume's. Precomputed features are removed,
+ * since they belong to the previous time step. After this call, call entire_session_set_time_step for each
+ * session. No other call may use the volume during this one.
  *
  * One pass over the voxels finds the changes; it is much faster than the scan of a new volume. Only changed
  * cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
@@ -783,13 +785,13 @@ entire_result entire_session_calibrate(const entire_session *session,
 /**
  * Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
  * model then contains this renderer's quality law (picture error as a function of ray step and image size),
- * and sessions that steer this renderer with it coarsen whichever of the two adds less error. Draw at least
- * 3 scenes, all at the same settings. `scene` is a number that identifies the view, `step` is the ray step
- * in multiples of the finest, `image_sample_distance` is the distance of neighboring rays in pixels, and
- * `seconds` is the time that the drawing took. Include full quality (1 and 1, `error` 0), coarser steps
- * alone, smaller images alone, and both. `error` is any measure that is 0 for equal pictures and grows with
- * the difference, such as the root mean squared difference of colors, or 1 - SSIM. Enlarge smaller pictures
- * to full size before the comparison. The first 65536 pictures are kept.
+ * and sessions that steer this renderer with this model coarsen the ray step or the image size, whichever
+ * adds less error. Draw at least 3 scenes, all at the same settings. `scene` is a number that identifies the
+ * view, `step` is the ray step in multiples of the finest, `image_sample_distance` is the distance of
+ * neighboring rays in pixels, and `seconds` is the time that the drawing took. Include full quality (1 and
+ * 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for
+ * equal pictures and grows with the difference, such as the root mean squared difference of colors, or 1 -
+ * SSIM. Enlarge smaller pictures to full size before the comparison. The first 65536 pictures are kept.
  *
  * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
  * below 1, seconds that are not positive, a negative error, numbers that are not finite),
@@ -837,11 +839,12 @@ entire_result entire_session_predict(entire_session *session,
 
 /**
  * Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
- * that are expected to meet the target, with an upper bound of at most the target plus the session's
- * tolerance, else those expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS settings. `index`
- * receives the index of the chosen settings, and `plan` their plan, to be observed like any other. The
- * frame's own step must be in range, but is ignored; its width and height give the aspect ratio of all
- * settings, and a change of its size or modes counts as a change of the scene. Does not allocate.
+ * that are expected to meet the target and whose upper bound is at most (1 + tolerance) times the target. If
+ * there are none, takes those that are expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS
+ * settings. `index` receives the index of the chosen settings, and `plan` their plan, to be observed like
+ * any other. The frame's own step must be in range, but is ignored; its width and height give the aspect
+ * ratio of all settings, and a change of its size or modes counts as a change of the scene. Does not
+ * allocate.
  *
  * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
  * range, and with ENTIRE_SIZE_MISMATCH for too many.

@@ -25,10 +25,10 @@
  * documentation says and are never freed. The inputs of a call that makes a handle may be freed after the call,
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
- * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const`
- * handle may run at the same time on several threads with the same handle; all other calls need exclusive use
- * of their handles. In other words: share models, volumes and transfer functions once they are made; give
- * every render loop a session of its own.
+ * Threads. The library starts no thread. The log callback is its only global state that callers can set.
+ * Calls with a `const` handle may run at the same time on several threads with the same handle; all other
+ * calls need exclusive use of their handles. In other words: share models, volumes and transfer functions
+ * once they are made; give every render loop a session of its own.
  *
  * Names. Functions are entire_<noun>_<what they do>. A function that only reads is named after its result,
  * without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
@@ -50,11 +50,12 @@
  * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says
  * so; it is never zero. The result for zero, negative, infinite and NaN inputs is documented.
  *
- * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits (some are in advanced.h) before anything is
- * allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory whose size the caller or a file
- * determines (copies, features, batches) is requested in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
- * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB if the system refuses them; while half
- * of it is in use, calls that make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
+ * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits (some are in
+ * advanced.h) before anything is allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory
+ * whose size the caller or a file determines (copies, features, batches) is requested in a way that can fail:
+ * if the system refuses it, the call returns ENTIRE_OUT_OF_MEMORY. Small pieces (handles, texts, a model's
+ * tables) come from a reserve of 1 MiB if the system refuses them; while half of it is in use, calls that
+ * make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
@@ -66,7 +67,8 @@
  * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
- * with its place in the error text; the handle then refuses every call but free.
+ * with its place in the error text; the handle then refuses every call but entire_<noun>_last_error
+ * and entire_<noun>_free.
  */
 
 
@@ -94,8 +96,8 @@
 #define ENTIRE_MAX_SIDE 1048576
 
 /**
- * Maximum number of voxels of a volume whose strides are zero or overlap, so that it has fewer elements in
- * memory.
+ * Maximum number of voxels of a volume whose strides are zero or overlap, so that there are fewer elements
+ * in memory than voxels.
  */
 #define ENTIRE_MAX_REPEATED_VOXELS 134217728
 
@@ -163,7 +165,8 @@ enum entire_result
      */
     ENTIRE_INVALID_TENSOR = 4,
     /**
-     * The model needs an input group that the caller did not supply, or the reverse.
+     * The model needs an input group that the caller did not supply, that was supplied in another size, or
+     * that this version does not know.
      */
     ENTIRE_MISSING_INPUT = 5,
     /**
@@ -192,7 +195,8 @@ enum entire_result
      */
     ENTIRE_IO = 102,
     /**
-     * A bug in the library. The handle refuses all further calls with this code and can only be freed.
+     * A bug in the library. The handle refuses all further calls with this code, except
+     * entire_<noun>_last_error and entire_<noun>_free.
      */
     ENTIRE_PANIC = 103,
     /**
@@ -458,8 +462,8 @@ typedef struct entire_session_options {
      */
     float miss_rate;
     /**
-     * Excess over the target above which a frame counts as missed, as a share of the target, not negative;
-     * default 0.1.
+     * Share of the target by which a plan's upper bound for undisturbed frames may exceed the target, not
+     * negative; default 0.1.
      */
     float tolerance;
     /**
@@ -672,7 +676,8 @@ typedef struct entire_plan {
 #define ENTIRE_SKIPPING_BLOCKS 2
 
 /**
- * As ENTIRE_SKIPPING_BLOCKS, with a distance map, so that a run of empty blocks costs one skip.
+ * As ENTIRE_SKIPPING_BLOCKS, with a distance map: one skip crosses all blocks that the map shows to be
+ * empty.
  */
 #define ENTIRE_SKIPPING_DISTANCE 3
 
@@ -692,8 +697,9 @@ typedef struct entire_plan {
 #define ENTIRE_VERDICT_IGNORED 2
 
 /**
- * The finest step that is expected to meet the target, with an upper bound of at most the target plus the
- * session's tolerance.
+ * The finest step that is expected to meet the target and whose upper bound is at most (1 + tolerance) times
+ * the target. If no step has such a bound: a coarser step than the finest that is expected to meet the
+ * target.
  */
 #define ENTIRE_REASON_FITS 1
 
@@ -708,7 +714,7 @@ typedef struct entire_plan {
 #define ENTIRE_REASON_HELD 3
 
 /**
- * The finest allowed step fits.
+ * The finest allowed step, which is expected to meet the target; its upper bound may exceed the tolerance.
  */
 #define ENTIRE_REASON_FINEST_ALLOWED 4
 
@@ -793,8 +799,9 @@ entire_result entire_volume_desc_init(struct entire_volume_desc *desc, size_t st
  * Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type or ownership, a zero size, a spacing or range
  * that is not accepted, strides of which only some are ENTIRE_STRIDE_CONTIGUOUS, borrowed voxels that are
  * not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or sizes over the limits of
- * entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs no memory),
- * ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * entire_volume_desc), ENTIRE_OUT_OF_MEMORY (ENTIRE_VOXELS_BORROW needs no memory for
+ * voxels), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
+ * ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_new(const struct entire_volume_desc *desc, struct entire_volume **volume);
 
@@ -826,8 +833,8 @@ entire_result entire_transfer_function_from_nodes(const struct entire_opacity_no
 
 /**
  * Makes a transfer function from a table: `entries` entries of red, green, blue and opacity in [0, 1], not
- * premultiplied. The first entry is at scalar value 0, the last at 1; values in between are interpolated
- * linearly. The unit distance is one reference step.
+ * premultiplied. The first entry is at the normalized scalar value 0, the last at 1; values in between are
+ * interpolated linearly. The unit distance is one reference step.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
  * (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -883,7 +890,7 @@ void entire_session_free(struct entire_session *session);
  * last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
  *
  * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, a plan that was observed before, a
- * time that is not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an
+ * time that is not finite, not positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an
  * unknown flag), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_observe(struct entire_session *session,

@@ -19,7 +19,7 @@ pub const ENTIRE_REASON_FITS: entire_reason = 1;
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
 /// The step of the last plan still fits and is close to the best: it is kept.
 pub const ENTIRE_REASON_HELD: entire_reason = 3;
-/// The finest allowed step fits.
+/// The finest allowed step, which is expected to meet the target; its upper bound may exceed the tolerance.
 pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
 /// Even the coarsest allowed step is not expected to fit.
 pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;

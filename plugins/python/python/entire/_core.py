@@ -27,7 +27,7 @@ _REASONS = {
     "fits": "the finest step expected to meet the target, with its upper bound within the tolerance",
     "damped": "approaches the best step gradually, since nothing changed abruptly",
     "held": "the last step still fits and is close to the best",
-    "finest allowed": "the finest allowed step fits",
+    "finest allowed": "the finest allowed step is expected to meet the target",
     "target unreachable": "even the coarsest allowed step is not expected to fit",
     "history": "the prediction is not trusted here; recent frames are used instead",
     "no information": "there is neither a prediction nor a measured frame yet",
