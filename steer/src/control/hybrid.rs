@@ -104,8 +104,8 @@ impl HybridOptions {
 /// * Other programs on the machine: a detected load multiplies every expected time, until the first frame
 ///   without the load. The step is chosen by the bound for undisturbed frames; the bound of the plan covers
 ///   disturbed frames too.
-/// * A new scene: nothing is damped, the scene's own correction is dropped, and the margin is that of new
-///   scenes.
+/// * A new scene: nothing is damped, the logarithm of the earlier scene's correction is multiplied by
+///   1 − novelty, and the margin is that of new scenes.
 /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
 ///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
