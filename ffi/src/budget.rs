@@ -122,9 +122,9 @@ pub unsafe extern "C" fn entire_budget_drew(
     })
 }
 
-/// Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included work that
-/// most frames do not: reading a volume, compiling a shader. Such work counts only if the previous frame
-/// included it too.
+/// Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included unusual
+/// work, such as reading a volume or compiling a shader. Its time outside of the passes is then used only if
+/// the previous frame was unusual, too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -546,7 +546,7 @@ mod tests {
         let pairs: [[&[Layer]; 2]; 2] = [
             // The planes between the first two layers have other borders.
             [&[(72, 1, 1, 0), (16, 2, 3, 1)], &[(32, 1, 1, 0), (16, 4, 3, 2)]],
-            // They have other sizes, but take as many floats in total.
+            // The planes of the two networks differ in size, but take the same number of floats in total.
             [&[(32, 1, 1, 0), (16, 2, 3, 1)], &[(16, 1, 1, 0), (16, 4, 3, 1)]],
         ];
         let bytes: Vec<u8> = (0..14 * 14 * 14).map(|i| (i * 31 % 255) as u8).collect();

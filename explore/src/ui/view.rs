@@ -196,7 +196,7 @@ fn work(painter: &Painter, state: &State, rect: Rect) {
         );
         painter.rect_filled(cell, 0.0, color);
     }
-    let text = format!("samples per ray at full quality, up to {most:.0} in a cell");
+    let text = format!("samples per ray at full quality; largest mean of a tile: {most:.0}");
     let at = rect.left_bottom() + Vec2::new(8.0, -26.0);
     painter.text(at, Align2::LEFT_BOTTOM, text, FontId::proportional(12.0), Color32::WHITE);
 }

@@ -90,7 +90,8 @@ unsafe fn update(
         let [a, b] = [next.shape(), shape].map(|shape| shape.spacing.to_array());
         refuse!(
             ENTIRE_INVALID_ARGUMENT,
-            "a time step has the spacing {a:?}, but its volume has {b:?}; set the volume's"
+            "a time step has the spacing {a:?}, but its volume has {b:?}; give the time step the \
+             spacing of its volume"
         );
     }
     if next.shape().dims != shape.dims {

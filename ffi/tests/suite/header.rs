@@ -114,8 +114,8 @@ fn mentions(text: &str, constant: &str) -> bool {
     })
 }
 
-/// The two headers: `entire.h`, and `advanced.h`, which includes it and has all other functions, and the types
-/// and constants that no declaration of `entire.h` mentions.
+/// The two headers. `entire.h` has the functions of a render loop. `advanced.h` includes `entire.h`; it has
+/// the remaining functions, and the types and constants that `entire.h` does not use.
 fn generate() -> [(&'static str, String); 2] {
     let all = header("entire.h", None, &BTreeSet::new());
     // cbindgen writes types only if a function uses them, but it writes all constants.

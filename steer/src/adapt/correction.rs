@@ -117,15 +117,14 @@ const GAIN: (f64, f64) = (0.1, 0.8);
 /// Smallest learning rate of the variance of calm frames' errors. At this rate, the variance is an average
 /// over about ten frames. At half the rate, the loss on the training paths is the same.
 const SPREAD_PACE: f64 = 0.1;
-/// Learning rate of the variance among scenes of the logarithm of a scene's own factor. At this rate, the
-/// variance is an average over about ten scenes. At half the rate, the loss on the training paths is the
-/// same.
+/// Learning rate of the variance, over scenes, of ln of a scene's own factor. At this rate, the variance is
+/// an average over about ten scenes. At half the rate, the loss on the training paths is the same.
 const SCENE_PACE: f64 = 0.1;
 /// Prior variance of ln of each unit cost of a fitted model, and of their common factor, as a share of the
 /// variance of the model's errors. At 0, the loss on the training paths is the same.
 const FITTED_SHARE: f64 = 0.1;
-/// Range of the variance among scenes of the logarithm of a scene's own factor, for standard deviations from
-/// 3 % to 70 %.
+/// Limits of the variance, over scenes, of ln of a scene's own factor; they correspond to standard deviations
+/// of 3 % and 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
 /// Prior variance of ln of the unit costs' common factor if this factor is unknown. The value is a choice:
 /// its standard deviation of 3 is a factor of 20, so that the first observed time determines the common

@@ -84,7 +84,7 @@ impl History {
     }
 
     /// Updates both mean errors by a measured frame; `own` is |ln(measured / corrected prediction)|. A frame
-    /// that follows a change or a doubtful frame is ignored.
+    /// is ignored if the scene changed before it, if the previous frame was doubtful, or if there is none.
     pub(super) fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
         if self.len == 0 || changed || self.doubtful {
             return;

@@ -10,11 +10,12 @@ use serde::{Deserialize, Serialize};
 /// Picture error and time of a renderer as functions of ray step and image size. Among combinations of step
 /// and image size that take the same time, a plan uses the one with the smallest error.
 ///
-/// Let the step be s finest steps, and let neighboring rays be d pixels apart along each side. The error by
-/// the law is (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`. The picture's measured
-/// error against full quality is proportional to a power of it, in any unit. The picture's time is
-/// proportional to (`ray_share` + (1 − `ray_share`) / s) / d². [`crate::calibrate::fit_quality`] fits the law
-/// to compared pictures.
+/// Let s be the step divided by the finest step, and d the distance of neighboring rays along each side, in
+/// pixels. By the law, the error is E = (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`.
+/// The measured error of a picture against full quality, in any unit, is assumed to be proportional to a
+/// power of E, and plans need neither the factor nor the exponent. The picture's time is proportional to
+/// (`ray_share` + (1 − `ray_share`) / s) / d². [`crate::calibrate::fit_quality`] fits the law to compared
+/// pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
     /// Ratio of the error of an image of half the size along each side (d = 2) to the error of a step twice

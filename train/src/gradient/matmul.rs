@@ -41,9 +41,9 @@ pub(super) fn matrix<T>(data: &[T], rows: usize, columns: usize) -> ArrayView2<'
 /// # Panics
 /// When the inner sizes differ or `out` is not rows(a) × columns(b) long.
 pub(super) fn multiply<T: LinalgScalar>(a: ArrayView2<'_, T>, b: ArrayView2<'_, T>, out: &mut [T]) {
-    assert_eq!(out.len(), a.nrows() * b.ncols(), "as many elements as the product");
-    let mut product =
-        ArrayViewMut2::from_shape((a.nrows(), b.ncols()), out).expect("as many elements as the product");
+    assert_eq!(out.len(), a.nrows() * b.ncols(), "out must have as many elements as the product");
+    let mut product = ArrayViewMut2::from_shape((a.nrows(), b.ncols()), out)
+        .expect("out must have as many elements as the product");
     general_mat_mul(T::one(), &a, &b, T::zero(), &mut product);
 }
 

@@ -268,8 +268,8 @@ impl VulkanRaycaster {
         let bricked = volume.bricks.len() > 1;
         if bricked && frame.shading.scatters() {
             return Err(Error::new(format!(
-                "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or \
-                 downsample it, or render on the CPU",
+                "single scattering needs the volume in one texture, but on {} the volume takes {} bricks; \
+                 crop or downsample the volume, or render on the CPU",
                 self.engine.gpu().name,
                 volume.bricks.len()
             )));

@@ -112,10 +112,7 @@ impl Session {
     /// [`Picture::check`].
     pub fn record_picture(&mut self, picture: Picture) -> Result<()> {
         let Some(recording) = &mut self.recording else {
-            bail!(
-                NotReady,
-                "nothing is recorded; call record before the pictures from which the law is to be fitted"
-            );
+            bail!(NotReady, "nothing is recorded; call record before recording pictures for the quality law");
         };
         recording.calibration.add_picture(picture)
     }
