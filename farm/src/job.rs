@@ -245,8 +245,9 @@ impl Job {
         Place { volume: rest / c, camera: rest % c, transfer, size, step }
     }
 
-    /// A task's id: a 64-bit hash of the inputs of its picture and of the renderer's settings. Name and time
-    /// step of a volume are included only if the renderer gets them; the folder of its files is not.
+    /// A task's id: a 64-bit hash of the inputs of its picture and of the renderer's settings. The name of
+    /// the transfer function is included; name and time step of a volume are included only if the renderer
+    /// gets them; the folder of its files is not included.
     pub fn id(&self, task: usize) -> u64 {
         let at = self.place(task);
         self.id_with(self.hashes[0][at.volume], at)

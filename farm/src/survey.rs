@@ -118,7 +118,8 @@ pub fn text(
             Some(o) => {
                 let money = price.map_or(String::new(), |p| format!(", price {:.2}", o.node_hours * p));
                 out += &format!(
-                    "cheapest for {}: {} nodes, done after {} (95 % quantile {}), {:.2} node hours{money}\n",
+                    "cheapest that meets the deadline of {}: {} nodes, done after {} (95 % quantile {}), \
+                     {:.2} node hours{money}\n",
                     duration(deadline),
                     o.nodes,
                     duration(o.end[1]),

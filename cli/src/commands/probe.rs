@@ -139,8 +139,8 @@ fn as_text(found: &Probe) -> String {
             (Some((bits, period)), Some(t)) => line(
                 "timestamps",
                 format!(
-                    "{bits} valid bits, {period} ns per tick; device time is {:.3} times wall time; its \
-                     range over the repeats is {:.1} % of its median",
+                    "{bits} valid bits, {period} ns per tick; device time is {:.3} times wall time; over the \
+                     repeats, the device time ranges over {:.1} % of its median",
                     t.device_to_wall,
                     100.0 * t.spread
                 ),

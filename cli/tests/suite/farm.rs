@@ -266,7 +266,8 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     let arguments = ["farm", "job.toml", "--dry-run", "--slots", "4", "--deadline", "1h", "--price", "0.5"];
     let said = succeeds(dir.path(), &arguments);
     assert!(
-        said.contains("40 tasks: 2 volumes x 10 views") && said.contains("cheapest for 1:00 h"),
+        said.contains("40 tasks: 2 volumes x 10 views")
+            && said.contains("cheapest that meets the deadline of 1:00 h"),
         "{said}"
     );
     assert!(!dir.path().join("db.cdb").exists());

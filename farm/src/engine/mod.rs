@@ -135,7 +135,8 @@ impl Places {
         self.command(&utf8(self.state.as_os_str())?, &bundle.to_string())
     }
 
-    /// As [`Places::worker`], with the words that stand for the state folder and the bundle's number.
+    /// As [`Places::worker`]; `state` and `bundle` are put in place of the state folder and the bundle's
+    /// number, for example a template's variables.
     pub(crate) fn command(&self, state: &str, bundle: &str) -> Result<Vec<String>> {
         let mut line = self.program.iter().map(|word| utf8(word)).collect::<Result<Vec<_>>>()?;
         line.extend(["farm-worker", state, "--bundle", bundle].map(String::from));
