@@ -74,7 +74,7 @@ impl Calibrated {
         Ok(Self { title: model.title().to_owned(), held_out, model })
     }
 
-    /// Prior of a controller that uses the predictor.
+    /// Prior of the predictor's errors, for a controller that uses the predictor.
     pub(crate) fn prior(&self) -> Prior {
         Prior::Fitted { log_sd: self.held_out.log_sd as f32 }
     }

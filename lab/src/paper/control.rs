@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 const DRAWN: [(&str, &str); 4] = [
     (ControllerKind::Olp.name(), "OLP"),
     (ControllerKind::Pid.name(), "PID"),
-    (ControllerKind::Algorithm1.name(), "Algorithm 1, the paper's network"),
+    (ControllerKind::Algorithm1.name(), "Algorithm 1 with the paper's network"),
     (OURS, "ours"),
 ];
 
@@ -305,7 +305,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
             let title = match f.name.as_str() {
                 OURS => "entire, fitted to calibration frames",
                 name if name == ControllerKind::Hybrid.name() => "hybrid, the paper's network",
-                name if name == ControllerKind::Algorithm1.name() => "Algorithm 1, the paper's network",
+                name if name == ControllerKind::Algorithm1.name() => "Algorithm 1 with the paper's network",
                 name => kind.map_or(name, |k| k.title()),
             };
             let on_image = f.values.get(ON_IMAGE) == Some(&1.0);
@@ -346,7 +346,8 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
     }
 }
 
-/// Adds the curve G, frame time over ray step, to the report.
+/// Adds G to the report: the frame time as a function of the ray step, divided by the frame time at the
+/// reference step.
 pub(super) fn response_section(of: &[&Results], s: &mut Section) {
     for r in of {
         let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == "G").collect();

@@ -93,7 +93,7 @@ pub(crate) struct FrameCounts {
 }
 
 impl FrameCounts {
-    /// True if a held-out volume has the frame with this number, too.
+    /// True if this frame is among the first `held_out` frames of its volume.
     pub(super) fn is_of_few(self, number: u64) -> bool {
         number % u64::from(self.training) < u64::from(self.held_out)
     }
@@ -407,7 +407,8 @@ pub(crate) struct Limits {
     pub(crate) over_constant: BTreeMap<String, f64>,
     /// The ratio of `over_constant` on frames that yt drew, for each data set in `over_constant`.
     pub(crate) yt_over_constant: f64,
-    /// RMSE of the network divided by that of LVRP, at the paper's ratio of voxels.
+    /// RMSE of the network divided by that of LVRP; checked only if LVRP renders at most 1 / `lvrp_voxels` of
+    /// the volume's voxels.
     pub(crate) over_lvrp: f64,
     /// Voxels of the paper's volumes divided by the voxels that its LVRP renders.
     pub(crate) lvrp_voxels: f64,

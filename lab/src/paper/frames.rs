@@ -136,8 +136,11 @@ pub(super) fn main_encoder(work: &Work<'_>, own: Option<&str>) -> Result<(PathBu
         own.retain(|e| e.features == features);
         own.sort_by_key(|e| e.size != size);
         if let Some(found) = own.first() {
-            let what =
-                format!("VolumeNet {}³F{} of this data set's training volumes", found.size, found.features);
+            let what = format!(
+                "VolumeNet with {0}³ input voxels and {1} features ({0}³F{1}), trained on this data set's \
+                 training volumes",
+                found.size, found.features
+            );
             return Ok((found.path(work.out), what));
         }
     }

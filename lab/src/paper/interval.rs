@@ -85,7 +85,8 @@ pub(super) fn in_brackets(interval: Option<(f64, f64)>) -> String {
 pub(super) fn sentence() -> String {
     format!(
         "Brackets beside a ratio contain its {:.0} % bootstrap interval: test volumes are drawn {DRAWS} times with \
-         replacement (seed {SEED}). `not kept` means that the results have no errors of two or more single volumes.",
+         replacement (seed {SEED}). `(not kept)`: no interval, because the results do not contain the \
+         errors of at least two volumes separately.",
         100.0 * LEVEL
     )
 }

@@ -39,8 +39,9 @@ pub(super) struct At<'a> {
 
 impl At<'_> {
     /// Trains a predictor several times with different seeds, or reads the stored models. `name` stands in
-    /// error messages, and `key` in the names of model files: different methods have different keys. Each run
-    /// adds to the recipe's seed. `parts` gives the training and validation frames of a run.
+    /// error messages, and `key` in the names of model files: different methods have different keys. Run n
+    /// (from 1 on) uses the recipe's seed plus 100 (n − 1). `parts` gives the training and validation frames
+    /// of a run.
     pub(super) fn runs<'f>(
         &self,
         name: &str,

@@ -48,7 +48,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
                 errors_table(r),
                 format!(
                     "{}. The test frames are of random volumes, of a left-out member, or of scans (split \
-                     {BY_MODALITY}). Encoder of the network: {}.",
+                     {BY_MODALITY}). {}; in the other splits, it is the shipped encoder.",
                     title(paper, r),
                     r.encoder
                 ),

@@ -75,7 +75,7 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section) {
             let split = in_words(split);
             format!(" Split by {split}: {} training, {} validation and {} test frames.", f[0], f[1], f[2])
         });
-        let caption = format!("{}.{frames} Encoder of the network: {}.", title(paper, r), r.encoder);
+        let caption = format!("{}.{frames} {}.", title(paper, r), r.encoder);
         s.tables.push((errors_table(r), caption));
         let found = r.row(split, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
         if let Some(row) = found {
@@ -484,8 +484,8 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         )
         .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
         .series(Series::new("mean over runs", Mark::Line(line)).color(0));
-        let what =
-            "All networks were trained on the same volumes. The training times are predictions of a teacher.";
+        let what = "All networks were trained on the same volumes. The frame times on which the networks \
+                    were trained are predictions of another model, the teacher.";
         frames.charts.push((chart, what.into()));
     }
     let all = [

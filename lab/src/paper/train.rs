@@ -160,7 +160,8 @@ impl At<'_> {
 
     fn note_frames(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
         let main = self.main()?;
-        results.encoder = format!("{}, in the split by {}", self.network(main)?.1, in_words(main));
+        let what = self.network(main)?.1;
+        results.encoder = format!("In the split by {}, the network's encoder is {what}", in_words(main));
         let count = |f: &TimedFrames<'_>| f.frames.len();
         let counts = [count(&frames.training), count(&frames.validation), count(&frames.test)];
         results.frames.insert(split.to_owned(), counts);

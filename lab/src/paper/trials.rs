@@ -32,7 +32,7 @@ pub(super) const AS_IT_IS: &str = "as it is";
 /// Name of the split of all test frames together. The split of one data set has the title of the data
 /// set as name.
 pub(super) const TOGETHER: &str = "left-out members";
-/// Name of the data set in results: all data sets together.
+/// Name under which results list all data sets together.
 const SETS: &str = "all";
 
 /// Version of the results: raised whenever the same frames give other results.

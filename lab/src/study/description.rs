@@ -114,7 +114,7 @@ pub(crate) struct Limits {
     pub(crate) rmse_over_sd: Option<f64>,
     /// Lower limit of the constant baseline's RMSE divided by the RMSE of the predictor `paper`.
     pub(crate) constant_over_paper: Option<f64>,
-    /// Lower limit of the low-resolution proxy's RMSE divided by the RMSE of the predictor `paper`.
+    /// Lower limit of the RMSE of LVRP divided by that of the predictor `paper`.
     pub(crate) proxy_over_paper: Option<f64>,
     /// True if the bars of the calibration split apply.
     pub(crate) modality: bool,
