@@ -185,7 +185,9 @@ pub unsafe extern "C" fn entire_session_recorded_count(
 /// forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
 /// set the volume again. The session holds a reference to the model.
 ///
-/// Fails with the same results as entire_session_new for an unsuitable model.
+/// Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an
+/// input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
+/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT (`model` may not be NULL here).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_model(
     session: *mut entire_session,
