@@ -106,7 +106,8 @@ mod tests {
         // The larger predictor is 10 % better on one machine only.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.98], 400, 11)])), Some(0));
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.94], 400, 11)])), Some(1));
-        // Among equally large predictors, the one with the fewest rays that no other one beats.
+        // Of equally large predictors that no other predictor beats on every machine, the one with the fewest
+        // rays is chosen.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([1.03, 1.2], 15, 7), ([1.3, 1.3], 15, 4)])), Some(1));
         assert_eq!(choose(&of(&[([f64::INFINITY, 1.0], 1, 1), ([1.0, 0.9], 9, 9)])), Some(1));
         assert_eq!(choose(&[]), None);
