@@ -107,8 +107,8 @@ impl HybridOptions {
 /// * A new scene: nothing is damped, the logarithm of the earlier scene's correction is multiplied by
 ///   1 − novelty, and the margin is that of new scenes.
 /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
-///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step. Its
-///   reason is [`Reason::Fits`], too.
+///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step. The
+///   plan's reason is [`Reason::Fits`] in this case, too.
 /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
 /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
 ///   replaces the prediction if the prediction is missing, is out of range at the step that it would choose,
