@@ -141,7 +141,7 @@ fn ended(result: Outcome, status: Option<&Status>) -> entire_result {
 fn failed(failure: Failure, status: Option<&Status>) -> entire_result {
     let code = failure.code;
     if let Some(status) = status {
-        if code == ENTIRE_PANIC {
+        if failure.panicked {
             status.mark_unusable();
         }
         status.record(&failure);
@@ -177,10 +177,11 @@ fn panicked(payload: Box<dyn Any + Send>) -> Failure {
         std::mem::forget(second);
     }
     let place = PANIC.try_with(|text| text.take()).unwrap_or_default();
-    Failure::new(
-        ENTIRE_PANIC,
-        format!("a bug in the library: {place}; please report it, free the handle and make a new one"),
-    )
+    Failure {
+        code: ENTIRE_PANIC,
+        message: format!("a bug in the library: {place}; please report it, free the handle and make a new one"),
+        panicked: true,
+    }
 }
 
 /// Installs, once, a panic hook that stores the text of panics inside a guard instead of printing it; all
@@ -263,6 +264,22 @@ mod tests {
             assert_eq!(reading(probe, |v| panic!("value {v}")), ENTIRE_PANIC);
             assert_eq!(reading(probe, |_| Ok(())), ENTIRE_PANIC);
             freeing(probe);
+        }
+    }
+
+    #[test]
+    fn an_unusable_argument_leaves_the_calls_own_handle_usable() {
+        let (broken, sound) = (give::<entire_probe>(7), give::<entire_probe>(8));
+        // SAFETY: both are live handles, used by this thread alone.
+        unsafe {
+            assert_eq!(changing(broken, |_| panic!("deliberate")), ENTIRE_PANIC);
+            assert_eq!(changing(sound, |_| borrow(broken).map(drop)), ENTIRE_PANIC);
+            assert!(error_of(sound).contains("earlier call panicked inside this entire_probe"));
+            assert_eq!(reading(sound, |_| borrow(broken).map(drop)), ENTIRE_PANIC);
+            assert_eq!(changing(sound, |_| Ok(())), ENTIRE_OK);
+            assert_eq!(changing(broken, |_| Ok(())), ENTIRE_PANIC);
+            freeing(sound);
+            freeing(broken);
         }
     }
 

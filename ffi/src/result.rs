@@ -75,16 +75,19 @@ pub extern "C" fn entire_result_name(result: u32) -> *const c_char {
 pub(crate) struct Failure {
     pub(crate) code: entire_result,
     pub(crate) message: String,
+    /// True if the call itself panicked, so that its handle becomes unusable. False if the call got a handle
+    /// that was unusable before.
+    pub(crate) panicked: bool,
 }
 
 impl Failure {
     pub(crate) fn new(code: entire_result, message: impl Into<String>) -> Self {
-        Self { code, message: message.into() }
+        Self { code, message: message.into(), panicked: false }
     }
 
     /// The failure with the name of its place before its text.
     pub(crate) fn within(self, place: impl Display) -> Self {
-        Self::new(self.code, format!("{place}: {}", self.message))
+        Self { message: format!("{place}: {}", self.message), ..self }
     }
 
     pub(crate) fn null(what: &str) -> Self {
