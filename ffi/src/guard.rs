@@ -179,7 +179,9 @@ fn panicked(payload: Box<dyn Any + Send>) -> Failure {
     let place = PANIC.try_with(|text| text.take()).unwrap_or_default();
     Failure {
         code: ENTIRE_PANIC,
-        message: format!("a bug in the library: {place}; please report it, free the handle and make a new one"),
+        message: format!(
+            "a bug in the library: {place}; please report it, free the handle and make a new one"
+        ),
         panicked: true,
     }
 }
