@@ -356,6 +356,36 @@ fn a_model_is_described_and_predicts() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn a_save_writes_through_no_link() {
+    let folder = std::env::temp_dir().join(format!("entire-save-{}", std::process::id()));
+    let at = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    std::fs::create_dir(&folder).unwrap();
+    std::fs::write(at("other"), "kept").unwrap();
+    for number in 0..4 {
+        let link = at(&format!("model.{}.{number}.part", std::process::id()));
+        std::os::unix::fs::symlink(at("other"), link).unwrap();
+    }
+    let (bytes, path) = (toy(), std::ffi::CString::new(at("model")).unwrap());
+    // SAFETY: `bytes` has the stated number of bytes, and the model is live.
+    unsafe {
+        let model = made(|out| entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out));
+        ok(entire_model_save(model, path.as_ptr()));
+        entire_model_free(model);
+    }
+    assert!(std::fs::read(at("model")).unwrap() == bytes);
+    // Besides the model, its folder contains only the files from before the save.
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 6);
+    std::os::unix::fs::symlink(at("other"), at("link")).unwrap();
+    let (_, name) = create_first(["other", "link", "free"].into_iter().map(at)).unwrap();
+    assert_eq!(name, at("free"));
+    let taken = create_first(["other", "link"].into_iter().map(at)).unwrap_err();
+    assert_eq!(taken.kind(), std::io::ErrorKind::AlreadyExists);
+    assert_eq!(std::fs::read(at("other")).unwrap(), b"kept");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
 #[test]
 fn threads_share_a_model_and_have_sessions_of_their_own() {
     struct Shared(*mut entire_model);

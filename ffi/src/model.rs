@@ -20,10 +20,13 @@ use entire_steer::predict::{Predictor, load_with};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
 use std::fs::File;
+use std::hash::{BuildHasher, RandomState};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, OnceLock};
+
+/// Number of temporary names that a save tries.
+const SAVE_NAMES: u32 = 16;
 
 /// Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
 pub type entire_target = u32;
@@ -371,20 +374,35 @@ pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *co
         reading(model, |loaded| {
             reserve::check()?;
             let path = text(path, "path")?;
-            // Threads and processes that save to one path each write a file of their own.
-            static SAVED: AtomicU64 = AtomicU64::new(0);
-            let beside = format!("{path}.{}.{}.part", std::process::id(), SAVED.fetch_add(1, Relaxed));
-            let written = File::create(&beside).and_then(|mut file| {
-                file.write_all(&loaded.bytes)?;
-                file.sync_all()
-            });
+            let io = |e: std::io::Error| {
+                Failure::new(ENTIRE_IO, format!("{path}: {e}; name a file in a folder that can be written"))
+            };
+            // Threads, processes and machines that save to one path each write a file of their own.
+            let random = || RandomState::new().hash_one(0);
+            let names = (0..SAVE_NAMES).map(|_| format!("{path}.{:016x}.part", random()));
+            let (mut file, beside) = create_first(names).map_err(io)?;
+            let written = file.write_all(&loaded.bytes).and_then(|()| file.sync_all());
+            drop(file);
             written.and_then(|()| std::fs::rename(&beside, path)).map_err(|e| {
                 // A partial file is useless; a failure to remove it is ignored.
                 let _ = std::fs::remove_file(&beside);
-                Failure::new(ENTIRE_IO, format!("{path}: {e}; name a file in a folder that can be written"))
+                io(e)
             })
         })
     }
+}
+
+/// Creates a file under the first name that is free, and returns the file and its name. A link counts as a
+/// taken name.
+pub(crate) fn create_first(names: impl Iterator<Item = String>) -> std::io::Result<(File, String)> {
+    let mut taken = std::io::Error::from(ErrorKind::AlreadyExists);
+    for name in names {
+        match File::options().write(true).create_new(true).open(&name) {
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => taken = e,
+            opened => return opened.map(|file| (file, name)),
+        }
+    }
+    Err(taken)
 }
 
 /// Reads the properties of a model; set info->struct_size first.
