@@ -169,7 +169,8 @@ fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
 }
 
 /// Predicts a frame's time at the frame's own step, with the correction learned from observed frames. Does
-/// not influence later plans. Set prediction->struct_size first.
+/// not change what was learned. With a probe_tolerance, a later plan may reuse the rays of this call. Set
+/// prediction->struct_size first.
 ///
 /// Fails as entire_session_plan does.
 #[unsafe(no_mangle)]
