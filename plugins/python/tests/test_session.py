@@ -353,7 +353,7 @@ def test_opacity_of_a_length_in_space_follows_the_spacing(voxels):
 
 def test_the_machines_model(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    with pytest.raises(FileNotFoundError, match="entire calibrate --shade local"):
+    with pytest.raises(FileNotFoundError, match=r"entire calibrate --shade local`, .* \(entire\.models\(\)"):
         entire.Model.machine("local")
     with pytest.raises(ValueError, match="none, local, scatter or local-scatter"):
         entire.Model.machine("phong")
