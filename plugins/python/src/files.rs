@@ -46,8 +46,8 @@ pub(crate) fn machine_file(shading: &str) -> PyResult<PathBuf> {
     let shading = mode(shading)?;
     entire_cli::calibrate::place::machine_file(shading).map_err(|_| {
         PyFileNotFoundError::new_err(format!(
-            "this machine has no model for shading {shading}; make one with `entire calibrate --shade {shading}`, \
-             or pass another model (entire.models() names them)"
+            "this machine has no model for shading {shading}; make one with \
+             `entire calibrate --shade {shading}`, or pass another model (entire.models() names them)"
         ))
     })
 }
