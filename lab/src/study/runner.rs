@@ -132,8 +132,9 @@ impl Runner<'_> {
             return Ok((file, path));
         }
         self.bar.set_message(key.to_owned());
-        let fitted = recipe.make(context, training.timed(), validation.timed())?;
+        let fitted = recipe.make(context, training.timed(), validation.timed());
         ensure!(!(self.stop)(), "stopped; finished results are in {}", self.models.display());
+        let fitted = fitted?;
         let mut file = fitted.file;
         let judged = if judged.frames.is_empty() { validation } else { judged };
         if let Some(upper) = upper {

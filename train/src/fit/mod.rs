@@ -36,7 +36,7 @@ pub struct FitContext<'a> {
     pub pool: &'a ThreadPool,
     /// Progress bar of the training; its message and position are set.
     pub bar: &'a ProgressBar,
-    /// Called after every training step; training stops when it returns true.
+    /// Called before the training of each network and after every step; training stops when it returns true.
     pub stop: &'a dyn Fn() -> bool,
 }
 

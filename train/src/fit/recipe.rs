@@ -2,7 +2,7 @@
 
 use super::analytic::{estimates, fit_analytic};
 use super::compose::{carry_past, side_by_side};
-use super::training::run_training;
+use super::training::{NOTHING_LEARNED, run_training};
 use super::{FitContext, FittedModel};
 use crate::gradient::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
 use crate::inputs::{Encoder, Layout};
@@ -283,8 +283,8 @@ impl Recipe {
     /// does not use them.
     ///
     /// # Errors
-    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or
-    /// training fails.
+    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, training
+    /// fails, or a network is stopped before its training.
     pub fn make(
         &self,
         context: &FitContext<'_>,
@@ -510,18 +510,24 @@ impl Recipe {
         let mut outcomes = Vec::with_capacity(self.ensemble);
         let mut first = None;
         for member in 0..self.ensemble as u64 {
+            if (context.stop)() {
+                break;
+            }
             let seed = self.seed.wrapping_add(member);
             let network = Network::random(widths, seed)?;
             let settings = Settings { seed, ..*settings };
             let (parts, history, outcome) = run_training(context, network, None, samples, &settings)?;
             // An interrupted network would worsen the mean of those that are trained to the end.
             if (context.stop)() && !members.is_empty() {
-                outcomes.push(format!("interrupted; the mean of {} networks is kept", members.len()));
                 break;
             }
             members.push(parts);
             outcomes.push(outcome);
             first.get_or_insert(history);
+        }
+        ensure!(!members.is_empty(), NOTHING_LEARNED);
+        if members.len() < self.ensemble {
+            outcomes.push(format!("interrupted; the mean of {} networks is kept", members.len()));
         }
         let history = first.context("an ensemble of no network")?;
         if outcomes.len() > 1 {
@@ -543,6 +549,7 @@ impl Recipe {
         let net = model.prednet.as_ref().context("the model file holds no PredNet")?;
         let settings = Settings { target: net.target, ..self.settings()? };
         let inputs = rows(&layout, context, parts)?;
+        ensure!(!(context.stop)(), NOTHING_LEARNED);
         let samples = samples(&inputs, parts.map(|part| part.seconds));
         let (network, standardization) = (Network::from_parts(net)?, Some(Standardization::of(net)));
         let (tuned, history, outcome) = run_training(context, network, standardization, samples, &settings)?;

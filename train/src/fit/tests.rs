@@ -199,7 +199,7 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
     in_context(|context| Recipe { seed: u64::MAX, ..recipe(2) }.make(context, part, part).unwrap());
     // The flag is raised after the first network: its weights are kept, without those of an interrupted network.
     let alone = made(1);
-    for seen in 0..8 {
+    for seen in 1..8 {
         let asked = std::cell::Cell::new(0);
         let interrupted = in_context(|context| {
             let stop = || {
@@ -217,4 +217,24 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
         }
     }
     panic!("no interruption after the first network");
+}
+
+#[test]
+fn a_stop_before_the_training_is_an_error_and_gives_no_model() {
+    let frames = tables_of_no_volume(3);
+    let frames: Vec<&TimedFrame> = frames.iter().collect();
+    let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0] };
+    let made = |recipe: &Recipe, stop: &dyn Fn() -> bool| {
+        in_context(|context| recipe.make(&FitContext { stop, ..*context }, part, part))
+    };
+    let (inputs, layers) = (vec!["camera".into()], vec![4]);
+    let new = Recipe { inputs, layers, epochs: 1, ensemble: 2, ..Recipe::default() };
+    let path = std::env::temp_dir().join(format!("entire-tuned-{}.safetensors", std::process::id()));
+    std::fs::write(&path, made(&new, &|| false).unwrap().file.to_bytes().unwrap()).unwrap();
+    let tuned = Recipe { fine_tune: Some(path.clone()), epochs: 1, ..Recipe::default() };
+    let goes_on = made(&tuned, &|| false).map(|fitted| fitted.what);
+    let said = [&new, &tuned].map(|recipe| made(recipe, &|| true).unwrap_err().to_string());
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(goes_on.unwrap(), "PredNet, fine-tuned");
+    assert!(said.iter().all(|said| said.contains("nothing was written")), "{said:?}");
 }

@@ -9,6 +9,9 @@ use entire_core::nn::PredNetParts;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
+/// Error of a fit that was stopped before its first training step.
+pub(super) const NOTHING_LEARNED: &str = "stopped before anything was learned; nothing was written";
+
 pub(super) fn run_training(
     context: &FitContext<'_>,
     network: Network<f32>,
@@ -40,7 +43,7 @@ pub(super) fn run_training(
                 "training diverged in its first epoch; lower --learning-rate (it was {})",
                 settings.learning_rate
             ),
-            _ => bail!("stopped before anything was learned; nothing was written"),
+            _ => bail!(NOTHING_LEARNED),
         }
     }
     let frames = passed(training.seconds.len(), settings.batch, steps);
