@@ -31,7 +31,7 @@ pub struct Identity {
     /// Size of the file, bytes.
     pub bytes: u64,
     /// Time of the file's last change, nanoseconds since 1970. The time is compared only for files that were
-    /// hashed in parts.
+    /// hashed in parts, and only in whole seconds, since copies may have no finer times.
     pub modified_ns: u64,
     /// FNV-1a (64 bits) and CRC-32 of the hashed bytes, hexadecimal.
     pub hash: String,
@@ -76,7 +76,7 @@ impl Identity {
     /// Returns the key of the identity: files with equal keys are treated as the same file.
     pub fn key(&self) -> String {
         let Self { name, bytes, hash, .. } = self;
-        let modified = if self.whole { 0 } else { self.modified_ns };
+        let modified = if self.whole { 0 } else { self.modified_ns / SECOND };
         format!("{name}\n{bytes}\n{hash}\n{modified}\n")
     }
 
@@ -158,7 +158,6 @@ pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
 
 /// Returns the difference between a volume's files and earlier identities, which may come from another
 /// machine; `None` for the same files. Files are read only if a size or a modification time differs.
-/// Modification times that differ only in fractions of a second count as equal.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -171,13 +170,7 @@ pub fn changed(path: &Path, then: &[Identity]) -> Result<Option<String>> {
     if untouched {
         return Ok(None);
     }
-    let mut now = of_volume(path)?;
-    for (file, then) in now.iter_mut().zip(then) {
-        if file.modified_ns / SECOND == then.modified_ns / SECOND {
-            file.modified_ns = then.modified_ns;
-        }
-    }
-    Ok(difference(then, &now))
+    Ok(difference(then, &of_volume(path)?))
 }
 
 /// Returns the names of the data files that a volume's header names.
@@ -297,20 +290,26 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("large.raw");
         let mut bytes = vec![7u8; WHOLE as usize + 8];
-        let write = |bytes: &[u8], seconds: u64| {
+        let write = |bytes: &[u8], milliseconds: u64| {
             std::fs::write(&path, bytes).unwrap();
-            let time = UNIX_EPOCH + std::time::Duration::from_secs(seconds);
+            let time = UNIX_EPOCH + std::time::Duration::from_millis(milliseconds);
             File::options().write(true).open(&path).unwrap().set_modified(time).unwrap();
             of_volume(&path).unwrap()
         };
-        let was = write(&bytes, 1000);
+        let was = write(&bytes, 1_000_750);
         assert!(!was[0].whole);
-        assert_eq!(key(&was), key(&write(&bytes, 1000)));
-        assert!(difference(&was, &write(&bytes, 1001)).unwrap().contains("time"));
+        // The copy of a file may have a time in whole seconds.
+        for milliseconds in [1_000_750, 1_000_000] {
+            let copy = write(&bytes, milliseconds);
+            assert_eq!((key(&copy), difference(&was, &copy)), (key(&was), None));
+            assert_eq!(changed(&path, &was).unwrap(), None);
+        }
+        assert!(difference(&was, &write(&bytes, 1_001_000)).unwrap().contains("time"));
+        assert!(changed(&path, &was).unwrap().unwrap().contains("time"));
         let middle = bytes.len() / 2;
         for at in [0, middle, bytes.len() - 1] {
             bytes[at] = 8;
-            assert!(difference(&was, &write(&bytes, 1000)).unwrap().contains("content"), "{at}");
+            assert!(difference(&was, &write(&bytes, 1_000_750)).unwrap().contains("content"), "{at}");
             bytes[at] = 7;
         }
     }
