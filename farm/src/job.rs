@@ -349,7 +349,8 @@ fn volume_hashes(volumes: &[VolumeFile], renderer: &Renderer) -> Vec<u64> {
     volumes.iter().map(text).map(number).collect()
 }
 
-/// Returns the settings of a renderer that affect pictures, as text.
+/// Returns the settings of a renderer that affect pictures, as text. Of a script, its name and content count,
+/// not its folder.
 fn settings(renderer: &Renderer) -> Result<String> {
     let mut renderer = renderer.clone();
     let mut script_key = String::new();
@@ -359,6 +360,7 @@ fn settings(renderer: &Renderer) -> Result<String> {
         Renderer::Pvbatch { timeout_s, script, .. } => {
             *timeout_s = None;
             script_key = Identity::of(script, "")?.key();
+            *script = script.file_name().unwrap_or_default().into();
         }
     }
     Ok(serde_json::to_string(&renderer)? + &script_key)

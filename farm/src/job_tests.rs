@@ -67,6 +67,21 @@ fn a_job_is_all_combinations_and_ids_survive_its_growth() {
 }
 
 #[test]
+fn a_job_in_another_folder_has_the_same_ids() {
+    let start = JOB.find("[renderer]").unwrap();
+    let text = format!("{}[renderer]\nkind = \"pvbatch\"\nscript = \"s.py\"\n", &JOB[..start]);
+    let ids = |script: &str| {
+        let dir = folder();
+        std::fs::write(dir.path().join("s.py"), script).unwrap();
+        let job = open(&text, dir.path()).unwrap();
+        (0..job.len()).map(|t| job.id(t)).collect::<Vec<_>>()
+    };
+    let first = ids("pass\n");
+    assert_eq!(first, ids("pass\n"));
+    assert!(first.iter().zip(ids("exit\n")).all(|(a, b)| *a != b));
+}
+
+#[test]
 fn characters_of_the_folder_are_no_pattern() {
     let dir = tempfile::tempdir().unwrap();
     for (name, count) in [("a[1]", 2), ("a1", 3)] {
