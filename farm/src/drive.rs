@@ -73,6 +73,8 @@ struct Drive<'a, 'b> {
     stillborn: usize,
     busy: f64,
     over: usize,
+    /// Ended bundles whose files are removed after the next flush of the journal.
+    to_clear: Vec<u64>,
     first: Option<f64>,
     idle_from: Option<f64>,
     now: usize,
@@ -142,6 +144,7 @@ pub fn run(
         stillborn: 0,
         busy: 0.0,
         over: 0,
+        to_clear: Vec::new(),
         first: None,
         idle_from: None,
         now: 0,
@@ -149,7 +152,7 @@ pub fn run(
         down: None,
     };
     let result = drive.run(start);
-    let flushed = drive.database.journal.flush();
+    let flushed = drive.flush();
     drop(drive);
     let table = database.write_table();
     let summary = result?;
@@ -179,7 +182,7 @@ impl Drive<'_, '_> {
             // Sends new bundles before the journal is flushed, so that slots do not wait for the disk. Until
             // the flush, the spool keeps the finished tasks.
             while self.send()? {}
-            self.database.journal.flush()?;
+            self.flush()?;
             if reordered {
                 self.engine.reprioritize(&self.urgency())?;
             }
@@ -224,7 +227,7 @@ impl Drive<'_, '_> {
             while self.planner.running() > 0 && patience.elapsed() < Duration::from_secs(600) {
                 let events = self.engine.poll(Duration::from_millis(100))?;
                 self.take(events)?;
-                self.database.journal.flush()?;
+                self.flush()?;
                 if self.full.is_some() || self.down.is_some() {
                     break;
                 }
@@ -246,6 +249,15 @@ impl Drive<'_, '_> {
             now: self.now,
             seconds: clock.elapsed().as_secs_f64(),
         })
+    }
+
+    /// Flushes the journal to the disk. Then the spool files of ended bundles are not needed any more, and all
+    /// files of these bundles are removed.
+    fn flush(&mut self) -> Result<()> {
+        self.database.journal.flush()?;
+        let state = self.database.job.state();
+        self.to_clear.drain(..).for_each(|bundle| engine::clear(&state, bundle));
+        Ok(())
     }
 
     fn id(&self, task: u32) -> String {
@@ -413,7 +425,7 @@ impl Drive<'_, '_> {
 
     fn ended(&mut self, bundle: u64) {
         if self.planner.slot_of(bundle).is_none() {
-            engine::clear(&self.database.job.state(), bundle);
+            self.to_clear.push(bundle);
         }
         self.planner.ended(bundle, unix_now());
         self.at.remove(&bundle);

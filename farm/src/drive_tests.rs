@@ -9,6 +9,22 @@ struct Fake {
     /// True if every task fails and the engine then ends.
     ends: bool,
     events: Vec<Event>,
+    /// Bundle and task of the answers so far.
+    answered: Vec<(u64, String)>,
+}
+
+impl Fake {
+    fn new(state: PathBuf, ends: bool) -> Self {
+        Self { state, ends, events: Vec::new(), answered: Vec::new() }
+    }
+
+    /// Checks that all answers so far survive the end of the driver, in the spool or in the journal.
+    fn check_answers(&self) {
+        let journal = std::fs::read_to_string(self.state.join("journal.jsonl")).unwrap();
+        for (bundle, task) in &self.answered {
+            assert!(spool::path(&self.state, *bundle).exists() || journal.contains(task), "{task}");
+        }
+    }
 }
 
 impl Engine for Fake {
@@ -21,11 +37,13 @@ impl Engine for Fake {
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
+        self.check_answers();
         for bundle in bundles {
             let (number, mut lines) = (bundle.number, String::new());
             for order in &bundle.orders {
                 let error = self.ends.then(|| "no picture".to_owned());
                 let task = order.task.clone();
+                self.answered.push((number, task.clone()));
                 let line = Line::Answer(Answer { task, seconds: 1.0, error, ..Answer::default() });
                 lines += &(serde_json::to_string(&line)? + "\n");
                 self.events.push(Event::Line(number, line));
@@ -70,8 +88,16 @@ fn run_on(database: &mut Database<'_>, ending: usize) -> Result<Summary> {
     let (job, mut started) = (database.job, 0);
     run(database, predict::base(job)?, &Options { overhead: 0.01, ..Options::default() }, &mut |_| {
         started += 1;
-        Ok(Box::new(Fake { state: job.state(), ends: started <= ending, events: Vec::new() }))
+        Ok(Box::new(Fake::new(job.state(), started <= ending)))
     })
+}
+
+#[test]
+fn answers_stay_in_the_spool_until_the_journal_has_them() {
+    let (_dir, job) = setting(1);
+    // `Fake` checks the first bundle's answers when it gets the second bundle.
+    let summary = run_on(&mut Database::open(&job, &Options::default()).unwrap(), 0).unwrap();
+    assert_eq!((summary.done, std::fs::read_dir(job.state().join("spool")).unwrap().count()), (2, 0));
 }
 
 #[test]
