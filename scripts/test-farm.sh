@@ -102,6 +102,9 @@ if has hyperqueue; then
     # With a time limit of the workers, HyperQueue accepts only requests below this limit.
     farm "$(job limited)" --engine hyperqueue --python "$python" --slots 2 --time-limit 1h >/dev/null
     same limited
+    # The workers that are started have the processors that a bundle requests.
+    farm "$(job wide)" --engine hyperqueue --python "$python" --slots 1 --cpus 2 >/dev/null
+    same wide
 else
     skip "test-farm, hyperqueue" "$(lacks hyperqueue)"
 fi

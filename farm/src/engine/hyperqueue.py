@@ -59,7 +59,7 @@ def main():
 
         cluster = LocalCluster()
         for _ in range(options["workers"]):
-            cluster.start_worker(WorkerConfig(cores=1))
+            cluster.start_worker(WorkerConfig(cores=options["cpus"]))
         client = cluster.client()
     say(ready=options["workers"])
     lock = threading.Lock()

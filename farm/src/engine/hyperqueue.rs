@@ -23,11 +23,11 @@ const START: Duration = Duration::from_secs(60);
 pub struct Options {
     /// The Python interpreter in which HyperQueue's package is installed.
     pub python: String,
-    /// Number of one-processor workers to start; if a server is given, the assumed number of its workers.
+    /// Number of workers to start, each for one bundle; if a server is given, the assumed number of its workers.
     pub workers: usize,
     /// The folder of a running server; default: a new one is started.
     pub server_dir: Option<String>,
-    /// Number of processors per bundle.
+    /// Number of processors of a bundle, and of a worker that is started.
     pub cpus: u32,
     /// Time limit of the workers, seconds.
     pub worker_limit: Option<f64>,
