@@ -181,6 +181,12 @@ impl Slurm {
         Ok(Self { places, run, options, name, slots, limit, spool, open, refused, looked, silent })
     }
 
+    /// True if a bundle that sbatch refuses counts as failed: the controller answers, and no job of this run is
+    /// queued or running. Else the controller is silent, or a limit on the number of jobs is the likely reason.
+    fn refusals_count(&self) -> bool {
+        self.silent.is_none() && self.open.is_empty()
+    }
+
     /// Cancels jobs of this database and waits until they are gone.
     fn clear_queue(&self) -> Result<()> {
         let clock = Instant::now();
@@ -334,8 +340,7 @@ impl Engine for Slurm {
             }
             self.looked = Some(Instant::now());
             refused = std::mem::take(&mut self.refused);
-            if self.silent.is_some() {
-                // The controller does not answer, so these bundles do not count as failed.
+            if !self.refusals_count() {
                 refused.iter_mut().for_each(|(_, why)| why.clear());
             }
         }
@@ -413,5 +418,18 @@ mod tests {
         // The next loss comes after the next query, so that a short failure does not end the run.
         engine.submit(&[bundle(3)]).unwrap();
         assert!(engine.poll(Duration::ZERO).unwrap().is_empty());
+    }
+
+    #[test]
+    fn refusals_count_only_if_the_controller_answers_and_no_job_is_left() {
+        let places = Places { state: "state".into(), program: vec!["entire".into()] };
+        let mut engine = Slurm::new(places, 1, Options::default(), 2, None).unwrap();
+        assert!(engine.refusals_count());
+        engine.silent = Some(Instant::now());
+        assert!(!engine.refusals_count());
+        engine.silent = None;
+        let (state, nodes) = ("RUNNING".to_owned(), String::new());
+        engine.open.insert(1, Job { id: 7, state, nodes, gone: 0 });
+        assert!(!engine.refusals_count());
     }
 }
