@@ -411,10 +411,10 @@ impl Drive<'_, '_> {
     fn quarantine(&mut self, bundle: u64, task: u32, error: &str) -> Result<()> {
         let id = self.id(task);
         let state = self.database.job.state();
-        let output = std::fs::read(state.join("logs").join(format!("{id}.log"))).unwrap_or_default();
+        let output = spool::end_of(&state.join("logs").join(format!("{id}.log")));
         let name = format!(".farm/quarantine/{id}.log");
         let order = serde_json::to_string_pretty(&self.database.order(task, self.planner.expected(task)))?;
-        let text = format!("{error}\n\n{order}\n\n{}", String::from_utf8_lossy(&output));
+        let text = format!("{error}\n\n{order}\n\n{output}");
         write_whole(&self.database.job.output.join(&name), text.as_bytes())?;
         let entry = Entry::Quarantined { task: id, error: error.to_owned(), log: name };
         self.database.journal.add(&entry);

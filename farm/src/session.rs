@@ -4,7 +4,7 @@
 use super::command::{kill, leader};
 use super::record::Order;
 use super::spool::tail;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use serde::Deserialize;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -123,17 +123,20 @@ impl Session {
         }
         value["out"] = out.to_str().context("the image's path is not UTF-8")?.into();
         let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
-        let clock = Instant::now();
+        let (clock, limit) = (Instant::now(), self.limit);
+        let is_late = || limit.is_some_and(|l| clock.elapsed() >= l);
         loop {
-            let left = self.limit.map_or(Duration::from_secs(3600), |l| l.saturating_sub(clock.elapsed()));
+            // The limit holds also for a program that prints without pause.
+            ensure!(
+                !is_late(),
+                "the renderer gave no answer within {} s (timeout_s)",
+                limit.unwrap_or_default().as_secs_f64()
+            );
+            let left = limit.map_or(Duration::from_secs(3600), |l| l.saturating_sub(clock.elapsed()));
             let left = if sent.is_ok() { left } else { left.min(LAST_LINES) };
             let line = match running.lines.recv_timeout(left) {
                 Ok(line) => line,
-                Err(RecvTimeoutError::Timeout) if self.limit.is_some_and(|l| clock.elapsed() >= l) => bail!(
-                    "the renderer gave no answer within {} s (timeout_s)",
-                    self.limit.unwrap_or_default().as_secs_f64()
-                ),
-                Err(RecvTimeoutError::Timeout) if sent.is_ok() => continue,
+                Err(RecvTimeoutError::Timeout) if sent.is_ok() || is_late() => continue,
                 Err(_) => {
                     self.ended = true;
                     bail!("the renderer {:?} ended: {}", self.command[0], tail(log))
@@ -179,6 +182,15 @@ mod tests {
         let reply = session.ask(&an_order(&"v".repeat(1 << 20)), &dir.path().join("i.png"), &log).unwrap();
         assert_eq!(reply.task, "7");
         assert_eq!(std::fs::read_to_string(&log).unwrap(), "one\ntwo\n");
+    }
+
+    #[test]
+    fn the_time_limit_holds_for_a_program_that_prints_without_pause() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut session = Session { limit: Some(Duration::from_millis(200)), ..shell("exec yes") };
+        let said = session.ask(&an_order("v"), &dir.path().join("i.png"), &dir.path().join("log"));
+        let said = said.unwrap_err().to_string();
+        assert!(said.contains("within 0.2 s (timeout_s)"), "{said}");
     }
 
     #[test]

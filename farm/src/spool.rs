@@ -98,8 +98,8 @@ impl Spool {
     }
 }
 
-/// Returns the last line that is not blank in the last MiB of a log, cut to 300 characters.
-pub(crate) fn tail(log: &Path) -> String {
+/// Returns the last MiB of a log as text; an empty text if the log cannot be read.
+pub(crate) fn end_of(log: &Path) -> String {
     const BYTES: u64 = 1 << 20;
     let mut bytes = Vec::new();
     if let Ok(mut file) = File::open(log) {
@@ -108,8 +108,13 @@ pub(crate) fn tail(log: &Path) -> String {
             let _ = file.take(BYTES).read_to_end(&mut bytes);
         }
     }
-    let text = String::from_utf8_lossy(&bytes);
-    text.lines()
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// Returns the last line that is not blank in the last MiB of a log, cut to 300 characters.
+pub(crate) fn tail(log: &Path) -> String {
+    end_of(log)
+        .lines()
         .rev()
         .find(|l| !l.trim().is_empty())
         .unwrap_or("it printed nothing")
@@ -128,6 +133,8 @@ mod tests {
         let log = folder.path().join("log");
         std::fs::write(&log, "a line\n".repeat(300_000) + "no space left\n\n").unwrap();
         assert_eq!(tail(&log), "no space left");
+        let end = end_of(&log);
+        assert!(end.len() == 1 << 20 && end.ends_with("a line\nno space left\n\n"), "{}", end.len());
         assert_eq!(tail(&folder.path().join("none")), "it printed nothing");
     }
 }
