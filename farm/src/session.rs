@@ -27,6 +27,9 @@ pub(super) struct Reply {
     pub(super) load_s: Option<f64>,
     /// Reason for a missing image.
     pub(super) error: Option<String>,
+    /// Seconds of an earlier attempt at the task, which failed; 0 without such an attempt.
+    #[serde(skip)]
+    pub(super) lost_s: f64,
 }
 
 /// A persistent renderer, started for the first task and again after a failure.
@@ -86,8 +89,9 @@ impl Session {
         let mut result = self.try_ask(order, out, log);
         if result.is_err() && self.ended && !self.fresh {
             self.running = None;
+            let lost_s = clock.elapsed().as_secs_f64();
             clock = Instant::now();
-            result = self.try_ask(order, out, log);
+            result = self.try_ask(order, out, log).map(|reply| Reply { lost_s, ..reply });
         }
         if let (true, Ok(Reply { seconds: Some(seconds), load_s, .. })) = (self.fresh, &mut result) {
             *load_s = Some((clock.elapsed().as_secs_f64() - *seconds).max(load_s.unwrap_or(0.0)));

@@ -56,6 +56,8 @@ struct Own {
 struct Painted {
     load_s: f64,
     render_s: Option<f64>,
+    /// Seconds of an attempt that failed.
+    lost_s: f64,
 }
 
 /// State of a worker.
@@ -173,7 +175,8 @@ impl Worker {
             Ok((painted, bytes, crc32)) => {
                 answer.load_s = painted.load_s;
                 answer.render_s = painted.render_s;
-                answer.seconds = (clock.elapsed().as_secs_f64() - painted.load_s).max(1e-9);
+                let lost_s = painted.load_s + painted.lost_s;
+                answer.seconds = (clock.elapsed().as_secs_f64() - lost_s).max(1e-9);
                 (answer.bytes, answer.crc32) = (bytes, crc32);
             }
             Err(error) => {
@@ -205,7 +208,8 @@ impl Worker {
                     Painter::Program(command, limit) => run(command, *limit, order, &part, &log)?,
                     Painter::Stays(session) => {
                         let found = session.ask(order, &part, &log)?;
-                        Painted { load_s: found.load_s.unwrap_or(0.0), render_s: found.seconds }
+                        let load_s = found.load_s.unwrap_or(0.0);
+                        Painted { load_s, render_s: found.seconds, lost_s: found.lost_s }
                     }
                     Painter::Own(_) => unreachable!("the raycaster is handled above"),
                 };
@@ -251,7 +255,7 @@ impl Own {
         }
         let rendered = self.renderer.render(&frame)?;
         let png = encode_png(&rendered.image)?;
-        Ok((Painted { load_s, render_s: Some(rendered.time.seconds()) }, png))
+        Ok((Painted { load_s, render_s: Some(rendered.time.seconds()), lost_s: 0.0 }, png))
     }
 }
 
@@ -305,7 +309,7 @@ fn run(
         },
     };
     ensure!(status.success(), "{program:?} ended with {status}: {}", tail(log));
-    Ok(Painted { load_s: 0.0, render_s: None })
+    Ok(Painted { load_s: 0.0, render_s: None, lost_s: 0.0 })
 }
 
 /// Checks that bytes are a whole PNG file of this size.
@@ -371,6 +375,29 @@ mod tests {
             let said = check_png(bytes, size).unwrap_err().to_string();
             assert!(said.contains(word), "{said}");
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_seconds_of_a_failed_attempt_are_no_rendering_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let state = dir.path().join(".farm");
+        for folder in ["parts", "logs"] {
+            std::fs::create_dir_all(state.join(folder)).unwrap();
+        }
+        let picture = dir.path().join("picture.png");
+        let png = encode_png(&Image { width: 1, height: 1, rgba: vec![9; 4] }).unwrap();
+        std::fs::write(&picture, png).unwrap();
+        // The program answers one task and ends a second after it has got the next, which a new process gets.
+        let script = r#"read -r line; out=${line##*\"out\":\"}; out=${out%%\"*}; cp "$0" "$out"
+            echo '{"task": "7", "seconds": 0.01}'; read -r line; sleep 1; exit 1"#;
+        let command = ["sh", "-c", script, picture.to_str().unwrap()].map(str::to_owned).to_vec();
+        let painter = Painter::Stays(Session::new(command, None));
+        let mut worker = Worker { state, output: dir.path().to_owned(), node: "n".into(), painter };
+        let [first, second] = [1, 2].map(|bundle| worker.answer(&an_order("v"), bundle));
+        assert_eq!((first.error, &second.error), (None, &None));
+        let neither = second.end - second.begin - second.seconds - second.load_s;
+        assert!(neither > 0.99, "{second:?}");
     }
 
     #[cfg(unix)]
