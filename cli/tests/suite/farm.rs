@@ -271,6 +271,9 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         "{said}"
     );
     assert!(!dir.path().join("db.cdb").exists());
+    let early = entire(dir.path(), &["farm", "job.toml", "--dry-run", "--report", "r.html"]);
+    assert_eq!(early.status.code(), Some(1));
+    assert!(stderr(&early).contains("db.cdb holds no image yet; render some first"), "{}", stderr(&early));
     succeeds(dir.path(), &["farm", "job.toml", "--dry-run", "--save-tasks", "tasks.csv"]);
     let list = std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap();
     assert_eq!(list.lines().count(), 41);
