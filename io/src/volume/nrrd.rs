@@ -358,6 +358,7 @@ mod tests {
 
     #[test]
     fn lies_are_named_with_what_was_expected_and_found() {
+        let packed = PLAIN.replace("2 3 4", "10000 10000 10000").replace("raw", "bzip2");
         for (bytes, expected) in [
             (with(PLAIN, &[0; 23]), "need 24 bytes, the file has 23"),
             (with(PLAIN, &[0; 48]), "need 24 bytes, the data has 48"),
@@ -368,6 +369,12 @@ mod tests {
             (
                 with(&PLAIN.replace("2 3 4", "10000 10000 10000").replace("raw", "gzip"), &[0; 100]),
                 "can hold 103200 at most",
+            ),
+            (with(&packed, &[0; 100]), "can hold 419430400 at most"),
+            (with(&packed, &[0; 1 << 20]), "can hold 4294967296 at most"),
+            (
+                with(&format!("{packed}byte skip: -1\n"), &[0; 100]),
+                "1000000000000 bytes of voxels and 0 bytes after them, but at most 419430400 bytes follow",
             ),
             (
                 with(&PLAIN.replace("2 3 4", "4294967296 4294967296 4294967296"), &[]),

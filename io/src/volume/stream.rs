@@ -16,6 +16,10 @@ const DEFLATE_GROWTH: u64 = 1032;
 /// and holds 900 000 bytes, of which every five expand to at most 259.
 const BZIP2_GROWTH: u64 = 1 << 22;
 
+/// Number of decompressed bytes up to which a bzip2 stream may reach [`BZIP2_GROWTH`]; a longer one is limited
+/// to [`DEFLATE_GROWTH`]. Otherwise, a file of a few kilobytes could fill any memory.
+const BZIP2_MOST: u64 = 4 << 30;
+
 /// Byte order mark that some editors put before UTF-8 text.
 const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
 
@@ -233,7 +237,11 @@ impl<'a> Stream<'a> {
 
     /// Returns the rest of the stream, decompressed as bzip2 (one or several streams).
     pub(crate) fn bunzip(self) -> Stream<'a> {
-        self.decoded(|packed| packed.saturating_mul(BZIP2_GROWTH), MultiBzDecoder::new)
+        let most = |packed: u64| {
+            let accepted = packed.saturating_mul(DEFLATE_GROWTH).max(BZIP2_MOST);
+            packed.saturating_mul(BZIP2_GROWTH).min(accepted)
+        };
+        self.decoded(most, MultiBzDecoder::new)
     }
 
     /// Returns the rest of the stream, decoded from pairs of hexadecimal digits; blanks are skipped.
@@ -248,7 +256,7 @@ impl<'a> Stream<'a> {
     /// When fewer than `count + behind` bytes are left.
     pub(crate) fn last(mut self, count: u64, behind: u64) -> Result<Stream<'a>> {
         let keep = count.saturating_add(behind);
-        let short = |found: u64, prefix: String| {
+        let short = |found: String, prefix: String| {
             anyhow!(
                 "{prefix}the header states {count} bytes of voxels and {behind} bytes after them, but \
                  {found} bytes follow the header; the file is cut short or its header is wrong"
@@ -256,12 +264,17 @@ impl<'a> Stream<'a> {
         };
         if let Remaining::Exact(left) = self.remaining {
             if left < keep {
-                return Err(short(left, self.prefix()));
+                return Err(short(left.to_string(), self.prefix()));
             }
             self.skip(left - keep)?;
             self.reader = Box::new(self.reader.take(count));
             self.remaining = Remaining::Exact(count);
             return Ok(self);
+        }
+        if let Remaining::AtMost(most) = self.remaining
+            && most < keep
+        {
+            return Err(short(format!("at most {most}"), self.prefix()));
         }
         let mut held: Vec<u8> = Vec::new();
         let mut found = 0u64;
@@ -284,7 +297,7 @@ impl<'a> Stream<'a> {
             }
         }
         if found < keep {
-            return Err(short(found, self.prefix()));
+            return Err(short(found.to_string(), self.prefix()));
         }
         held.drain(..held.len() - keep as usize);
         held.truncate(count as usize);
