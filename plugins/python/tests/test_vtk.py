@@ -215,8 +215,12 @@ def test_scene_changes_are_followed(voxels):
     other = MAPPERS["fixed"]()
     other.SetInputData(image_data(voxels))
     volume.SetMapper(other)
+    # Another mapper is followed after a reset too.
+    steering.reset()
+    steered = steering.steered_frames
     view.draw(3)
     assert steering.status == ""
+    assert steering.steered_frames > steered
     assert not mapper.HasObserver("VolumeMapperRenderStartEvent")
     # A setting that the application makes meanwhile is kept.
     other.SetAutoAdjustSampleDistances(0)

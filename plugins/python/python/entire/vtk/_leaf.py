@@ -86,6 +86,8 @@ class Leaf:
         # Class of the mapper, to which the learned state belongs.
         self._class = ""
         self._session: Session
+        # True if the volume changed since its mapper was compared with the observed one.
+        self._stale = False
         self._forget()
         self.volume_time = _NAN
         # State of the volume's share of the window's frame, which may draw it several times (two eyes).
@@ -124,7 +126,7 @@ class Leaf:
         self._pixels = self._finest = self._termination = self._coarsening = 1.0
         self._shading: Literal["none", "local"] = "none"
         self._wrote = (_NAN, _NAN)
-        self._steered = self._ready = self._drawing = self._ended = self._stale = False
+        self._steered = self._ready = self._drawing = self._ended = False
         self._started = 0.0
         # References to VTK objects, kept only while a frame is drawn.
         self._frame_mapper: Any = None
