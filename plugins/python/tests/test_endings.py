@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Settings after steering ends during a frame, values of the last frame, pictures of a calibration, memory of deleted
-volumes and renderers."""
+"""Settings after steering ends during a frame, volumes that share a mapper, values of the last frame, pictures of a
+calibration, memory of deleted volumes and renderers."""
 
 import gc
 import math
@@ -13,9 +13,9 @@ pytest.importorskip("vtkmodules")
 
 import entire
 import entire.vtk
-from vtkmodules.vtkRenderingCore import vtkRenderer
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkVolume
 
-from scenes import View, add_volume, one_volume, settings
+from scenes import MAPPERS, View, add_volume, image_data, one_volume, settings
 
 
 @pytest.mark.parametrize("kind", ["gpu", "fixed", "smart"])
@@ -35,6 +35,51 @@ def test_settings_are_restored_whenever_steering_ends(voxels, kind, event, what)
     steering.detach()
     assert volume.GetMapper() is own
     assert settings(own) == before
+
+
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_volumes_with_one_mapper_are_refused(voxels, kind):
+    view, volume = one_volume(voxels, kind)
+    mapper, second = volume.GetMapper(), vtkVolume()
+    before = settings(mapper)
+    second.SetMapper(mapper)
+    view.renderer.AddVolume(second)
+    for volumes in (None, [volume, second]):
+        with pytest.raises(entire.CannotSteer, match="mapper of its own"):
+            entire.vtk.hold(view.renderer, volumes, 1e-4)
+    first = entire.vtk.hold(view.renderer, volume, 1e-4)
+    with pytest.raises(entire.CannotSteer, match="mapper of its own"):
+        entire.vtk.hold(view.renderer, [volume, second], 1e-4)
+    # A refused volume does not end the steering of another one.
+    assert [leaf.volume for leaf in first.leaves] == [volume]
+    view.renderer.RemoveVolume(second)
+    # A held volume that gets the mapper of another one is not steered until it has a mapper of its own.
+    third = add_volume(view.renderer, voxels[:30], kind)
+    other = entire.vtk.hold(view.renderer, third, 1e-4)
+    third.SetMapper(mapper)
+    view.draw(3)
+    assert first.status == ""
+    assert "mapper of its own" in other.status
+    assert settings(mapper) == before
+    own = MAPPERS[kind]()
+    own.SetInputData(image_data(voxels))
+    third.SetMapper(own)
+    view.draw(2)
+    assert first.status == other.status == ""
+
+
+def test_volumes_with_one_smart_mapper_are_steered(voxels):
+    view, volume = one_volume(voxels, "smart")
+    smart, second = volume.GetMapper(), vtkVolume()
+    second.SetMapper(smart)
+    second.SetProperty(volume.GetProperty())
+    second.SetPosition(10, 0, 0)
+    view.renderer.AddVolume(second)
+    steering = entire.vtk.hold(view.renderer, seconds=1e-4)
+    view.draw(3)
+    assert steering.steered_frames == 6
+    steering.detach()
+    assert volume.GetMapper() is second.GetMapper() is smart
 
 
 def test_read_outs_are_of_the_last_frame(voxels):

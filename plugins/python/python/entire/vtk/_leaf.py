@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Iterable
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -28,6 +29,8 @@ _NAN = math.nan
 # Attribute in which a volume keeps Python's wrapper of its mapper.
 _KEPT = "_entire_mapper"
 _NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
+# Leaves that observe their volume's mapper.
+_observing: weakref.WeakSet[Leaf] = weakref.WeakSet()
 
 
 def weak(target: Any = None) -> Callable[[], Any]:
@@ -65,10 +68,11 @@ class Leaf:
     __slots__ = (
         "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
         "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
-        "_coarsening", "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_pass", "_pixels", "_plain", "_plan", "_ready",
-        "_reason", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered",
-        "_steering", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_wrote",
+        "_coarsening", "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_pass", "_pixels", "_plain", "_plan",
+        "_ready", "_reason", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started",
+        "_steered", "_steering", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_wrote",
         "address", "image_sample_distance", "measured", "sample_distance", "share_time", "status", "volume_time",
+        "__weakref__",
     )  # fmt: skip
 
     def __init__(self, steering: Steering, volume: Any, make_gpu: Callable[[Any], Any]) -> None:
@@ -173,7 +177,7 @@ class Leaf:
     def _observe(self, volume: Any) -> None:
         """Adds observers to the volume's mapper, after a smart mapper was exchanged for a GPU mapper."""
         mapper = volume.GetMapper()
-        why = _mappers.refusal(mapper)
+        why = refusal(volume)
         if why:
             raise CannotSteer(why)
         if mapper.IsA("vtkSmartVolumeMapper"):
@@ -198,6 +202,7 @@ class Leaf:
             mapper.AddObserver("VolumeMapperRenderStartEvent", self._start),
             mapper.AddObserver("VolumeMapperRenderEndEvent", self._end),
         ]
+        _observing.add(self)
 
     def _on_modified(self, _volume: Any, _event: str) -> None:
         # The application may have set another mapper; the next frame checks this.
@@ -220,6 +225,7 @@ class Leaf:
                 mapper.RemoveObserver(tag)
         self._tags = []
         self._mapper = weak()
+        _observing.discard(self)
         drawn = self._volume()
         if drawn is not None:
             drawn.__dict__.pop(_KEPT, None)
@@ -563,6 +569,20 @@ def at_end(renderer: Any, calls: list[Callable[[], None]]) -> None:
 
 def _side(pixels: float) -> int:
     return min(16384, max(1, math.floor(pixels)))
+
+
+def refusal(volume: Any, wanted: Iterable[Any] = ()) -> str:
+    """Reason why a volume cannot be held together with the held volumes and those in `wanted`; empty if it can."""
+    mapper = volume.GetMapper()
+    why = _mappers.refusal(mapper)
+    if why or mapper.IsA("vtkSmartVolumeMapper"):
+        # Each volume gets a GPU mapper of its own in place of a smart mapper.
+        return why
+    others = [*wanted, *(leaf.volume for leaf in _observing)]
+    # The settings that steering has written for one volume would be taken for the application's settings of the other.
+    if any(other is not None and other is not volume and other.GetMapper() is mapper for other in others):
+        return "the mapper draws another held volume too; give each volume a mapper of its own"
+    return ""
 
 
 def first_volume(volume: Any) -> Any:

@@ -23,7 +23,7 @@ from .._core import CannotSteer, ModelLike, Session, _model, _named
 from .._history import History
 from .._native import ModelError
 from . import _mappers
-from ._leaf import Leaf, weak
+from ._leaf import Leaf, refusal, weak
 from ._overlay import Overlay
 from ._window import frame_of, is_picking
 
@@ -184,7 +184,7 @@ class Steering:
             wanted = _volumes(renderer) if volumes is None else list(volumes)
             # All are checked before one is taken from another steering, which continues if one is refused.
             for volume in wanted:
-                why = _mappers.refusal(volume.GetMapper())
+                why = refusal(volume, wanted)
                 if why:
                     raise CannotSteer(why)
             for volume in wanted:
