@@ -11,7 +11,7 @@ import entire.vtk
 from vtkmodules import vtkCommonCore
 from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkSmartVolumeMapper
 
-from scenes import add_volume, one_volume
+from scenes import add_volume, image_data, one_volume
 
 VERSION = vtkCommonCore.vtkVersion().GetVTKVersion()
 
@@ -82,6 +82,29 @@ def test_scalars_of_any_layout_are_read_without_a_copy_of_all(voxels, components
         steps.append(leaf.predicted)
     assert steps[0] > 0
     assert steps[0] == steps[1]
+
+
+def test_an_input_that_cannot_be_used_is_read_once(voxels, monkeypatch):
+    view, volume = one_volume(voxels)
+    read, grid = [], entire.vtk._scene.Grid
+    monkeypatch.setattr(entire.vtk._scene, "Grid", lambda *of: read.append(1) or grid(*of))
+    large = voxels.astype(np.float64)
+    # Infinite in single precision.
+    large[0, 0, 0] = 1e300
+    volume.GetMapper().SetInputData(image_data(large))
+    steering = entire.vtk.hold(view.renderer, volume, 1e-4)
+    view.draw(3)
+    assert steering.reason == "fallback"
+    assert len(read) == 1
+    # The input is read again after a change, and after a reset.
+    steering.reset()
+    view.draw(2)
+    assert steering.reason == "fallback"
+    assert len(read) == 2
+    volume.GetMapper().SetInputData(image_data(voxels))
+    view.draw(2)
+    assert steering.status == ""
+    assert len(read) == 3
 
 
 def test_rays_that_begin_at_noise_are_steered(voxels):

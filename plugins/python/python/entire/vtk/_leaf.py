@@ -69,7 +69,7 @@ class Leaf:
         "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
         "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
         "_coarsening", "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_pass", "_pixels", "_plain", "_plan",
-        "_ready", "_reason", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started",
+        "_ready", "_reason", "_refused", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started",
         "_steered", "_steering", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_wrote",
         "address", "image_sample_distance", "measured", "sample_distance", "share_time", "status", "volume_time",
         "__weakref__",
@@ -107,6 +107,8 @@ class Leaf:
 
     def _forget(self) -> None:
         self._key: Any = None
+        # The key of an input that cannot be used, and the reason.
+        self._refused: tuple[Any, str] | None = None
         self._grid: Any = None
         self._tf: Any = None
         self._tf_key: Any = None
@@ -412,9 +414,15 @@ class Leaf:
         component = 0 if prop.GetIndependentComponents() else -1
         key = _scene.grid_key(mapper, image, component)
         if key != self._key:
+            if self._refused is not None and self._refused[0] == key:
+                raise _scene.Unreadable(self._refused[1])
             began = perf_counter()
-            grid = _scene.Grid(mapper, image, component)
-            session.set_volume(grid.volume)
+            try:
+                grid = _scene.Grid(mapper, image, component)
+                session.set_volume(grid.volume)
+            except ValueError as error:
+                self._refused = key, str(error)
+                raise
             self._grid, self._key, self._tf_key, self._nodes = grid, key, None, None
             steering._shared.usual = False
             self.volume_time = perf_counter() - began
