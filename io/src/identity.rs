@@ -186,7 +186,7 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     noted.names.into_inner()
 }
 
-/// Records the names of requested files, and provides no file.
+/// Records the names of requested files that a reader accepts, and provides no file.
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,
@@ -195,7 +195,7 @@ struct Noted {
 impl Noted {
     fn note(&self, name: &str) {
         let mut names = self.names.borrow_mut();
-        if names.iter().all(|n| n != name) {
+        if self.folder.path_of(name).is_ok() && names.iter().all(|n| n != name) {
             names.push(name.to_owned());
         }
     }
@@ -266,6 +266,18 @@ mod tests {
         assert!(changed(&header, &was).unwrap().is_some());
         std::fs::remove_file(dir.path().join("voxels.raw")).unwrap();
         assert!(difference(&was, &of_volume(&header).unwrap()).unwrap().contains("is gone"));
+    }
+
+    #[test]
+    fn a_file_that_a_header_names_by_an_absolute_path_is_not_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let (header, voxels) = (dir.path().join("a.nhdr"), dir.path().join("voxels.raw"));
+        std::fs::write(&voxels, "abcdefgh").unwrap();
+        for list in ["", "LIST 3\n"] {
+            std::fs::write(&header, format!("{HEADER}data file: {list}{}\n", voxels.display())).unwrap();
+            let files = of_volume(&header).unwrap();
+            assert_eq!(files.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["a.nhdr"], "{list}");
+        }
     }
 
     #[test]

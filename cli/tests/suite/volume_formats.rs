@@ -136,23 +136,48 @@ fn what_is_no_regular_file_is_refused_and_never_waited_for() {
             assert!(message.contains(kind) && message.contains("save its content to a file"), "{message}");
             std::fs::remove_file(&link).unwrap();
         }
-        let shown = path.display();
+        let voxels = folder.path().join("voxels");
+        std::os::unix::fs::symlink(path, &voxels).unwrap();
         let header = folder.path().join("a.mhd");
-        let text = format!("NDims = 3\nDimSize = 2 2 2\nElementType = MET_CHAR\nElementDataFile = {shown}\n");
+        let text = "NDims = 3\nDimSize = 2 2 2\nElementType = MET_CHAR\nElementDataFile = voxels\n";
         std::fs::write(&header, text).unwrap();
         let message = refused_at_once(&header);
         assert!(message.contains(kind) && message.contains("a.mhd"), "{message}");
         let header = folder.path().join("a.nhdr");
-        let text = format!(
-            "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nencoding: raw\ndata file: {shown}\n\n"
-        );
+        let text = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nencoding: raw\ndata file: voxels\n\n";
         std::fs::write(&header, text).unwrap();
         let message = refused_at_once(&header);
         assert!(message.contains(kind) && message.contains("a.nhdr"), "{message}");
         let header = folder.path().join("a.json");
-        let text = format!("{{\"size\": [2, 2, 2], \"type\": \"uint8\", \"file\": \"{shown}\"}}");
+        let text = r#"{"size": [2, 2, 2], "type": "uint8", "file": "voxels"}"#;
         std::fs::write(&header, text).unwrap();
         assert!(refused_at_once(&header).contains("no voxels beside the description"));
+        std::fs::remove_file(&voxels).unwrap();
+    }
+}
+
+#[test]
+fn headers_name_data_files_relative_to_themselves() {
+    let folder = tempfile::tempdir().unwrap();
+    let voxels = folder.path().join("v.raw");
+    std::fs::write(&voxels, [7u8; 8]).unwrap();
+    std::fs::create_dir(folder.path().join("headers")).unwrap();
+    let nrrd = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nencoding: raw\ndata file: ";
+    let list = format!("{nrrd}LIST 3\n");
+    let mhd = "NDims = 3\nDimSize = 2 2 2\nElementType = MET_UCHAR\nElementDataFile = ";
+    let json = "{\"size\": [2, 2, 2], \"type\": \"uint8\", \"file\": \"";
+    let absolute = "by an absolute path; put the file beside the header";
+    for (name, start, end, expected) in [
+        ("a.nhdr", nrrd, "\n\n", absolute),
+        ("list.nhdr", list.as_str(), "\n", absolute),
+        ("a.mhd", mhd, "\n", absolute),
+        ("a.json", json, "\"}", "relative to the description"),
+    ] {
+        let header = folder.path().join("headers").join(name);
+        std::fs::write(&header, format!("{start}{}{end}", voxels.display())).unwrap();
+        told(Volume::open(&header), &[name, "v.raw", expected]);
+        std::fs::write(&header, format!("{start}../v.raw{end}")).unwrap();
+        assert_eq!(Volume::open(&header).unwrap().data(), &VolumeData::U8(vec![7; 8]), "{name}");
     }
 }
 

@@ -46,7 +46,8 @@ pub(super) fn read_json(
     }
     let Some(name) = found else {
         bail!(
-            "no voxels beside the description: looked for {}; put the file there or name it with \"file\"",
+            "no voxels beside the description: looked for {}; put the file there, or name it with \"file\" relative \
+             to the description",
             candidates.join(", ")
         );
     };

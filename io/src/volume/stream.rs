@@ -5,7 +5,7 @@ use bzip2::bufread::MultiBzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
 use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 /// Upper bound of decompressed bytes per compressed byte of a deflate stream (RFC 1951: 258 bytes from 2
@@ -433,10 +433,10 @@ pub(crate) trait Companions {
     /// Opens a file by its name in the header.
     ///
     /// # Errors
-    /// When there is no such file.
+    /// When there is no such file, or its name is not accepted.
     fn open(&self, name: &str) -> Result<Stream<'_>>;
 
-    /// True if there is a file of that name.
+    /// True if there is a file of that name, and the name is accepted.
     fn exists(&self, name: &str) -> bool;
 
     /// Announces the files that a header names, if it names several, before the first is opened.
@@ -458,11 +458,25 @@ impl Folder {
     pub(crate) fn new(path: impl Into<PathBuf>, watcher: Option<Arc<dyn Watcher>>) -> Self {
         Self { path: path.into(), watcher }
     }
+
+    /// Returns the path of the file that a header names.
+    ///
+    /// # Errors
+    /// When the name is an absolute path, which in a header from elsewhere could be that of any file.
+    pub(crate) fn path_of(&self, name: &str) -> Result<PathBuf> {
+        let start = Path::new(name).components().next();
+        ensure!(
+            !matches!(start, Some(Component::RootDir | Component::Prefix(_))),
+            "the header names the data file {name:?} by an absolute path; put the file beside the header, and name \
+             it relative to the header"
+        );
+        Ok(self.path.join(name))
+    }
 }
 
 impl Companions for Folder {
     fn open(&self, name: &str) -> Result<Stream<'_>> {
-        let path = self.path.join(name);
+        let path = self.path_of(name)?;
         let mut stream =
             Stream::open(&path, self.watcher.as_ref()).context("the data file that the header names")?;
         stream.label = path.display().to_string();
@@ -470,7 +484,7 @@ impl Companions for Folder {
     }
 
     fn exists(&self, name: &str) -> bool {
-        self.path.join(name).is_file()
+        self.path_of(name).is_ok_and(|path| path.is_file())
     }
 
     fn ending_in(&self, suffix: &str) -> Vec<String> {
