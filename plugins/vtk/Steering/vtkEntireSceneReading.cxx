@@ -169,7 +169,7 @@ std::string ReadGrid(
 }
 
 //------------------------------------------------------------------------------
-std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
+entire::failure ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
   std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept)
 {
   const VolumeKey& key = grid.Key;
@@ -177,7 +177,7 @@ std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& vol
   grid.Scalars->GetFiniteRange(range.data(), key.Component);
   if (!(range[0] <= range[1]))
   {
-    return "the scalars have no finite value";
+    return { ENTIRE_INVALID_ARGUMENT, "the scalars have no finite value" };
   }
   if (!(static_cast<float>(range[1]) > static_cast<float>(range[0])))
   {
@@ -218,10 +218,10 @@ std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& vol
   auto made = entire::volume::create(desc);
   if (!made)
   {
-    return made.message();
+    return { made.code(), made.message() };
   }
   volume.emplace(std::move(made.value()));
-  return {};
+  return { ENTIRE_OK, {} };
 }
 
 //------------------------------------------------------------------------------

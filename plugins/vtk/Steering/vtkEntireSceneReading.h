@@ -96,8 +96,9 @@ std::string ReadGrid(
 
 // Makes a volume of the voxels in the grid's box. If the library can read their type in place, the volume borrows them:
 // use it only before the scene changes, and before `kept` is released. `kept` receives a copy of the drawn component if
-// its values are not stored as an ordinary array. `range` receives the minimum and maximum scalar value.
-std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
+// its values are not stored as an ordinary array. `range` receives the minimum and maximum scalar value. Returns the
+// code ENTIRE_OK on success.
+entire::failure ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
   std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept);
 
 // Reads the volume property's functions of scalar opacity and color, and its ScalarOpacityUnitDistance.

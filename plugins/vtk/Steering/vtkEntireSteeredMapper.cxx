@@ -122,6 +122,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Release()
 void vtkEntireSteering::vtkInternals::Leaf::Forget()
 {
   this->Volume = vtkEntire::VolumeKey();
+  this->RefusedText.clear();
   this->HasTransfer = false;
   this->Limits.fill(0);
   this->Session.reset();
@@ -154,6 +155,10 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
   {
     return {};
   }
+  if (!this->RefusedText.empty() && !(this->Grid.Key != this->RefusedVolume))
+  {
+    return this->RefusedText;
+  }
   const auto before = std::chrono::steady_clock::now();
   std::string failure = this->Internals->MakeSession(*this);
   if (!failure.empty())
@@ -163,16 +168,21 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
   std::optional<entire::volume> volume;
   std::array<double, 2> range;
   vtkSmartPointer<vtkDataArray> kept;
-  failure = vtkEntire::ReadVoxels(this->Grid, volume, range, kept);
-  if (!failure.empty())
+  entire::failure refused = vtkEntire::ReadVoxels(this->Grid, volume, range, kept);
+  if (refused.code == ENTIRE_OK)
   {
-    return failure;
+    // The session copies the data that it needs, so the borrowed voxels are read only during this call.
+    auto set = this->Session->set_volume(*volume);
+    refused = { set.code(), set.message() };
   }
-  // The session copies the data that it needs, so the borrowed voxels are read only during this call.
-  auto set = this->Session->set_volume(*volume);
-  if (!set)
+  if (refused.code != ENTIRE_OK)
   {
-    return set.message();
+    if (refused.code != ENTIRE_OUT_OF_MEMORY)
+    {
+      this->RefusedVolume = this->Grid.Key;
+      this->RefusedText = refused.message;
+    }
+    return refused.message;
   }
   this->Volume = this->Grid.Key;
   this->HasTransfer = false;

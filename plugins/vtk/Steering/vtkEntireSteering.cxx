@@ -138,6 +138,7 @@ const char* vtkEntireSteering::GetModelClock()
 void vtkEntireSteering::Reset()
 {
   this->Internals->State.clear();
+  this->Internals->RefusedModel.clear();
   for (const auto& leaf : this->Internals->Drawing)
   {
     leaf->Forget();

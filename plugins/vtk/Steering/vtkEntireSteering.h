@@ -221,9 +221,10 @@ public:
   ///@{
   /**
    * A model file from `entire train`, or nullptr for none. If the file cannot be used, frames are not steered, and
-   * Status gives the reason. A change of the name discards the learned state. If the model predicts times of another
-   * clock than Clock, a warning says that the model's scale is learned from the first frames; the warning is raised
-   * once for each change of the model's clock or Clock.
+   * Status gives the reason; a file that is not a model is read again only after a change of the name, Reset() or
+   * Attach(). A change of the name discards the learned state. If the model predicts times of another clock than
+   * Clock, a warning says that the model's scale is learned from the first frames; the warning is raised once for each
+   * change of the model's clock or Clock.
    */
   vtkSetFilePathMacro(ModelFileName);
   vtkGetFilePathMacro(ModelFileName);

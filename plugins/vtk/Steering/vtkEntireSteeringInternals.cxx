@@ -163,6 +163,7 @@ vtkEntireSteering::vtkInternals::Leaves vtkEntireSteering::vtkInternals::TakeApa
   this->Warnings.clear();
   this->Said.clear();
   this->ClocksSaid.clear();
+  this->RefusedModel.clear();
   this->ModelClock = ENTIRE_CLOCK_UNSTATED;
   this->Rendering = false;
   this->Present = false;
@@ -525,6 +526,7 @@ void vtkEntireSteering::vtkInternals::MatchOwner()
     if (this->ModelName != name)
     {
       this->Model.reset();
+      this->RefusedModel.clear();
       this->ClocksSaid.clear();
       this->ModelClock = ENTIRE_CLOCK_UNSTATED;
     }
@@ -542,9 +544,18 @@ std::string vtkEntireSteering::vtkInternals::NewSession(
   this->MatchOwner();
   if (!this->Model && !this->ModelName.empty())
   {
+    if (!this->RefusedModel.empty())
+    {
+      return this->RefusedModel;
+    }
     auto opened = entire::model::open(this->ModelName);
     if (!opened)
     {
+      // A file that is missing, or too large for the free memory, is tried again in the next frame.
+      if (opened.code() != ENTIRE_IO && opened.code() != ENTIRE_OUT_OF_MEMORY)
+      {
+        this->RefusedModel = opened.message();
+      }
       return opened.message();
     }
     this->Model.emplace(std::move(opened.value()));

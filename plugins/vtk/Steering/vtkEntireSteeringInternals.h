@@ -250,6 +250,9 @@ public:
     // Position of the voxels, and the stamp of the inputs that it was read from.
     vtkEntire::GridStamp Stamp;
     vtkEntire::VoxelGrid Grid;
+    // The last volume that cannot be used, and the reason.
+    vtkEntire::VolumeKey RefusedVolume;
+    std::string RefusedText;
     // Volume, transfer function and limits that the session has, for the detection of changes.
     vtkEntire::VolumeKey Volume;
     vtkEntire::TransferNodes Transfer;
@@ -358,6 +361,8 @@ public:
   // Inputs of the sessions.
   std::optional<entire::model> Model;
   std::string ModelName;
+  // Reason why the file with this name is not a model; empty if it is one or was not read.
+  std::string RefusedModel;
   double Tolerance = -1;
   double MissRate = -1;
   bool IgnoreLoad = false;

@@ -4,6 +4,7 @@
 
 #include "vtkDataArray.h"
 #include "vtkDataObject.h"
+#include "vtkDoubleArray.h"
 #include "vtkEntireSteering.h"
 #include "vtkHardwareSelector.h"
 #include "vtkObjectFactory.h"
@@ -11,6 +12,7 @@
 #include "vtkSelection.h"
 #include "vtkTestErrorObserver.h"
 
+#include <cstdio>
 #include <fstream>
 #include <iterator>
 #include <sstream>
@@ -224,6 +226,82 @@ void KnowsItsPictures(Kind kind)
   }
 }
 
+// Scalars that count how often their memory layout is asked for, as it is by each reading of the voxels.
+class CountedScalars : public vtkDoubleArray
+{
+public:
+  static CountedScalars* New();
+  vtkTypeMacro(CountedScalars, vtkDoubleArray);
+  bool HasStandardMemoryLayout() const override
+  {
+    ++this->Asked;
+    return this->Superclass::HasStandardMemoryLayout();
+  }
+  mutable int Asked = 0;
+};
+vtkStandardNewMacro(CountedScalars);
+
+// Voxels that cannot be used are read once, until they change.
+void ReadsRefusedVoxelsOnce(Kind kind)
+{
+  Scene scene(kind);
+  vtkDataArray* const usual = scene.Data->GetPointData()->GetScalars();
+  vtkNew<CountedScalars> large;
+  large->DeepCopy(usual);
+  // Infinite in single precision.
+  large->SetValue(0, 1e39);
+  scene.Data->GetPointData()->SetScalars(large);
+  vtkNew<vtkEntireSteering> steering;
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  steering->AddObserver(vtkCommand::WarningEvent, warnings);
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  scene.Draw(4);
+  CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "must be finite"));
+  const auto asked = [&] {
+    const int before = large->Asked;
+    scene.Draw(2);
+    return large->Asked - before;
+  };
+  const int steered = asked();
+  CHECK(Is(steering->GetReason(), "fallback"));
+  steering->Detach();
+  scene.Draw();
+  // VTK itself may ask in every frame.
+  CHECK(steered == asked());
+}
+
+// A file that is not a model is read once, until Reset() or a change of its name.
+void ReadsRefusedModelsOnce(Kind kind)
+{
+  Scene scene(kind);
+  const std::string file = std::string(std::getenv("ENTIRE_TEST_FILE")) + ".safetensors";
+  const char* const model = std::getenv("ENTIRE_TEST_MODEL");
+  CHECK(model);
+  vtkNew<vtkEntireSteering> steering;
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  steering->AddObserver(vtkCommand::WarningEvent, warnings);
+  steering->SetTargetFrameTime(1e-6);
+  const auto refused = [&] {
+    scene.Draw(3);
+    return Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), file.c_str());
+  };
+  // A missing file is opened as soon as it exists.
+  std::remove(file.c_str());
+  steering->SetModelFileName(file.c_str());
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  CHECK(refused());
+  std::ofstream(file) << "no model";
+  CHECK(refused());
+  std::ofstream(file, std::ios::binary) << Bytes(model);
+  CHECK(refused());
+  steering->Reset();
+  CHECK(!refused() && Empty(steering->GetStatus()));
+  std::remove(file.c_str());
+}
+
 // If the model's clock differs from the clock that times the frames, a warning is raised: once, and again after a
 // change of the model or the clock.
 void SaysItsClocks(Kind kind)
@@ -281,6 +359,8 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "LeavesModifiedTimesAlone", LeavesModifiedTimesAlone },
   { "WaitsForTheDevice", WaitsForTheDevice },
   { "KnowsItsPictures", KnowsItsPictures },
+  { "ReadsRefusedVoxelsOnce", ReadsRefusedVoxelsOnce },
+  { "ReadsRefusedModelsOnce", ReadsRefusedModelsOnce },
   { "SaysItsClocks", SaysItsClocks },
 };
 }
