@@ -14,6 +14,11 @@
 #include <map>
 #include <mutex>
 
+#if defined(_WIN32)
+// Last, since its macros break other headers.
+#include "vtkWindows.h"
+#endif
+
 namespace
 {
 // Rays along each side of the finest probe for a linear cost model; a network's file states its own. The number is
@@ -51,6 +56,26 @@ const char* NameOf(entire_clock clock)
     default:
       return nullptr;
   }
+}
+
+// Processor time of the process in seconds, summed over all threads.
+double ProcessSeconds()
+{
+#if defined(_WIN32)
+  // std::clock() returns wall time here.
+  FILETIME created{}, exited{}, kernel{}, user{};
+  GetProcessTimes(GetCurrentProcess(), &created, &exited, &kernel, &user);
+  const auto ticks = [](const FILETIME& time) {
+    return (static_cast<std::uint64_t>(time.dwHighDateTime) << 32) | time.dwLowDateTime;
+  };
+  // A tick takes 100 ns.
+  return 1e-7 * static_cast<double>(ticks(kernel) + ticks(user));
+#else
+  // std::clock() overflows after 36 minutes if std::clock_t has 32 bits.
+  timespec now{};
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+#endif
 }
 }
 
@@ -92,7 +117,7 @@ double vtkEntireSteering::vtkInternals::Now() const
 {
   if (this->Owner->Clock == PROCESS_CPU)
   {
-    return static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
+    return ProcessSeconds();
   }
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
