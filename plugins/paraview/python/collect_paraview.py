@@ -63,8 +63,8 @@ class ParaViewRenderer:
         self.colors = GetColorTransferFunction("scalar")
         self.colors.RGBPoints = [0, 0.1, 0.2, 0.6, 128, 0.9, 0.5, 0.2, 255, 1.0, 1.0, 0.9]
         self.opacity = GetOpacityTransferFunction("scalar")
-        # The step of mappers that are locked to the spacing: half the mean spacing, finer for small volumes.
-        mean = float(np.prod(volume.dims)) ** 0.333
+        # The step of mappers that are locked to the spacing: half the mean spacing, finer for volumes with few cells.
+        mean = float(np.prod([n - 1 for n in volume.dims])) ** 0.333
         self.step = sum(volume.spacing) / 6.0 * (0.01 + 0.99 * mean / 100 if mean < 100 else 1.0)
 
     def prepare(self, scene):
