@@ -41,6 +41,8 @@ struct pqEntireSteeringPanel::pqInternals
   QMap<vtkSMProxy*, double> Seen;
   QPointer<pqRenderView> ReadView;
   vtkSMProxy* DrawnBy = nullptr;
+  // Reason why steering of the view could not be turned on; empty if it could.
+  QString Failure;
   QMetaObject::Connection Rendered;
 
   QCheckBox* On = nullptr;
@@ -171,6 +173,7 @@ void pqEntireSteeringPanel::setView(pqView* view)
   pqInternals& in = *this->Internals;
   disconnect(in.Rendered);
   in.View = qobject_cast<pqRenderView*>(view);
+  in.Failure.clear();
   this->widget()->setEnabled(in.View != nullptr);
   if (in.View)
   {
@@ -231,9 +234,14 @@ void pqEntireSteeringPanel::steer(bool on)
     made.TakeReference(manager->NewProxy("entire", "EntireSteering"));
     if (!made)
     {
-      in.Reason->setText("the plugin is not loaded on the server");
+      const QSignalBlocker quiet(in.On);
+      in.On->setChecked(false);
+      in.Failure = "the plugin is not loaded on the server; load EntireSteering there (Tools > Manage Plugins), then turn "
+                   "steering on again";
+      in.Reason->setText(in.Failure);
       return;
     }
+    in.Failure.clear();
     vtkSMPropertyHelper(made, "View").Set(in.View->getProxy());
     in.Proxies[in.View.data()] = made;
     vtkSmartPointer<vtkSMProxy> remote;
@@ -309,6 +317,10 @@ void pqEntireSteeringPanel::readOut()
     for (QLabel* label : { in.Predicted, in.Measured, in.Frame, in.Distances, in.Reason, in.Frames })
     {
       label->setText("-");
+    }
+    if (!in.Failure.isEmpty())
+    {
+      in.Reason->setText(in.Failure);
     }
     return;
   }
