@@ -6,6 +6,7 @@
 import argparse
 import os
 import sys
+import time
 
 # Folder of ParaView's modules, if they are unpacked and not installed. It comes first, before the modules of another
 # VTK.
@@ -109,7 +110,11 @@ state = os.path.join(options.folder, f"{options.name}.state")
 if os.path.exists(state):
     os.remove(state)
 steering.save(state)
-check(options.server or os.path.getsize(state) > 16, "the learned state is saved")
+# A server writes the file while the client continues. The server runs on this machine and in the same folder.
+until = time.monotonic() + 10
+while not os.path.exists(state) and time.monotonic() < until:
+    time.sleep(0.1)
+check(os.path.exists(state) and os.path.getsize(state) > 16, "the learned state is saved")
 steering.proxy.ModelFileName = "/nowhere/model.safetensors"
 interact()
 read = steering.read()
