@@ -4,7 +4,7 @@ use super::Settings;
 use crate::collection::Job;
 use anyhow::{Result, ensure};
 use entire_core::model::ModelFile;
-use entire_io::dataset::{Scene, Table, TimedFrame};
+use entire_io::dataset::{Manifest, Scene, Table, TimedFrame};
 use entire_io::files::open_volume;
 use entire_io::identity::{self, Identity};
 use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
@@ -129,7 +129,10 @@ impl Pool {
             }
         }
         let prior = PriorModel::new(priors, typical)?;
-        let tables = [Table::default()];
+        // The features are those of the volumes as they are rendered: read with the same options.
+        let read = serde_json::json!({ "reading": settings.reading });
+        let manifest = Some(Manifest { settings: read, ..Manifest::default() });
+        let tables = [Table { manifest, ..Table::default() }];
         let refs: Vec<&TimedFrame> = frames.iter().collect();
         let bar = ProgressBar::hidden();
         let known = measure(&tables, &refs, Some(PROBE_SIDE), None, threads, &bar, |_, inputs| {
@@ -154,6 +157,7 @@ impl Pool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use entire_io::volume::Range;
 
     #[test]
     fn every_seed_draws_candidates() {
@@ -169,6 +173,26 @@ mod tests {
             // 6³ voxels are too few for the largest enlargement.
             assert_eq!(pool.candidates.len() as u64, 2 * PER_VOLUME);
         }
+    }
+
+    #[test]
+    fn candidates_have_the_work_of_the_volume_as_it_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("v.nrrd");
+        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 16 16 16\nencoding: raw\n\n".to_vec();
+        bytes.extend((0..4096).map(|i| (i % 50) as u8));
+        std::fs::write(&path, bytes).unwrap();
+        let threads = entire_io::options::thread_pool(Some(1)).unwrap();
+        let works = |range: Range| {
+            let reading = Reading { range, ..Reading::default() };
+            let settings = Settings { reading, ..Settings::brief(vec![path.clone()]) };
+            let pool = Pool::draw(&settings, (&[], &UnitCosts::SOFTWARE), &threads).unwrap();
+            pool.candidates.iter().map(|c| c.work).collect::<Vec<_>>()
+        };
+        // By default, the scalar range of 8-bit voxels is 0 to 255.
+        assert_eq!(works(Range::Default), works(Range::Given(0.0, 255.0)));
+        assert_eq!(works(Range::Data), works(Range::Given(0.0, 49.0)));
+        assert_ne!(works(Range::Default), works(Range::Data));
     }
 
     #[test]
