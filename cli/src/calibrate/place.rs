@@ -36,7 +36,12 @@ pub(crate) fn file_of(shading: Shading) -> Option<PathBuf> {
 /// When the file holds no model.
 pub(crate) fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Option<Clock>)>> {
     let Some(path) = file_of(shading).filter(|p| p.is_file()) else { return Ok(None) };
-    let (file, model) = read_model_file(&path)?;
+    let (file, model) = read_model_file(&path).with_context(|| {
+        format!(
+            "the machine's model is damaged; remove {}, or make it again with `entire calibrate --shade {shading}`",
+            path.display()
+        )
+    })?;
     let clock = entire_io::clock::of(&model);
     Ok(Some((path, file, clock)))
 }

@@ -50,7 +50,7 @@ type Finding = Result<String, (&'static str, &'static str)>;
 /// Runs the command.
 ///
 /// # Errors
-/// When a model of this machine cannot be read.
+/// When a shipped model cannot be read.
 pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     println!("entire {}", machine::version());
     heading("Machine");
@@ -62,11 +62,12 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     for shading in Shading::ALL {
         let name: &str = shading.into();
         let shipped = shipped_models(shading)?.len();
-        let model = match machine_model(shading)? {
-            Some((path, _, clock)) => {
+        let model = match machine_model(shading) {
+            Ok(Some((path, _, clock))) => {
                 format!("{}, clock: {}", path.display(), clock.map_or("not stated", |c| c.name()))
             }
-            None => format!(
+            Err(error) => format!("{error:#}"),
+            Ok(None) => format!(
                 "{shipped} shipped, no model of this machine (`entire calibrate --shade {name}` makes {})",
                 file_of(shading).map_or("one with --out".into(), |p| p.display().to_string())
             ),

@@ -107,6 +107,16 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
         let stale = run(at, arguments);
         assert!(!stale.status.success() && stderr(&stale).contains("changed after the frames"), "{stale:?}");
     }
+
+    // A damaged model of the machine is a finding of `doctor`, with the remedy.
+    std::fs::write(&path, &std::fs::read(&path).unwrap()[..100]).unwrap();
+    let doctor = run(at, "doctor");
+    assert!(doctor.status.success() && stdout(&doctor).contains("Render farms"), "{}", stderr(&doctor));
+    for part in
+        ["the machine's model is damaged", "machine-none.safetensors", "entire calibrate --shade none"]
+    {
+        assert!(stdout(&doctor).contains(part), "{part}: {}", stdout(&doctor));
+    }
 }
 
 #[test]
