@@ -9,7 +9,9 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::enlarge::enlarge;
-use entire_io::files::{make_folder, make_folder_of, note, open_model, open_volume, write_json};
+use entire_io::files::{
+    ensure_not_input, make_folder, make_folder_of, note, open_model, open_volume, write_json,
+};
 use entire_io::machine::Provenance;
 use entire_io::options::{
     DrawSettings, RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
@@ -178,6 +180,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
     ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
+    if let Some(to) = &options.save_path {
+        let inputs = options.volumes.iter().chain(&options.model);
+        ensure_not_input(to, inputs.map(PathBuf::as_path)).context("--save-path")?;
+        make_folder_of(to)?;
+    }
     let model = options.model.as_deref().map(open_model).transpose()?;
     let named = options.model.as_ref().map(|p| p.display().to_string());
     let given = named.as_deref().zip(model.as_ref());

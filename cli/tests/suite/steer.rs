@@ -180,6 +180,10 @@ fn bad_input_is_one_line_and_status_1() {
         assert_eq!(code, Some(1), "{more:?}: {text}");
         assert!(text.contains(expected) && text.trim_end().lines().count() == 1, "{more:?}: {text}");
     }
+    let volume = std::fs::read(dir.path().join("ball.nrrd")).unwrap();
+    let (code, text) = with("--target 9ms --generate orbit --save-path ./ball.nrrd");
+    assert!(code == Some(1) && text.contains("is an input of this command"), "{text}");
+    assert_eq!(std::fs::read(dir.path().join("ball.nrrd")).unwrap(), volume);
     let (code, text) = with("--target 9ms --path bad.json");
     assert!(code == Some(1) && text.contains("bad.json is no path: there is no keyframe"), "{text}");
     for usage in [
