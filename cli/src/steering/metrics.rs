@@ -101,7 +101,7 @@ impl Metrics {
                     let end = switches.iter().copied().find(|t| *t > s).unwrap_or(frames.len());
                     let settled = |i: usize| {
                         frames[i].on_target()
-                            && frames.get(i + 1).filter(|_| i + 1 < end).is_none_or(Played::on_target)
+                            && frames.get(i + 1).filter(|_| i + 1 < end).is_some_and(Played::on_target)
                     };
                     (s..end).find(|i| settled(*i)).unwrap_or(end) - s
                 })
@@ -167,6 +167,9 @@ mod tests {
         }
         let m = Metrics::of(&frames).unwrap();
         assert_eq!(m.recovery_frames, [0, 4, 3]);
+        // A single frame on target before the end does not count either.
+        frames[15].seconds = 0.1;
+        assert_eq!(Metrics::of(&frames).unwrap().recovery_frames, [0, 4, 3]);
         let at_switches = (0.0 + 2.0 + 0.1 + 1.0 + 4.0 * 3.0) / 9.0;
         assert!((m.mean_error_at_switches.unwrap() - at_switches).abs() < 1e-9);
     }
