@@ -61,7 +61,9 @@ impl Controller for VtkGpu {
                 0.1
             };
         }
-        reactive(request.limits.clamp(1.0 / self.factor))
+        let step = request.limits.clamp(1.0 / self.factor);
+        self.factor = 1.0 / step;
+        reactive(step)
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
@@ -149,11 +151,12 @@ impl Controller for VtkJs {
 /// Maximum number of past frame times that [`Unreal`] uses.
 const WINDOW: usize = 16;
 
-/// The dynamic-resolution heuristic of Unreal Engine. A frame time that is n frames old has the weight 0.9ⁿ
-/// in the mean time; the new fraction of each image side is f · √(0.95 target / mean time). This fraction
-/// changes by at least 2 % and at most every 8 frames; increases of the work are multiplied by 0.9. After two
-/// frames in a row over the target, the rule reacts to the last frame at once and drops the history. s is 1 /
-/// f²; the caller's limits keep f in 0.5…1.
+/// The dynamic-resolution heuristic of Unreal Engine. Let f be the present fraction of each image side; the
+/// work is f², and s is 1 / f². A frame time that is n frames old has the weight 0.9ⁿ in the mean time. The
+/// new fraction is f · √(0.95 target / mean time), at most 1; if it is larger than f, only 0.9 of the increase
+/// of the work is applied. The fraction changes by at least 2 % and at most every 8 frames. After two frames
+/// in a row over the target, the rule reacts to the last frame at once and drops the history. The caller's
+/// limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unreal {
     work: f32,
