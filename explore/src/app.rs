@@ -215,8 +215,8 @@ impl App {
         self.device.as_ref().is_some_and(SharedDevice::is_lost)
     }
 
-    /// Opens the device and all its objects again after the device was lost. The volume is still in memory;
-    /// without a volume, a running load begins again.
+    /// Opens the device and all its objects again after the device was lost. A running load begins again; without
+    /// one, the present volume, which is still in memory, is loaded again.
     fn recover(&mut self) -> Result<()> {
         if self.lost.is_some_and(|at| at.elapsed() < LOST_AGAIN) {
             bail!(
@@ -226,13 +226,13 @@ impl App {
         self.lost = Some(Instant::now());
         let loading = self.loading.take().inspect(Loading::cancel);
         let again = match self.scene.take() {
-            Some(scene) => Some(Job {
+            Some(scene) if loading.is_none() => Some(Job {
                 source: Some(scene.whole),
                 crop: scene.crop,
                 curve: Some(self.state.edited.curve.clone()),
                 ..self.job(scene.path, scene.index)
             }),
-            None => loading.map(|loading| loading.job),
+            _ => loading.map(|loading| loading.job),
         };
         // A screenshot is in the host's memory and continues once the volume is on the device again.
         (self.refinement, self.pictures) = (None, None);
@@ -298,9 +298,12 @@ impl App {
             event_loop.exit();
         } else {
             self.state.complain(&error);
-            self.refinement = None;
+            if self.screenshot.is_none() {
+                // The refinement that failed is not tried again; the view keeps the part that is finished.
+                (self.refined, self.refinement) = (true, None);
+                self.state.rest = self.state.rest.filter(|rest| rest.took.is_some());
+            }
             self.end_screenshot();
-            self.refined = true;
         }
     }
 }

@@ -37,6 +37,10 @@ pub trait Steering: Send + Sync {
     /// # Errors
     /// When the predictor cannot be made.
     fn session(&self, controller: &str) -> Result<Session>;
+
+    /// True if this one of the [`Host::controllers`] chooses the number of pixels between rays too, by its session's
+    /// picture quality law. All others choose the ray step alone.
+    fn chooses_image_sample_distance(&self, controller: &str) -> bool;
 }
 
 /// The program that opens the window. It is also called from loading threads.

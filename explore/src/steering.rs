@@ -20,10 +20,6 @@ const OTHER_WORK: usize = 15;
 /// Smallest share of the target that is planned for ray casting, however long the other work takes.
 const LEAST_SHARE: f64 = 0.15;
 
-/// Ray step up to which only the step is coarsened, in multiples of the finest step. Beyond it, the image
-/// size shrinks too.
-const STEP_ALONE: f32 = 2.0;
-
 /// A drawn frame. Times are seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FrameRecord {
@@ -220,13 +216,17 @@ impl Steer {
         let rest = self.other_work();
         let other = spent + rest;
         let target = (self.target - other).max(LEAST_SHARE * self.target);
-        let (enabled, limits, distance) =
-            (self.enabled, StepLimits { finest: 1.0, coarsest: self.coarsest }, self.distance);
+        let (enabled, limits) = (self.enabled, StepLimits { finest: 1.0, coarsest: self.coarsest });
+        let known = self.known.as_ref().context("no volume is open")?;
+        let steering = &known.steering[shading_index(frame.shading)];
+        let both = steering.chooses_image_sample_distance(self.controllers[self.controller].0);
+        let distance = if both { self.distance } else { 1.0 };
         let changes = std::mem::take(&mut self.changes);
         let session = self.session(frame.shading)?;
         session.set_enabled(enabled);
         session.set_limits(limits)?;
-        session.set_max_image_sample_distance(distance, STEP_ALONE)?;
+        // The second argument has no effect on a session with a quality law.
+        session.set_max_image_sample_distance(distance, 1.0)?;
         session.mark(changes);
         let plan = session.plan(frame, target as f32)?;
         let side = |n: u32| ((n as f32 / plan.image_sample_distance) as u32).max(1);
@@ -319,6 +319,10 @@ mod tests {
         fn session(&self, _: &str) -> Result<Session> {
             Ok(Session::untrained())
         }
+
+        fn chooses_image_sample_distance(&self, controller: &str) -> bool {
+            controller == "a"
+        }
     }
 
     /// Sets a volume whose predictors have a given identity.
@@ -389,6 +393,18 @@ mod tests {
         assert_eq!(steer.loops.len(), 1, "another volume with the same model");
         set_volume(&mut steer, 2);
         assert!(steer.loops.is_empty(), "another model");
+    }
+
+    #[test]
+    fn only_a_controller_that_chooses_it_changes_the_image_size() {
+        let (mut steer, frame) = steer();
+        steer.target = 1e-4;
+        for (controller, smaller) in [(0, true), (1, false)] {
+            steer.controller = controller;
+            let planned = steer.plan(&frame, 0.0).unwrap();
+            assert_eq!(planned.frame.width < frame.width, smaller, "{:?}", planned.plan);
+            assert!(planned.frame.step > 1.0, "{:?}", planned.plan);
+        }
     }
 
     #[test]

@@ -75,7 +75,8 @@ impl App {
         let cpu = thread_seconds();
         let mut primitives = self.egui.tessellate(output.shapes, output.pixels_per_point);
         if let Some(pictures) = &self.pictures {
-            let refined = drawn.is_none() && self.refined;
+            let whole = self.state.rest.is_some_and(|rest| rest.took.is_some());
+            let refined = drawn.is_none() && whole;
             aim(&mut primitives, pictures, drawn.is_some(), refined);
         }
         let Some(presenter) = &mut self.presenter else { return Ok(()) };

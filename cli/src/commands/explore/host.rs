@@ -125,6 +125,10 @@ impl Steering for Predicts {
         session.set_quality(Some(pictures))?;
         Ok(session)
     }
+
+    fn chooses_image_sample_distance(&self, name: &str) -> bool {
+        ControllerKind::from_name(name) == Some(ControllerKind::Hybrid)
+    }
 }
 
 /// Note on a machine's model that is ignored because it was calibrated on another kind of device than the
