@@ -10,6 +10,8 @@
 # VTK_OUT      where builds and results go (default target/vtk)
 # VTK_REPEATS  repeats of the comparison (default 3)
 # VTK_FRAMES   frames of the comparison's path (default 200)
+# VTK_DEBIAN   stable or testing: the comparison runs with the VTK of this Debian release, in the folder that
+#              `make test-matrix` has made; needs root
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
 case ${1:-} in
@@ -27,8 +29,20 @@ parts=comparison,accuracy
     python3 "${bars[@]}" --parts $parts --lacking "the command entire cannot be built"
     exit 1
 }
-lab/scripts/or_short.sh python3 "${bars[@]}" --parts comparison -- \
-    plugins/vtk/run.sh exec "${VTK_PYTHON:-/usr/bin/python3}" "${bars[@]}" --parts comparison || status=1
+if [[ ${VTK_DEBIAN:-} ]]; then
+    . scripts/lib.sh
+    folder=$(realpath -m "$target/matrix/$VTK_DEBIAN")
+    [[ -e $folder/made-in ]] || { echo "bars.sh: $folder does not exist; make it: make test-matrix MATRIX=$VTK_DEBIAN" >&2; exit 2; }
+    # The folder has no compiler of Rust: the command and the C library are those of this machine.
+    in_debian "$folder" "$PWD=/entire" "$(sdk)=/sdk" "$(realpath "$target/release")=/release" -- \
+        env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin PYTHONDONTWRITEBYTECODE=1 \
+        ENTIRE_SDK=/sdk VTK_OUT=/build/vtk sh -c 'cd /entire && exec plugins/vtk/run.sh exec /usr/bin/python3 "$@"' sh \
+        lab/scripts/vtk/bars.py --out /build/vtk/bars --entire /release/entire --repeats "${VTK_REPEATS:-3}" \
+        --frames "${VTK_FRAMES:-200}" --parts comparison || status=1
+else
+    lab/scripts/or_short.sh python3 "${bars[@]}" --parts comparison -- \
+        plugins/vtk/run.sh exec "${VTK_PYTHON:-/usr/bin/python3}" "${bars[@]}" --parts comparison || status=1
+fi
 if [[ $parts == *accuracy ]]; then
     python3 "${bars[@]}" --parts accuracy || status=1
 fi
