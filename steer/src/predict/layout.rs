@@ -317,10 +317,15 @@ fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
     if out.len() != values.len() {
         bail!(
             MissingInput,
-            "the model's input group {} has size {}, this version supplies {}",
+            "the model's input group {} has size {}, but {} values were given{}",
             group.name(),
             out.len(),
-            values.len()
+            values.len(),
+            if group == GroupKind::VolumeFeatures {
+                "; encode the volume with this model's VolumeNet"
+            } else {
+                ""
+            }
         );
     }
     out.copy_from_slice(values);

@@ -461,7 +461,7 @@ mod tests {
             assert!(e.to_string().contains(text), "{e}");
         };
         check(("volume_features", 2), &Inputs { volume_features: None, ..full }, "none were supplied");
-        check(("volume_features", 2), &full, "supplies 1");
+        check(("volume_features", 2), &full, "but 1 values were given; encode the volume");
         check(("transfer_function", 6), &Inputs { lobes: None, ..full }, "2 lobes");
         check(("transfer_function", 3), &full, "takes 1 Gaussian lobes, the transfer function has 2");
         check(("transfer_function", 6), &Inputs { lobes: Some(&[]), ..full }, "the transfer function has 0");
