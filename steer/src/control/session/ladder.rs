@@ -171,6 +171,11 @@ impl Session {
         self.measure(frame)
     }
 
+    /// Number of rays along each side of the finest probe, the one of recorded frames.
+    pub(super) fn finest_probe_side(&self) -> usize {
+        self.ladder.map_or(self.features.probe_side(), |ladder| ladder.finest)
+    }
+
     /// True if the probe's error is within the tolerance, or cannot change the plan.
     fn suffices(&mut self, frame: &Frame, target: f32, tolerance: f32) -> Result<bool> {
         let error = STANDARD_ERRORS * self.features.probe.error;

@@ -2,13 +2,14 @@
 
 use super::{PENDING_PLANS, Session};
 use crate::calibrate::{Calibrated, Calibration, Picture, Shown, table_fingerprint};
-use crate::features::{Changes, VolumeSummary};
+use crate::features::{Changes, PROBE_SIDE, VolumeSummary};
 use crate::predict::COSTS;
 use alloc::boxed::Box;
+use alloc::string::ToString;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::memory::filled;
-use entire_core::model::ModelFile;
+use entire_core::model::{Key, ModelFile};
 use entire_core::scene::TransferTable;
 
 /// Record of a plan until its frame's time is known.
@@ -130,7 +131,13 @@ impl Session {
             );
         };
         let [renderer, clock] = &self.timing;
-        recording.calibration.fit([renderer, clock])
+        let mut made = recording.calibration.fit([renderer, clock])?;
+        // The work of the recorded frames was counted on the rays of this session's probe.
+        let side = self.finest_probe_side();
+        if ![0, PROBE_SIDE].contains(&side) {
+            made.file.metadata.insert(Key::ProbeSide.into(), side.to_string());
+        }
+        Ok(made)
     }
 }
 
@@ -265,6 +272,22 @@ mod tests {
         assert_eq!((session.features().probe_side(), session.recorded()), (12, Some(4)));
         session.set_timing_source("mine", "device").unwrap();
         assert_eq!(session.recorded(), Some(0));
+    }
+
+    #[test]
+    fn a_calibrated_model_states_the_probe_of_its_frames() {
+        for (session, stated) in
+            [(Session::untrained(), None), (Session::untrained().with_probe(4, None).unwrap(), Some(4))]
+        {
+            let mut session = session;
+            session.set_volume(cube(24), None);
+            session.set_transfer(&lobe_at(0.3), None).unwrap();
+            session.record(None, 100).unwrap();
+            play(&mut session, 0..40);
+            let model = session.calibrate().unwrap().file.to_model().unwrap();
+            assert_eq!(model.metadata.get(Key::ProbeSide.name()).map(String::as_str), stated.map(|_| "4"));
+            assert_eq!(load(&model).unwrap().probe_side(), stated.unwrap_or(PROBE_SIDE));
+        }
     }
 
     #[test]
