@@ -10,7 +10,7 @@ use crate::predict::{AnalyticModel, Clock, Inputs, Prediction, Predictor, Source
 use alloc::boxed::Box;
 use alloc::vec;
 use entire_core::ErrorKind;
-use entire_core::scene::{Frame, Scalars, TransferFunction, VolumeOptions, VolumeView};
+use entire_core::scene::{Frame, ScalarType, Scalars, TransferFunction, VolumeOptions, VolumeView};
 
 #[test]
 fn a_plan_taken_back_leaves_its_id_to_the_next() {
@@ -79,6 +79,35 @@ impl Predictor for ByHeight {
     fn knows_step(&self) -> bool {
         false
     }
+}
+
+/// Predicts the same time for steps below 4, and fails for others.
+struct FineOnly;
+
+impl Predictor for FineOnly {
+    fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
+        if inputs.setting.step >= 4.0 {
+            bail!(InvalidModel, "the output is not finite");
+        }
+        Ok(Prediction { seconds: 0.1, upper: f32::NAN, out_of_range: 0.0, source: Source::Network })
+    }
+}
+
+#[test]
+fn a_choice_that_fails_leaves_no_trace() {
+    let f = frame(20.0, 30.0, 2.0);
+    let mut session = Session::new(Box::new(FineOnly), HybridOptions::default());
+    make_ready(&mut session);
+    session.set_limits(StepLimits { finest: 1.0, coarsest: 2.0 }).unwrap();
+    for _ in 0..5 {
+        let plan = session.plan(&f, 1.0).unwrap();
+        session.observe(plan.id, 0.1, ObserveFlags::default()).unwrap();
+    }
+    let trace = |session: &Session| (session.save_state(), std::format!("{:?}", session.controller.scene()));
+    let before = trace(&session);
+    let steps = [1.0, 8.0].map(|step| Setting { step, ..Setting::from(&f) });
+    assert_eq!(session.choose(&f, &steps, 1e-3).unwrap_err().kind(), ErrorKind::InvalidModel);
+    assert_eq!(trace(&session), before);
 }
 
 #[test]
@@ -263,6 +292,13 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     let view = VolumeView::with(Scalars::U8(&voxels), [32; 3], options).unwrap();
     let error = session.set_time_step(VolumeSummary::new(&view).unwrap(), None).unwrap_err();
     assert!(error.to_string().contains("[1, 1, 2]"), "{error}");
+    let bricks =
+        VolumeSummary::from_bricks([32; 3], [1.0; 3], ScalarType::U8, [16; 3], &[[0.0, 1.0]; 8]).unwrap();
+    let error = session.set_time_step(bricks, None).unwrap_err();
+    assert!(
+        error.to_string().contains("[4, 4, 4] cells") && error.to_string().contains("[2, 2, 2] cells"),
+        "{error}"
+    );
     let words: Vec<u16> = voxels.iter().map(|&v| u16::from(v)).collect();
     let view = VolumeView::new(Scalars::U16(&words), [32; 3]).unwrap();
     let other = VolumeSummary::new(&view).unwrap();

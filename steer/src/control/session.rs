@@ -192,18 +192,21 @@ impl Session {
         };
         let grid = |v: &VolumeSummary| (v.shape(), v.cells, v.block);
         if grid(&volume) != grid(before) {
-            let [found, own] = [&volume, before].map(|v| (v.shape().dims, v.shape().spacing, v.block));
+            let text = |v: &VolumeSummary| {
+                let (shape, cells, block) = (v.shape(), v.cells, v.block);
+                alloc::format!(
+                    "{:?} voxels of spacing {} in {cells:?} cells and blocks of {block:?}",
+                    shape.dims,
+                    shape.spacing
+                )
+            };
             bail!(
                 SizeMismatch,
-                "a time step must have the sizes, spacing and blocks of the session's volume: the time step \
-                 has {:?} voxels of spacing {} in blocks of {:?}, the volume {:?} of {} in blocks of {:?}; for \
-                 another volume, call set_volume",
-                found.0,
-                found.1,
-                found.2,
-                own.0,
-                own.1,
-                own.2
+                "a time step must have the sizes, spacing, cells and blocks of the session's volume: the time step \
+                 has {}, the volume has {}; make the time step's summary like the volume's, or call set_volume for \
+                 another volume",
+                text(&volume),
+                text(before)
             );
         }
         if volume.scalar_type != before.scalar_type {
@@ -296,7 +299,8 @@ impl Session {
     }
 
     /// Predicts a frame's time at its own step, corrected by the observations. Changes only
-    /// [`Session::features`], and no learned state.
+    /// [`Session::features`], and no learned state. With a tolerance ([`Session::with_probe`]), a later plan
+    /// may reuse the rays of this call.
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set,
@@ -321,7 +325,7 @@ impl Session {
         let setting = Setting::from(frame);
         if !self.enabled {
             self.begin(changes, setting)?;
-            let own = self.terms_at(changes, &setting)?;
+            let own = self.terms_at(changes, &setting).inspect_err(|_| self.controller.withdraw())?;
             let p = self.controller.correct(&own, Changes::default());
             let decision = Decision {
                 step: frame.step,
@@ -385,7 +389,7 @@ impl Session {
         let mut best: Option<(usize, CostTerms, Prediction)> = None;
         let mut reason = Reason::TargetUnreachable;
         for (i, setting) in settings.iter().enumerate() {
-            let terms = self.terms_at(changes, setting)?;
+            let terms = self.terms_at(changes, setting).inspect_err(|_| self.controller.withdraw())?;
             let p = self.controller.correct(&terms, Changes::default());
             if self.controller.fits(&self.controller.judged(&terms, Changes::default()), target) {
                 (best, reason) = (Some((i, terms, p)), Reason::Fits);
