@@ -18,7 +18,7 @@ pub enum Verdict {
     /// ignored.
     Clipped = 1,
     /// The time was accepted without an update: the caller marked it as unusual, or cancelled the frame
-    /// before its expected time had passed.
+    /// before its expected time had passed, or there was no prediction.
     Ignored = 2,
 }
 

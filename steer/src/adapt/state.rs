@@ -42,7 +42,11 @@ pub(crate) fn seal(bytes: &mut Vec<u8>) {
 /// [`crate::ErrorKind::InvalidArgument`] for bytes cut short or a wrong checksum.
 pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
     let Some((body, sum)) = bytes.split_last_chunk::<4>() else {
-        bail!(InvalidArgument, "the saved state is cut short: it has {} bytes", bytes.len());
+        bail!(
+            InvalidArgument,
+            "the saved state is cut short: it has {} bytes; start without it",
+            bytes.len()
+        );
     };
     let (stated, found) = (u32::from_le_bytes(*sum), crc32fast::hash(body));
     if stated != found {
@@ -63,7 +67,7 @@ impl Reader<'_> {
         let Some((head, rest)) = self.0.split_first_chunk::<N>() else {
             bail!(
                 InvalidArgument,
-                "the saved state is cut short: {N} more bytes were expected, {} are left",
+                "the saved state is cut short: {N} more bytes were expected, {} are left; start without it",
                 self.0.len()
             );
         };
@@ -76,7 +80,8 @@ impl Reader<'_> {
         if found != tag {
             bail!(
                 InvalidArgument,
-                "the saved state holds {:?} where {:?} was expected; it was written by another controller or version",
+                "the saved state holds {:?} where {:?} was expected; it was written by another controller or version; \
+                 start without it",
                 core::str::from_utf8(&found).unwrap_or("?"),
                 core::str::from_utf8(&tag).unwrap_or("?")
             );
@@ -94,12 +99,18 @@ impl Reader<'_> {
         let split =
             usize::try_from(length).ok().filter(|&n| n <= limit).and_then(|n| self.0.split_at_checked(n));
         let Some((head, rest)) = split else {
-            bail!(InvalidArgument, "the saved state holds a name of {length} bytes; it is damaged");
+            bail!(
+                InvalidArgument,
+                "the saved state holds a name of {length} bytes; it is damaged: start without it"
+            );
         };
         self.0 = rest;
         match core::str::from_utf8(head) {
             Ok(text) => Ok(text),
-            Err(_) => bail!(InvalidArgument, "the saved state holds a name that is not UTF-8; it is damaged"),
+            Err(_) => bail!(
+                InvalidArgument,
+                "the saved state holds a name that is not UTF-8; it is damaged: start without it"
+            ),
         }
     }
 
@@ -109,7 +120,7 @@ impl Reader<'_> {
         if !(low..=high).contains(&v) {
             bail!(
                 InvalidArgument,
-                "the saved state holds {v} where a number from {low} to {high} is expected; it is damaged"
+                "the saved state holds {v} where a number from {low} to {high} is expected; it is damaged: start without it"
             );
         }
         Ok(v)
@@ -124,7 +135,11 @@ impl Reader<'_> {
 
     pub(crate) fn end(&self) -> Result<()> {
         if !self.0.is_empty() {
-            bail!(InvalidArgument, "the saved state has {} bytes too many; it is damaged", self.0.len());
+            bail!(
+                InvalidArgument,
+                "the saved state has {} bytes too many; it is damaged: start without it",
+                self.0.len()
+            );
         }
         Ok(())
     }

@@ -471,7 +471,13 @@ impl Controller for Hybrid {
         if standing != Standing::Past {
             self.history.push(observed.step, seconds, changed, observed.changes.first);
         }
-        if libm::fabs(error) > CLIP { Verdict::Clipped } else { Verdict::Learned }
+        if error.is_nan() {
+            Verdict::Ignored
+        } else if libm::fabs(error) > CLIP {
+            Verdict::Clipped
+        } else {
+            Verdict::Learned
+        }
     }
 
     fn reset(&mut self) {

@@ -241,7 +241,7 @@ pub trait Controller {
         if !bytes.is_empty() {
             bail!(
                 InvalidArgument,
-                "the controller {} keeps no state, but {} bytes were given",
+                "the controller {} keeps no state, but {} bytes were given; start without them",
                 self.name(),
                 bytes.len()
             );

@@ -100,8 +100,9 @@ fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
     let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Unknown, ..HybridOptions::default() });
     let cost =
         |_: f32| CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };
-    let (d, _) = planned(&mut hybrid, (0.02, 16.0), Changes::default(), cost);
+    let (d, seen) = planned(&mut hybrid, (0.02, 16.0), Changes::default(), cost);
     assert_eq!((d.step, d.reason), (16.0, Reason::NoInformation));
+    assert_eq!(hybrid.observe(&Observed { seconds: 0.01, ..seen }), Verdict::Ignored);
 }
 
 #[test]
