@@ -816,7 +816,9 @@ entire_result entire_session_recorded_count(const entire_session *session, size_
  * forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
  * set the volume again. The session holds a reference to the model.
  *
- * Fails with the same results as entire_session_new for an unsuitable model.
+ * Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an
+ * input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
+ * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT (`model` may not be NULL here).
  */
 entire_result entire_session_set_model(entire_session *session, const entire_model *model);
 
@@ -829,7 +831,8 @@ entire_result entire_session_reset(entire_session *session);
 
 /**
  * Predicts a frame's time at the frame's own step, with the correction learned from observed frames. Does
- * not influence later plans. Set prediction->struct_size first.
+ * not change what was learned. With a probe_tolerance, a later plan may reuse the rays of this call. Set
+ * prediction->struct_size first.
  *
  * Fails as entire_session_plan does.
  */
@@ -1014,9 +1017,9 @@ entire_result entire_budget_drew(struct entire_budget *budget,
                                  float full_seconds);
 
 /**
- * Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included work that
- * most frames do not: reading a volume, compiling a shader. Such work counts only if the previous frame
- * included it too.
+ * Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included unusual
+ * work, such as reading a volume or compiling a shader. Its time outside of the passes is then used only if
+ * the previous frame was unusual, too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
