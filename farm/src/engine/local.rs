@@ -235,9 +235,8 @@ mod tests {
         let program = ["sh", "-c", "echo no device >&2; exit 3"].map(std::ffi::OsString::from).to_vec();
         let mut engine = Local::start(Places { state: dir.path().to_owned(), program }, 1, 1).unwrap();
         let ended = (0..600).find_map(|_| engine.poll(Duration::from_millis(100)).err());
-        let said = ended
-            .expect("the engine reports an error after its worker has ended a few times")
-            .to_string();
+        let said =
+            ended.expect("the engine reports an error after its worker has ended a few times").to_string();
         for part in ["worker 0 ended 4 times in a row", "exit status: 3", "no device", "--resume"] {
             assert!(said.contains(part), "{said}");
         }
