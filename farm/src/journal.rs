@@ -5,7 +5,7 @@ use super::record::Entry;
 use anyhow::{Context, Result};
 use entire_io::files::lock_alone;
 use std::fs::{File, OpenOptions};
-use std::io::{BufRead, BufReader, Seek, SeekFrom, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 #[derive(Debug)]
@@ -97,14 +97,17 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
     }
 }
 
-/// Reads the journal of a state folder without locking it.
+/// Reads the journal of a state folder without locking it; no entries if there is no journal yet.
 ///
 /// # Errors
 /// When the journal cannot be read or a line is damaged.
 pub(crate) fn entries(state: &Path) -> Result<Vec<Entry>> {
     let path = state.join("journal.jsonl");
     let mut out = Vec::new();
-    let file = File::open(&path).with_context(|| format!("cannot read the journal {}", path.display()))?;
+    let file = match File::open(&path) {
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(out),
+        opened => opened.with_context(|| format!("cannot read the journal {}", path.display()))?,
+    };
     read(&file, &mut |e| {
         out.push(e);
         Ok(())

@@ -31,8 +31,6 @@ struct Run {
 /// # Errors
 /// When no task is finished yet, or a file cannot be read or written.
 pub fn write(job: &Job, file: &Path) -> Result<()> {
-    let empty = || format!("{} holds no image yet; render some first", job.output.display());
-    ensure!(job.state().join("journal.jsonl").exists(), empty());
     let mut runs: Vec<Run> = Vec::new();
     let run = |at, engine, slots| Run { at, engine, slots, done: Vec::new(), etas: Vec::new() };
     let (mut failed, mut lost) = (0, 0);
@@ -66,7 +64,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
         }
     }
     let all: Vec<&Answer> = runs.iter().flat_map(|r| &r.done).collect();
-    ensure!(!all.is_empty(), empty());
+    ensure!(!all.is_empty(), "{} holds no image yet; render some first", job.output.display());
     let mut wanted: HashSet<u64> = job.numbers().into_keys().collect();
     let images = all.iter().filter(|a| parse_id(&a.task).is_some_and(|id| wanted.remove(&id))).count();
     let work: f64 = all.iter().map(|a| a.seconds + a.load_s).sum();
