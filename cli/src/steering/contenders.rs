@@ -87,6 +87,11 @@ impl ControllerKind {
         }
     }
 
+    /// True if the controller chooses the number of pixels between rays in addition to the ray step.
+    pub(crate) fn chooses_image_sample_distance(self) -> bool {
+        self == Self::Hybrid
+    }
+
     /// Returns the controller with this name; `None` for an unknown name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::value_variants().iter().copied().find(|k| k.name() == name)
@@ -129,7 +134,7 @@ pub fn contender(
     Contender {
         name: kind.name().into(),
         session: Session::with_controller(predictor, controller),
-        chooses_image_sample_distance: kind == ControllerKind::Hybrid,
+        chooses_image_sample_distance: kind.chooses_image_sample_distance(),
         acts_on: kind.acts_on(),
     }
 }

@@ -127,7 +127,7 @@ impl Steering for Predicts {
     }
 
     fn chooses_image_sample_distance(&self, name: &str) -> bool {
-        ControllerKind::from_name(name) == Some(ControllerKind::Hybrid)
+        ControllerKind::from_name(name).is_some_and(ControllerKind::chooses_image_sample_distance)
     }
 }
 
