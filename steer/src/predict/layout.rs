@@ -148,9 +148,7 @@ impl InputLayout {
             } else {
                 file.metadata.insert(Key::CachedVoxels.into(), self.cached_voxels.to_string());
             }
-            if ![0, PROBE_SIDE].contains(&self.probe_side) {
-                file.metadata.insert(Key::ProbeSide.into(), self.probe_side.to_string());
-            }
+            store_probe_side(self.probe_side, file);
         }
         Ok(())
     }
@@ -330,6 +328,14 @@ fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
     }
     out.copy_from_slice(values);
     Ok(())
+}
+
+/// States the number of rays along each side of the probe in a model file, unless the model needs no probe (`side` is 0)
+/// or the default one.
+pub(crate) fn store_probe_side(side: usize, file: &mut ModelFile) {
+    if ![0, PROBE_SIDE].contains(&side) {
+        file.metadata.insert(Key::ProbeSide.into(), side.to_string());
+    }
 }
 
 fn stated_probe_side(model: &Model) -> Result<usize> {

@@ -23,6 +23,8 @@ pub use clock::Clock;
 pub(crate) use cost_fit::{COST_SD, CostFit, FitRow};
 pub use entire_core::model::GroupKind;
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
+#[cfg(feature = "calibrate")]
+pub(crate) use layout::store_probe_side;
 pub use layout::{InputLayout, InputValues};
 pub use network::{ModelPredictor, load, load_with};
 pub(crate) use quality::DISTANCE_RATIO;

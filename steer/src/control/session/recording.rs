@@ -2,14 +2,13 @@
 
 use super::{PENDING_PLANS, Session};
 use crate::calibrate::{Calibrated, Calibration, Picture, Shown, table_fingerprint};
-use crate::features::{Changes, PROBE_SIDE, VolumeSummary};
-use crate::predict::COSTS;
+use crate::features::{Changes, VolumeSummary};
+use crate::predict::{COSTS, store_probe_side};
 use alloc::boxed::Box;
-use alloc::string::ToString;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::memory::filled;
-use entire_core::model::{Key, ModelFile};
+use entire_core::model::ModelFile;
 use entire_core::scene::TransferTable;
 
 /// Record of a plan until its frame's time is known.
@@ -133,10 +132,7 @@ impl Session {
         let [renderer, clock] = &self.timing;
         let mut made = recording.calibration.fit([renderer, clock])?;
         // The work of the recorded frames was counted on the rays of this session's probe.
-        let side = self.finest_probe_side();
-        if ![0, PROBE_SIDE].contains(&side) {
-            made.file.metadata.insert(Key::ProbeSide.into(), side.to_string());
-        }
+        store_probe_side(self.finest_probe_side(), &mut made.file);
         Ok(made)
     }
 }
@@ -148,10 +144,11 @@ mod tests {
     use crate::calibrate::HeldOut;
     use crate::calibrate::tests::unit_factor;
     use crate::control::HybridOptions;
-    use crate::features::Setting;
     use crate::features::tests::{cube, lobe_at};
+    use crate::features::{PROBE_SIDE, Setting};
     use crate::predict::{AnalyticModel, UnitCosts, load};
     use entire_core::ErrorKind;
+    use entire_core::model::Key;
     use entire_core::scene::{Arcball, Camera, Frame};
 
     fn frame(i: u32) -> Frame {
