@@ -30,6 +30,8 @@ use indicatif::ProgressBar;
 use measuring::{Measuring, PictureError};
 use pool::Pool;
 use report::Pictures;
+#[cfg(test)]
+use std::path::Path;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -89,6 +91,16 @@ impl Settings {
             seed: 1,
             picture_error: PictureError::default(),
         }
+    }
+
+    /// Writes a volume of `edge`³ bytes into a folder; `value` gives each voxel from its index. Returns the file.
+    pub(crate) fn write_volume(folder: &Path, edge: usize, value: impl Fn(usize) -> u8) -> PathBuf {
+        let path = folder.join("v.nrrd");
+        let header = "NRRD0004\ntype: uint8\ndimension: 3\nencoding: raw\n";
+        let mut bytes = format!("{header}sizes: {edge} {edge} {edge}\n\n").into_bytes();
+        bytes.extend((0..edge.pow(3)).map(value));
+        std::fs::write(&path, bytes).unwrap();
+        path
     }
 }
 
@@ -308,10 +320,7 @@ mod tests {
     #[test]
     fn a_calibration_without_time_for_frames_names_enough_seconds() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("v.nrrd");
-        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 6 6 6\nencoding: raw\n\n".to_vec();
-        bytes.extend(0..216);
-        std::fs::write(&path, bytes).unwrap();
+        let path = Settings::write_volume(folder.path(), 6, |i| i as u8);
         let settings = Settings { seconds: FIT_SECONDS, ..Settings::brief(vec![path]) };
         let threads = entire_io::options::thread_pool(Some(1)).unwrap();
         let mut renderer = ScriptedRenderer::default();

@@ -162,10 +162,7 @@ mod tests {
     #[test]
     fn every_seed_draws_candidates() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("v.nrrd");
-        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 6 6 6\nencoding: raw\n\n".to_vec();
-        bytes.extend(0..216);
-        std::fs::write(&path, bytes).unwrap();
+        let path = Settings::write_volume(folder.path(), 6, |i| i as u8);
         let threads = entire_io::options::thread_pool(Some(1)).unwrap();
         for seed in [0, u64::MAX] {
             let settings = Settings { seed, ..Settings::brief(vec![path.clone()]) };
@@ -178,10 +175,7 @@ mod tests {
     #[test]
     fn candidates_have_the_work_of_the_volume_as_it_is_read() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("v.nrrd");
-        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 16 16 16\nencoding: raw\n\n".to_vec();
-        bytes.extend((0..4096).map(|i| (i % 50) as u8));
-        std::fs::write(&path, bytes).unwrap();
+        let path = Settings::write_volume(folder.path(), 16, |i| (i % 50) as u8);
         let threads = entire_io::options::thread_pool(Some(1)).unwrap();
         let works = |range: Range| {
             let reading = Reading { range, ..Reading::default() };
