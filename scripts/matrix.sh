@@ -16,7 +16,6 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
-root=$PWD
 folders=$(realpath -m "${MATRIX_FOLDERS:-${CARGO_TARGET_DIR:-target}/matrix}")
 out=$(realpath -m "${MATRIX_OUT:-out/matrix}")
 names=("$@") short= install=
@@ -53,13 +52,6 @@ else
 fi
 
 mirror=${MATRIX_MIRROR:-$(mirror)}
-
-# inside FOLDER COMMAND...: runs a command in a folder, with this checkout at /entire and the C library at /sdk, read-only.
-# shellcheck disable=SC2329
-inside() {
-    in_debian "$1" "$root=/entire" "$sdk=/sdk" -- env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin \
-        PYTHONDONTWRITEBYTECODE=1 "${@:2}"
-}
 
 # folder NAME: makes the folder if it is missing, if its list of packages has changed or if MATRIX_FRESH is set. Writes the
 # seconds that this took into its file made-in.
@@ -130,14 +122,14 @@ for name in "${names[@]}"; do
     fi
     rm -rf "$folders/$name/build"
     if [[ $short ]]; then
-        tests "$name" vtk inside "$folders/$name" ENTIRE_SDK=/sdk VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test
+        tests "$name" vtk inside "$folders/$name" "$sdk=/sdk" -- VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test
         continue
     fi
     places+=("$name=$folders/$name=$folders/$name/build/vtk=$folders/$name/build/paraview")
     modules=()
     if [[ -e $folders/$name/opt/python3-paraview/usr ]]; then modules=(PARAVIEW_PYTHON=/opt/python3-paraview); fi
-    tests "$name" vtk inside "$folders/$name" ENTIRE_SDK=/sdk VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test --full
-    tests "$name" paraview inside "$folders/$name" ENTIRE_SDK=/sdk PARAVIEW_OUT=/build/paraview "${modules[@]}" \
+    tests "$name" vtk inside "$folders/$name" "$sdk=/sdk" -- VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test --full
+    tests "$name" paraview inside "$folders/$name" "$sdk=/sdk" -- PARAVIEW_OUT=/build/paraview "${modules[@]}" \
         /entire/plugins/paraview/run.sh test --full
 done
 if ((${#places[@]})); then
