@@ -19,7 +19,8 @@ use entire_io::options::thread_pool;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Folder of the recorded paths for the paper's use case 1, steering (`make steer-traces STEER_OUT=data/steer` records them).
+/// Folder of the recorded paths for the paper's use case 1, steering. `make steer-traces STEER_OUT=data/steer` records
+/// them.
 const RECORDED: &str = "data/steer";
 
 /// Reproduce every table and figure of the paper, beside our results.
@@ -272,8 +273,8 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
         if calibration.exists() && folder.is_dir() { trials::steering_network(work, mode)? } else { None };
     if network.is_none() {
         note(&format!(
-            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces STEER_OUT=data/steer) and the frames of \
-             its network"
+            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces STEER_OUT=data/steer) \
+             and the frames of its network"
         ));
         return Ok(());
     }
