@@ -82,10 +82,8 @@ impl FrameBudget {
     pub fn share(&self, pass: &PassShare, target: f32) -> f32 {
         let left = (target - self.rest()).max(LEAST_SHARE * target);
         let (mut total, mut passes) = (self.full[0], self.passes[0]);
-        let known = if pass.frame == self.frame { pass.before } else { pass.mean };
-        // A pass that was never drawn is assumed to take the mean time of the other passes.
-        let own = if known > 0.0 { known } else { total / passes.max(1) as f32 };
-        if !(pass.frame > 0 && pass.frame.saturating_add(1) >= self.frame) {
+        let own = self.expected_seconds(pass);
+        if self.is_new(pass) {
             total += own;
             passes += 1;
         }
@@ -96,9 +94,26 @@ impl FrameBudget {
         }
     }
 
+    /// True if neither the last frame with passes nor the current frame has drawn the object.
+    fn is_new(&self, pass: &PassShare) -> bool {
+        pass.frame == 0 || pass.frame.saturating_add(1) < self.frame
+    }
+
+    /// Seconds that a pass of the object is expected to take at full quality. An object that was never drawn
+    /// before this frame is assumed to take the mean time of the other passes.
+    fn expected_seconds(&self, pass: &PassShare) -> f32 {
+        let known = if pass.frame == self.frame { pass.before } else { pass.mean };
+        if known > 0.0 { known } else { self.full[0] / self.passes[0].max(1) as f32 }
+    }
+
     /// Adds a pass that took `seconds` and would have taken about `full` seconds at full quality.
     pub fn drew(&mut self, pass: &mut PassShare, seconds: f32, full: f32) {
         if pass.frame != self.frame {
+            if self.is_new(pass) && self.passes[0] > 0 {
+                // A second pass of the object, such as the other eye's, shares the target with the first.
+                self.full[0] += self.expected_seconds(pass);
+                self.passes[0] += 1;
+            }
             (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
         }
         // All passes of this object are counted in the sum with the object's newest mean. The next frame's
@@ -236,6 +251,25 @@ mod tests {
         assert!(near(budget.share(&passes[1].0, 0.050), 0.0225));
         // A third pass, never drawn before, is assumed to take the mean time of the other two.
         assert!(near(budget.share(&PassShare::default(), 0.050), 0.0225));
+    }
+
+    #[test]
+    fn two_eyes_of_a_volume_that_replaces_another_get_half_each() {
+        let mut budget = FrameBudget::default();
+        let mut passes = [(PassShare::default(), 0.1)];
+        for _ in 0..3 {
+            frame(&mut budget, &mut passes, 2.0);
+        }
+        let (mut never_drawn, mut hidden) = (PassShare::default(), passes[0].0);
+        hidden.frame -= 2;
+        for volume in [&mut never_drawn, &mut hidden] {
+            let mut budget = budget;
+            budget.begin(1);
+            for _eye in 0..2 {
+                assert!(near(budget.share(volume, 0.05), 0.0225), "{budget:?}");
+                budget.drew(volume, 0.02, 0.1);
+            }
+        }
     }
 
     #[test]
