@@ -228,6 +228,7 @@ impl App {
         let again = match self.scene.take() {
             Some(scene) if loading.is_none() => Some(Job {
                 source: Some(scene.whole),
+                range: scene.range,
                 crop: scene.crop,
                 curve: Some(self.state.edited.curve.clone()),
                 ..self.job(scene.path, scene.index)
@@ -254,7 +255,7 @@ impl App {
     /// function.
     fn job(&self, path: PathBuf, index: usize) -> Job {
         let (shading, skipping) = (self.state.shading, self.state.skipping);
-        Job { path, index, source: None, crop: None, curve: None, shading, skipping }
+        Job { path, index, source: None, range: None, crop: None, curve: None, shading, skipping }
     }
 
     /// Starts a load; a running load is canceled.

@@ -4,7 +4,7 @@
 use crate::camera::Placement;
 use crate::histogram::Histogram;
 use crate::host::{Host, Progress, Steering, VolumeSource};
-use crate::scene::{Crop, Facts, Scene, part};
+use crate::scene::{Crop, Facts, Scene, Spanned, part};
 use crate::transfer::Curve;
 use anyhow::{Context, Result};
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
@@ -29,6 +29,8 @@ pub(crate) struct Job {
     pub(crate) index: usize,
     /// The volume, if it is in memory.
     pub(crate) source: Option<Arc<dyn VolumeSource>>,
+    /// Range of values that maps to [0, 1], if it is not the file's; `source` already has it.
+    pub(crate) range: Option<(f32, f32)>,
     pub(crate) crop: Option<Crop>,
     /// The initial transfer function; by default a preset for the volume.
     pub(crate) curve: Option<Curve>,
@@ -122,9 +124,12 @@ impl Worker {
     }
 
     fn load(&self, job: Job, begin: Instant) -> Result<Loaded> {
-        let whole = match job.source {
-            Some(source) => source,
-            None => self.host.open(&job.path, &self.progress)?,
+        let whole = match (job.source, job.range) {
+            (Some(source), _) => source,
+            (None, None) => self.host.open(&job.path, &self.progress)?,
+            (None, Some(range)) => {
+                Arc::new(Spanned { whole: self.host.open(&job.path, &self.progress)?, range })
+            }
         };
         self.enter(1)?;
         let facts = Facts::of(&whole.view());
@@ -163,6 +168,7 @@ impl Worker {
             path: job.path,
             index: job.index,
             whole,
+            range: job.range,
             crop: job.crop,
             placement,
             raycaster,

@@ -19,6 +19,8 @@ pub(crate) struct Scene {
     /// Index in a time series.
     pub(crate) index: usize,
     pub(crate) whole: Arc<dyn VolumeSource>,
+    /// Range of values that maps to [0, 1], if it is not the file's.
+    pub(crate) range: Option<(f32, f32)>,
     pub(crate) crop: Option<Crop>,
     pub(crate) placement: Placement,
     pub(crate) raycaster: VulkanRaycaster,
@@ -64,17 +66,10 @@ impl Facts {
     }
 }
 
-/// A volume whose voxels' own range maps to [0, 1].
+/// A volume with another range of values that maps to [0, 1].
 pub(crate) struct Spanned {
-    whole: Arc<dyn VolumeSource>,
-    range: (f32, f32),
-}
-
-impl Spanned {
-    pub(crate) fn new(whole: Arc<dyn VolumeSource>) -> Self {
-        let range = whole.view().own_range();
-        Self { whole, range }
-    }
+    pub(crate) whole: Arc<dyn VolumeSource>,
+    pub(crate) range: (f32, f32),
 }
 
 impl VolumeSource for Spanned {

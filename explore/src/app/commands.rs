@@ -98,6 +98,7 @@ impl App {
         let all = scene.facts.dims.map(|n| [0, n - 1]);
         self.start(Job {
             source: Some(scene.whole.clone()),
+            range: scene.range,
             crop: crop.filter(|c| *c != all),
             curve: Some(self.state.edited.curve.clone()),
             ..self.job(scene.path.clone(), scene.index)
@@ -107,8 +108,10 @@ impl App {
     /// Maps the voxels' own range to [0, 1]. The transfer function becomes a preset for this range.
     fn span_data(&mut self) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
+        let range = scene.facts.own_range;
         self.start(Job {
-            source: Some(Arc::new(Spanned::new(scene.whole.clone()))),
+            source: Some(Arc::new(Spanned { whole: scene.whole.clone(), range })),
+            range: Some(range),
             crop: scene.crop,
             ..self.job(scene.path.clone(), scene.index)
         })

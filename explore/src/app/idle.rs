@@ -209,10 +209,11 @@ impl App {
         Ok(())
     }
 
-    /// Loads a volume of the series; the transfer function stays.
+    /// Loads a volume of the series; the transfer function stays, and so does a range set by "Span the data".
     pub(super) fn load_step(&mut self, index: usize) -> Result<()> {
         let Some(path) = self.state.series.get(index).cloned() else { return Ok(()) };
         let curve = self.scene.is_some().then(|| self.state.edited.curve.clone());
-        self.start(Job { crop: self.state.crop, curve, ..self.job(path, index) })
+        let range = self.scene.as_ref().and_then(|scene| scene.range);
+        self.start(Job { range, crop: self.state.crop, curve, ..self.job(path, index) })
     }
 }
