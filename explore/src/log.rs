@@ -92,9 +92,9 @@ impl Log {
 
 /// Resident memory of this process, bytes; 0 if the system does not report it.
 fn resident_bytes() -> u64 {
-    let pages = std::fs::read_to_string("/proc/self/statm").ok();
-    let pages = pages.and_then(|t| t.split_whitespace().nth(1)?.parse::<u64>().ok());
-    pages.unwrap_or(0) * 4096
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let kilobytes = status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.split_whitespace().next());
+    kilobytes.and_then(|n| n.parse::<u64>().ok()).unwrap_or(0) * 1024
 }
 
 /// Processor time of the calling thread, seconds; 0 if the system does not report it.
