@@ -184,6 +184,16 @@ fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
 }
 
 #[test]
+fn narrow_limits_do_not_allow_a_finest_step_without_a_bound() {
+    let mut hybrid = fitted(1.0);
+    let cost = |step: f32| CostTerms::whole(0.019 / step, 0.0, Source::Analytic);
+    let first = Changes { first: true, ..Changes::default() };
+    let (plan, _) = planned(&mut hybrid, (0.02, 2.0), first, cost);
+    assert_eq!(plan.reason, Reason::Fits);
+    assert!((plan.step - 2.0f32.sqrt()).abs() < 1e-4, "{plan:?}");
+}
+
+#[test]
 fn state_survives_saving_and_damaged_state_is_refused() {
     let make = || Hybrid::new(HybridOptions::default());
     let mut hybrid = make();
