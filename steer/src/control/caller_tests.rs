@@ -67,6 +67,28 @@ fn a_withdrawn_plan_leaves_no_trace() {
     assert_eq!(std::format!("{:?}", session.plan(&f, 0.02).unwrap()), expected);
 }
 
+#[test]
+fn a_plan_withdrawn_after_an_earlier_frame_was_observed_leaves_no_trace() {
+    let f = frame(20.0, 30.0, 2.0);
+    let small = Frame { width: 256, height: 256, ..f };
+    let play = |withdraws: bool| {
+        let mut session = ready_session();
+        for _ in 0..5 {
+            let plan = session.plan(&f, 0.02).unwrap();
+            session.observe(plan.id, 0.03, ObserveFlags::default()).unwrap();
+        }
+        let drawn = session.plan(&f, 0.02).unwrap();
+        let withdrawn = withdraws.then(|| session.plan(&small, 0.02).unwrap());
+        session.observe(drawn.id, 0.03, ObserveFlags::default()).unwrap();
+        withdrawn.iter().for_each(|plan| session.withdraw(plan.id));
+        let next = session.plan(&f, 0.02).unwrap();
+        (next.step, next.seconds, session.controller.scene())
+    };
+    let (step, seconds, scene) = play(true);
+    let expected = play(false);
+    assert_eq!((step, seconds, scene.first), (expected.0, expected.1, expected.2.first));
+}
+
 /// Predicts a time in proportion to the image's height, and does not depend on the step.
 struct ByHeight;
 

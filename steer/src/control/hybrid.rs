@@ -348,7 +348,8 @@ impl Hybrid {
         };
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
         let last = self.last.map(|last| last.step);
-        let mut step = match Self::finest(limits, last, excess) {
+        let bounded = Self::finest(limits, last, excess);
+        let mut step = match bounded {
             Some(step) => step,
             // No step has a bound that fits. If some steps are expected to fit, the geometric mean of the
             // finest of these steps and the coarsest step is chosen.
@@ -362,7 +363,8 @@ impl Hybrid {
         };
         let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
         if reason == Reason::Fits
-            && (step <= limits.finest || (nearly() && judge(limits.finest).choice <= target))
+            && (step <= limits.finest
+                || (bounded.is_some() && nearly() && judge(limits.finest).choice <= target))
         {
             step = limits.finest;
             reason = Reason::FinestAllowed;
@@ -401,6 +403,15 @@ impl Hybrid {
             }
         }
         (step, reason)
+    }
+}
+
+/// Returns the standing of an observed frame with respect to the present scene.
+fn standing(observed: SceneMark, present: SceneMark) -> Standing {
+    match observed {
+        SceneMark { number, .. } if number != present.number => Standing::Past,
+        SceneMark { first: true, .. } => Standing::First,
+        _ => Standing::Same,
     }
 }
 
@@ -449,14 +460,15 @@ impl Controller for Hybrid {
         if observed.unusual {
             return Verdict::Ignored;
         }
-        self.before = None;
         let seconds = f64::from(observed.seconds);
-        let standing = match observed.scene {
-            SceneMark { number, .. } if number != self.scene.number => Standing::Past,
-            SceneMark { first: true, .. } => Standing::First,
-            _ => Standing::Same,
-        };
         let trust = if observed.changes.first { FIRST_TRUST } else { 1.0 };
+        if let Some(before) = &mut self.before {
+            // The state for a withdrawal learns too: the newest plan can be withdrawn after an earlier frame was
+            // observed.
+            let standing = standing(observed.scene, before.scene);
+            before.correction.observe(&observed.terms, seconds, standing, trust);
+        }
+        let standing = standing(observed.scene, self.scene);
         let corrected = self.correction.apply(&observed.terms).seconds;
         let error = self.correction.observe(&observed.terms, seconds, standing, trust);
         let changed = observed.changes.any() && observed.scene.first;
@@ -509,14 +521,7 @@ impl Controller for Hybrid {
     fn withdraw(&mut self) {
         if let Some(Before { correction, last, announced, scene }) = self.before.take() {
             (self.correction, self.last, self.announced, self.scene) = (correction, last, announced, scene);
-            return;
         }
-        // An earlier frame was observed since this one began.
-        if self.scene.first {
-            // The scene begins with the next frame.
-            self.last = None;
-        }
-        self.announced = false;
     }
 
     fn scene(&self) -> SceneMark {
