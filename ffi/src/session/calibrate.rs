@@ -40,7 +40,7 @@ pub struct entire_calibration_report {
     /// Median of |predicted / measured - 1| over held-out frames.
     pub median_error: f64,
     /// Root mean square error in seconds over held-out frames, divided by the standard deviation of their
-    /// times.
+    /// times; NaN if all of these times are equal.
     pub rmse_over_sd: f64,
     /// Upper bound divided by prediction: 19 of 20 frames take no longer than this bound.
     pub upper_factor: f64,
@@ -182,8 +182,8 @@ pub unsafe extern "C" fn entire_session_recorded_count(
 }
 
 /// Replaces the session's model, keeping the options that the session was made with. Observations are
-/// forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
-/// set the volume again. The session holds a reference to the model.
+/// forgotten; volume, transfer function and limits stay, and so do recorded frames unless the model needs
+/// another number of probe rays. If the model takes volume features, set the volume again. The session holds a reference to the model.
 ///
 /// Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an
 /// input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),

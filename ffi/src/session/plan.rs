@@ -71,8 +71,8 @@ pub struct entire_plan {
     /// Ray step to draw with, in multiples of the reference step.
     pub step: f32,
     /// Distance of neighboring rays in pixels of the frame, along each side of the image: divide the frame's
-    /// width and height by this, rounded down. 1 unless entire_session_set_max_image_sample_distance allows
-    /// more.
+    /// width and height by this, rounded down, but at least 1. The number is 1 unless
+    /// entire_session_set_max_image_sample_distance allows more.
     pub image_sample_distance: f32,
     /// Expected seconds: finite and positive, or NaN where ENTIRE_ABSENT_SECONDS says so.
     pub seconds: f32,

@@ -39,7 +39,7 @@ pub struct Plan {
     /// Ray step in multiples of the reference step.
     pub step: f32,
     /// Distance of neighboring rays along each side, in pixels of the frame: the image is drawn with the
-    /// frame's sides divided by this number, rounded down. 1 unless
+    /// frame's sides divided by this number, rounded down, but at least 1. The number is 1 unless
     /// [`Session::set_max_image_sample_distance`] allows more.
     pub image_sample_distance: f32,
     /// Expected seconds; NaN if the controller predicts no time.
@@ -257,8 +257,8 @@ impl Session {
             }
             (kept, _) => *kept = fresh,
         }
-        if let Some(recording) = &mut self.recording {
-            recording.set_transfer(table);
+        if let (Some(recording), Some(transfer)) = (&mut self.recording, &self.transfer) {
+            recording.set_transfer(transfer);
         }
         self.changes.transfer = true;
         Ok(())

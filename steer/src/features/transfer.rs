@@ -3,6 +3,8 @@
 use super::VolumeSummary;
 use super::classify::{Visible, classify, classify_blocks};
 use super::interior::Interior;
+#[cfg(feature = "calibrate")]
+use crate::memory::mixed;
 use crate::memory::{fit, longer};
 use alloc::vec::Vec;
 use entire_core::Result;
@@ -303,6 +305,13 @@ impl TransferSummary {
     #[inline(always)]
     pub(super) fn occupied_shares(&self) -> &[f32] {
         &self.occupied
+    }
+
+    /// Hash of the table's opacities; tables with different opacities are very unlikely to collide.
+    #[cfg(feature = "calibrate")]
+    pub(crate) fn fingerprint(&self) -> u64 {
+        let unit = u64::from(self.unit_distance.to_bits());
+        self.entries.iter().fold(unit, |sum, [alpha, _]| mixed(sum, u64::from(alpha.to_bits())))
     }
 
     /// Number of cells.

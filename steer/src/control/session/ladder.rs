@@ -89,7 +89,8 @@ impl Session {
     /// coarsest step does not. While the view has hardly turned since rays were cast, plans reuse the rays'
     /// results and recompute only the volume's place in the image. So `side` bounds the time of a plan, and
     /// most plans take less. [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the
-    /// last probe. [`Session::predict`] and [`Session::choose`] use the finest probe, and so do plans while
+    /// last probe. Recorded frames of a finest probe with another number of rays are dropped.
+    /// [`Session::predict`] and [`Session::choose`] use the finest probe, and so do plans while
     /// frames are recorded ([`Session::record`]).
     ///
     /// # Errors
@@ -125,6 +126,11 @@ impl Session {
         self.ladder = asked.and_then(|(finest, tolerance)| Some(Ladder { finest, tolerance: tolerance? }));
         if side != self.features.probe_side() {
             self.features = FrameFeatures::with_probe_side(side);
+        }
+        #[cfg(feature = "calibrate")]
+        {
+            let finest = self.finest_probe_side();
+            self.recording.iter_mut().for_each(|recording| recording.set_probe_side(finest));
         }
     }
 

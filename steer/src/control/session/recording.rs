@@ -1,15 +1,14 @@
 //! Records a session's planned and observed frames, to fit a model to them.
 
 use super::{PENDING_PLANS, Session};
-use crate::calibrate::{Calibrated, Calibration, Picture, Shown, table_fingerprint};
-use crate::features::{Changes, VolumeSummary};
+use crate::calibrate::{Calibrated, Calibration, Picture, Shown};
+use crate::features::{Changes, TransferSummary, VolumeSummary};
 use crate::predict::{COSTS, store_probe_side};
 use alloc::boxed::Box;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::memory::filled;
 use entire_core::model::ModelFile;
-use entire_core::scene::TransferTable;
 
 /// Record of a plan until its frame's time is known.
 #[derive(Clone, Copy)]
@@ -26,6 +25,8 @@ pub(super) struct Recording {
     planned: Box<[Planned]>,
     /// Volume and transfer function of the present frames.
     shown: Shown,
+    /// Number of rays along each side of the probe with which the frames are measured.
+    probe_side: usize,
 }
 
 impl Recording {
@@ -45,8 +46,17 @@ impl Recording {
     }
 
     /// Sets the present transfer function.
-    pub(super) fn set_transfer(&mut self, table: &TransferTable) {
-        self.shown.transfer = table_fingerprint(table);
+    pub(super) fn set_transfer(&mut self, transfer: &TransferSummary) {
+        self.shown.transfer = transfer.fingerprint();
+    }
+
+    /// Sets the number of rays along each side of the probe. If it changes, drops all recorded frames and
+    /// pictures.
+    pub(super) fn set_probe_side(&mut self, side: usize) {
+        if side != self.probe_side {
+            self.clear();
+            self.probe_side = side;
+        }
     }
 
     /// Stores the work of a planned frame. The first frames of the session and of a volume are not stored, since
@@ -91,8 +101,9 @@ impl Session {
             planned: filled(PENDING_PLANS, nothing)?.into_boxed_slice(),
             shown: Shown {
                 volume: self.volume.as_ref().map_or(0, VolumeSummary::fingerprint),
-                transfer: self.transfer.as_ref().map_or(0, |_| u64::MAX),
+                transfer: self.transfer.as_ref().map_or(0, TransferSummary::fingerprint),
             },
+            probe_side: self.finest_probe_side(),
             calibration,
         });
         Ok(())
@@ -131,8 +142,7 @@ impl Session {
         };
         let [renderer, clock] = &self.timing;
         let mut made = recording.calibration.fit([renderer, clock])?;
-        // The work of the recorded frames was counted on the rays of this session's probe.
-        store_probe_side(self.finest_probe_side(), &mut made.file);
+        store_probe_side(recording.probe_side, &mut made.file);
         Ok(made)
     }
 }
@@ -285,6 +295,29 @@ mod tests {
             assert_eq!(model.metadata.get(Key::ProbeSide.name()).map(String::as_str), stated.map(|_| "4"));
             assert_eq!(load(&model).unwrap().probe_side(), stated.unwrap_or(PROBE_SIDE));
         }
+    }
+
+    #[test]
+    fn frames_of_another_probe_are_dropped() {
+        let mut session = recording();
+        play(&mut session, 0..10);
+        let network = load(&unit_factor(5).to_model().unwrap()).unwrap();
+        session.set_predictor(network, HybridOptions::default());
+        assert_eq!(session.recorded(), Some(0));
+        play(&mut session, 0..40);
+        let model = session.calibrate().unwrap().file.to_model().unwrap();
+        assert_eq!(model.metadata[Key::ProbeSide.name()], "5");
+    }
+
+    #[test]
+    fn a_transfer_function_that_was_shown_before_the_recording_is_recognized() {
+        let mut session = recording();
+        for center in [0.3, 0.6, 0.3] {
+            session.set_transfer(&lobe_at(center), None).unwrap();
+            play(&mut session, 0..30);
+        }
+        // Two transfer functions are too few groups.
+        assert_eq!(session.calibrate().unwrap().held_out, HeldOut::Stretches);
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Replacement for the recording of frames in builds without the feature `calibrate`, which record nothing.
 
-use crate::features::{Changes, VolumeSummary};
+use crate::features::{Changes, TransferSummary, VolumeSummary};
 use crate::predict::COSTS;
-use entire_core::scene::TransferTable;
 
 /// Type without values: a session without the feature `calibrate` never holds a recording.
 pub(super) enum Recording {}
@@ -21,7 +20,7 @@ macro_rules! methods {
 methods! {
     clear();
     set_volume(&VolumeSummary);
-    set_transfer(&TransferTable);
+    set_transfer(&TransferSummary);
     plan(u64, &[f64; COSTS], Changes);
     observe(u64, f32);
 }
