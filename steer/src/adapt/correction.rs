@@ -536,9 +536,11 @@ impl Correction {
         self.spread = r.f64(SPREAD.0, SPREAD.1)?;
         self.spread_of_all = r.f64(SPREAD.0, SPREAD.1)?;
         self.change = r.f64(CHANGE.0, CHANGE.1)?;
-        self.load = r.f64(-STATE_LIMIT, STATE_LIMIT)?;
-        self.loaded = r.u64()?;
-        self.off = r.f64(-SURE as f64, SURE as f64)? as i64;
+        // The load of the machine when the state was saved is no property of later frames.
+        r.f64(-STATE_LIMIT, STATE_LIMIT)?;
+        r.u64()?;
+        r.f64(-SURE as f64, SURE as f64)?;
+        (self.load, self.loaded, self.off) = (0.0, 0, 0);
         self.observations = r.u64()?;
         self.age = r.u64()?;
         self.tidy();

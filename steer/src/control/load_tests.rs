@@ -49,6 +49,30 @@ fn one_slow_frame_changes_nothing_and_a_burst_is_followed_and_forgotten() {
 }
 
 #[test]
+fn a_saved_state_holds_no_load() {
+    let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
+    let (mut hybrid, mut noise) = (fitted(0.15), Noise(17));
+    let mut play = |hybrid: &mut Hybrid, first: bool, slowed: f32| {
+        let changes = Changes { first, ..Changes::default() };
+        let (plan, seen) = planned(hybrid, (0.02, 32.0), changes, cost);
+        let seconds = slowed * seen.seconds * (0.02 * noise.normal()).exp() as f32;
+        hybrid.observe(&Observed { seconds, ..seen });
+        plan.step
+    };
+    let calm = (0..60).map(|i| play(&mut hybrid, i == 0, 1.0)).last().unwrap();
+    (0..4).for_each(|_| {
+        play(&mut hybrid, false, 2.0);
+    });
+    assert!(play(&mut hybrid, false, 2.0) > 1.6 * calm);
+    let mut bytes = Vec::new();
+    hybrid.save(&mut bytes);
+    let mut later = fitted(0.15);
+    later.load(&bytes).unwrap();
+    assert!(play(&mut later, true, 1.0) < 1.3 * calm);
+    assert!(play(&mut later, false, 1.0) < 1.3 * calm);
+}
+
+#[test]
 fn an_ignored_load_changes_no_step_until_it_is_the_machines_speed() {
     let options = HybridOptions { ignore_load: true, ..HybridOptions::default() };
     let calm = |_| Changes::default();
