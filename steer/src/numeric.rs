@@ -70,7 +70,7 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// RMSE of (predicted, measured) pairs, divided by the standard deviation of the measured values; `None`
-/// without pairs.
+/// without pairs, or if all measured values are equal.
 #[cfg(feature = "calibrate")]
 pub(crate) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.is_empty() {
@@ -80,7 +80,7 @@ pub(crate) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
     let mean = pairs.iter().map(|p| p.1).sum::<f64>() / n;
     let variance = pairs.iter().map(|(_, t)| (t - mean) * (t - mean)).sum::<f64>() / n;
     let square = pairs.iter().map(|(p, t)| (p - t) * (p - t)).sum::<f64>() / n;
-    Some(libm::sqrt(square / variance))
+    (variance > 0.0).then(|| libm::sqrt(square / variance))
 }
 
 /// A deterministic source of noise for tests.

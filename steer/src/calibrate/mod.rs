@@ -92,7 +92,7 @@ pub struct Calibrated {
     /// Median of |predicted / measured − 1| over held-out frames.
     pub median_error: f64,
     /// Root mean square error of the seconds of held-out frames, divided by the standard deviation of these
-    /// seconds.
+    /// seconds; NaN if all of these seconds are equal.
     pub rmse_over_sd: f64,
     /// Upper bound from the held-out frames.
     pub upper: UpperBound,

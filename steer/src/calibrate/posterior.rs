@@ -149,7 +149,9 @@ impl PriorModel {
             let chosen = self.fit_from(&prior, frames, &mut prepared, (&folds, count))?;
             // Both errors count equally: their geometric mean decides.
             let (median, rmse_over_sd) = chosen.errors(frames);
-            Ok((libm::sqrt(median * rmse_over_sd), prior, chosen))
+            // If all times are equal, RMSE/SD is not finite, and the median error decides.
+            let other = if rmse_over_sd.is_finite() { rmse_over_sd } else { median };
+            Ok((libm::sqrt(median * other), prior, chosen))
         };
         let mut best = fit(with_unknown(&self.costs, first))?;
         if count > 0 {

@@ -129,6 +129,14 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
 }
 
 #[test]
+fn equal_times_are_judged_by_the_median_error() {
+    let frames: Vec<Observed> = (0..60).map(|i| observed(i, work(i), 0.015_625)).collect();
+    let chosen = PriorModel::default().choose(&frames, &UnitCosts::OF_UNKNOWN).unwrap();
+    let (median, rmse_over_sd) = chosen.errors(&frames);
+    assert!(median.is_finite() && rmse_over_sd.is_nan(), "{median} {rmse_over_sd}");
+}
+
+#[test]
 fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
     let prior = PriorModel::default();
     // Frames touch 0.1 to 60 million voxels. The time of reads that wait varies independently of the number of samples.
