@@ -67,8 +67,8 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 }
 
 /// Assigns tasks by longest processing time first (Graham 1969): takes the tasks in descending order of time,
-/// and assigns each to the node that would finish it first. Tasks of equal time on nodes of equal speed are
-/// assigned round-robin.
+/// and assigns each to the node that would finish it first; of several such nodes, to one with the fewest
+/// tasks. Tasks of equal time on nodes of equal speed are assigned round-robin.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for no node or more than [`MAX_NODES`], for a speed that is not
@@ -77,11 +77,14 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
     let mut loads = filled(speeds.len(), 0.0f64)?;
+    let mut counts = filled(speeds.len(), 0usize)?;
     let mut node_of = filled(times.len(), 0)?;
     for task in longest_first(times)? {
         let done = |n: usize| loads[n] + times[task] / speeds[n];
-        let node = (0..speeds.len()).min_by(|&a, &b| done(a).total_cmp(&done(b))).unwrap_or(0);
+        let order = |a: usize, b: usize| done(a).total_cmp(&done(b)).then(counts[a].cmp(&counts[b]));
+        let node = (0..speeds.len()).min_by(|&a, &b| order(a, b)).unwrap_or(0);
         loads[node] = done(node);
+        counts[node] += 1;
         node_of[task] = node;
     }
     Ok(Assignment { node_of, nodes: speeds.len() })

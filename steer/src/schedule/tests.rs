@@ -37,10 +37,13 @@ fn grahams_worst_case_is_met_exactly() {
 
 #[test]
 fn equal_times_are_dealt_out_in_turn() {
-    let a = assign_longest_first(&[1.0; 10], &ones(4)).unwrap();
-    let mut counts = [0; 4];
-    a.node_of.iter().for_each(|&n| counts[n] += 1);
-    assert_eq!(counts, [3, 3, 2, 2]);
+    // Nodes are also taken in turn if the tasks take no time.
+    for seconds in [1.0, 0.0] {
+        let a = assign_longest_first(&[seconds; 10], &ones(4)).unwrap();
+        let mut counts = [0; 4];
+        a.node_of.iter().for_each(|&n| counts[n] += 1);
+        assert_eq!(counts, [3, 3, 2, 2]);
+    }
 }
 
 #[test]
