@@ -47,16 +47,26 @@ fn packets_of_rays_find_what_single_rays_find_on_every_level() {
 #[test]
 fn cells_are_classified_alike_by_ranges_and_by_lookup() {
     let data = noise(40 * 24 * 24, 3);
-    for cells in [48, 2] {
+    for (cells, single) in [(48, true), (2, false)] {
         let s = summary(&data, [40, 24, 24], cells);
+        assert_eq!(s.blocks().is_none(), single);
         // One run of visible entries, several runs, and more runs than are compared one by one.
         for period in [256usize, 64, 16, 2] {
             let table = table(|i| if i % period == period / 2 { 0.3 } else { 0.0 });
             let t = TransferSummary::new(&s, &table).unwrap();
-            for (cell, (&low, &high)) in s.low.iter().zip(&s.high).enumerate().filter(|_| s.block == s.edge) {
-                let full = (low..=high).any(|i| table.is_visible(usize::from(i)));
-                assert_eq!(t.is_occupied(cell), full, "{period} {cell}");
+            let shows = |low: u8, high: u8| (low..=high).any(|i| table.is_visible(usize::from(i)));
+            let mut shares = 0.0;
+            for cell in 0..s.low.len() {
+                let share = s.blocks().map_or(f64::from(shows(s.low[cell], s.high[cell])), |blocks| {
+                    let of_cell = blocks.first[cell] as usize..blocks.first[cell + 1] as usize;
+                    let shown = of_cell.clone().filter(|&b| shows(blocks.low[b], blocks.high[b])).count();
+                    shown as f64 / of_cell.len() as f64
+                });
+                assert_eq!(t.is_occupied(cell), share > 0.0, "{period} {cell}");
+                shares += share;
             }
+            let mean = shares / s.low.len() as f64;
+            assert!((f64::from(t.occupied_share) - mean).abs() < 1e-6, "{period}: {mean}");
         }
     }
 }
