@@ -282,13 +282,13 @@ pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64
 
 /// Columns of the table of controllers: key of a score, its title, and true if it is a share.
 const COLUMNS: [(&str, &str, bool); 7] = [
-    (ALL_FRAMES, "mean distance from the target", true),
+    (ALL_FRAMES, "mean error", true),
     ("all missed", "frames over 1.1 × target", true),
-    ("all quality", "oracle's step over the step", true),
-    ("calm deviation", "calm phases: distance", true),
-    (FIRST_FRAMES, "first frames after a change: distance", true),
-    ("psnr_loss", "PSNR below the oracle's, dB", false),
-    ("worst", "slowest frame over target", false),
+    ("all quality", "quality", true),
+    ("calm deviation", "mean error in calm phases", true),
+    (FIRST_FRAMES, "mean error in first frames after a change", true),
+    ("psnr_loss", "oracle's PSNR minus the controller's, dB", false),
+    ("worst", "slowest frame / target", false),
 ];
 
 /// Key of the score that is 1 if the controller acted on image resolution, and 0 if it acted on the step.
@@ -303,8 +303,10 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         for f in &r.facts {
             let kind = ControllerKind::from_name(&f.name);
             let title = match f.name.as_str() {
-                OURS => "entire, fitted to calibration frames",
-                name if name == ControllerKind::Hybrid.name() => "hybrid, the paper's network",
+                OURS => "entire's controller with entire's predictor",
+                name if name == ControllerKind::Hybrid.name() => {
+                    "entire's controller with the paper's network"
+                }
                 name if name == ControllerKind::Algorithm1.name() => "Algorithm 1 with the paper's network",
                 name => kind.map_or(name, |k| k.title()),
             };
@@ -321,8 +323,9 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         }
         let paths = r.frames.get("paths").map_or(0, |f| f[2]);
         let caption = format!(
-            "All controllers on {paths} recorded paths of {}, with four targets. The oracle knows the time of every \
-             step.",
+            "All controllers play {paths} recorded paths of {} with up to four targets. The quality is the \
+             oracle's step (or reduction of the image) divided by that of the controller. The oracle knows \
+             the time of every step.",
             r.set
         );
         s.tables.push((table, caption));
@@ -334,13 +337,13 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
                 drawn = drawn.series(Series::new(&c.name, Mark::Line(c.points.clone())).color(color));
             }
             if !shown.is_empty() {
-                s.charts.push((drawn, format!("One path, frame by frame: {axis}.")));
+                s.charts.push((drawn, "The chart shows one of the paths, frame by frame.".into()));
             }
         }
         s.pictures.extend(
             r.pictures
                 .iter()
-                .map(|(file, caption)| (file.clone(), caption.trim_start_matches("control: ").to_owned())),
+                .map(|(file, caption)| (file.clone(), caption.replacen("control: frame", "Frame", 1))),
         );
         s.summary = format!("{} controllers on {paths} paths", r.facts.len());
     }
@@ -360,7 +363,9 @@ pub(super) fn response_section(of: &[&Results], s: &mut Section) {
             drawn = drawn.series(Series::new(name, Mark::Line(c.points.clone())).color(usize::from(!own)));
         }
         if !shown.is_empty() {
-            s.charts.push((drawn, "One line per scene, and G, the median of the scenes.".into()));
+            let what = "Each line has the times of one scene at different steps, divided by the time of this \
+                        scene at the reference step. G is the median of the scenes.";
+            s.charts.push((drawn, what.into()));
             s.summary = format!("{} curves", shown.len() - 1);
         }
     }

@@ -84,9 +84,9 @@ pub(super) fn in_brackets(interval: Option<(f64, f64)>) -> String {
 /// Explanation of the brackets beside ratios.
 pub(super) fn sentence() -> String {
     format!(
-        "Brackets beside a ratio contain its {:.0} % bootstrap interval: test volumes are drawn {DRAWS} times with \
-         replacement (seed {SEED}). `(not kept)`: no interval, because the results do not contain the \
-         errors of at least two volumes separately.",
+        "Brackets beside a ratio of errors contain its {:.0} % bootstrap interval: the test volumes are \
+         drawn {DRAWS} times with replacement (seed {SEED}). A ratio has no brackets if the results lack the \
+         errors of single volumes.",
         100.0 * LEVEL
     )
 }

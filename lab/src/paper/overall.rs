@@ -1,7 +1,7 @@
 //! Errors of the network, our predictor and the baselines for every data set and mode, with test volumes by the
 //! paper's rule and by the other split.
 
-use super::description::{BY_MODALITY, BY_VOLUMES, Paper, Rule};
+use super::description::{BY_VOLUMES, Paper, Rule};
 use super::interval;
 use super::judge::{NETWORK, OURS};
 use super::results::{CONSTANT, LVRP, Results, Row, box_of};
@@ -10,7 +10,7 @@ use super::volumes::in_words;
 use entire_report::{Axis, Chart, Mark, Series, Table};
 
 /// The paper's rule for test volumes, for captions.
-const RULE: &str = "random volumes of MAESTROeX, left-out ensemble members of Nyx and Castro";
+const RULE: &str = "random volumes of MAESTROeX, and a left-out ensemble member each of Nyx and Castro";
 
 /// Adds the tables and the chart of prediction errors by data set and renderer.
 pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
@@ -20,40 +20,39 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
         return;
     }
     s.summary = parts.join("; ");
-    s.tables.push((headline, format!("Test volumes by the paper's rule: {RULE}. {}", interval::sentence())));
+    s.tables.push((headline, format!("The test volumes follow the paper's rule: {RULE}.")));
     let mut others = Vec::new();
     let other = table(paper, of, Rule::other, &mut others);
     if !others.is_empty() {
-        let what = "The other split of each data set, on which the paper does not test";
-        s.tables.push((
-            other,
-            format!("{what}: random volumes of Nyx and Castro, a left-out member of MAESTROeX."),
-        ));
+        let what = "The test volumes follow the other split of each data set, on which the paper does not \
+                    test: random volumes of Nyx and Castro, and a left-out member of MAESTROeX.";
+        s.tables.push((other, what.into()));
     }
     for set in paper.data_sets.iter().filter(|d| !d.only_tests) {
         for mode in &set.modes {
             if !of.iter().any(|r| r.set == set.name && r.mode == *mode) {
                 s.notes.push(format!(
-                    "{}: not measured. `entire-lab paper collect --data DATA --data-sets {} --modes {mode}`, then \
-                     the command above.",
+                    "Not measured: {}. The command `entire-lab paper collect --data DATA --data-sets {} \
+                     --modes {mode}` collects its frames.",
                     title_of(paper, &set.name, mode),
                     set.name
                 ));
             }
         }
     }
-    for r in of {
-        if r.rows.iter().any(|x| x.split != BY_VOLUMES) {
-            s.tables.push((
-                errors_table(r),
-                format!(
-                    "{}. The test frames are of random volumes, of a left-out member, or of scans (split \
-                     {BY_MODALITY}). {}; in the other splits, it is the shipped encoder.",
-                    title(paper, r),
-                    r.encoder
-                ),
-            ));
+    // The encoder is stated once for neighboring tables with the same encoder.
+    let mut stated = "";
+    for r in of.iter().filter(|r| r.rows.iter().any(|x| x.split != BY_VOLUMES)) {
+        let mut caption = format!("{}: errors by split.", title(paper, r));
+        if r.encoder != stated {
+            caption += &format!(
+                " {}. In the other split, the network uses the shipped encoder. Scans are predicted by the \
+                 models of the split by random volumes.",
+                r.encoder
+            );
+            stated = r.encoder.as_str();
         }
+        s.tables.push((errors_table(r), caption));
     }
     let mut chart = Chart::new(
         "Accuracy against latency, test volumes by the paper's rule",
@@ -73,16 +72,19 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
             chart = chart.series(Series::new(name, Mark::Points(points)).color(i));
         }
     }
-    s.charts.push((chart, "Points further down and left are better.".into()));
+    let what = "Points further down have a smaller error, and points further left a shorter prediction time.";
+    s.charts.push((chart, what.into()));
 }
 
 /// Returns a table with a row for every data set and mode that has the split, and appends the ratios of each
 /// row in words to `parts`.
 fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
     let mut table = Table::headed(
-        "data set, renderer | tested on | #training frames | #test frames | #network, RMSE s | \
-         #SD over runs (runs) | #ms | #mean of 15 %, s | #LVRP, s | #LVRP, ms | #ours, s | \
-         #SD over runs (runs) | #ms | #network/mean | #network/LVRP | #ours/network",
+        "data set, renderer | tested on | #training frames | #test frames | #network: RMSE, s | \
+         #network: SD of the RMSE over runs, s (runs) | #network: time of a prediction, ms | \
+         #mean of 15 %: RMSE, s | #LVRP: RMSE, s | #LVRP: time of a frame, ms | #ours: RMSE, s | \
+         #ours: SD of the RMSE over runs, s | #ours: time of a prediction, ms | \
+         #RMSE: network / mean of 15 % | #RMSE: network / LVRP | #RMSE: ours / network",
     );
     for r in of {
         let split = split(paper.rule(&r.set)).split();
@@ -135,7 +137,7 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((
         Chart::new("Rendering times", axis(), Axis::log("seconds"))
             .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(times)).color(0)),
-        "Times of all frames.".into(),
+        "Each box shows the percentiles of the frame times of a data set and renderer.".into(),
     ));
     let mut chart = Chart::new("Squared errors", axis(), Axis::log("seconds squared"));
     for (k, name) in [NETWORK, OURS].into_iter().enumerate() {
@@ -146,6 +148,7 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
             .collect();
         chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
     }
-    s.charts.push((chart, format!("Test frames by the paper's rule ({RULE}), all runs.")));
+    let what = "Each box shows the percentiles of the squared errors of all runs";
+    s.charts.push((chart, format!("{what}. The test volumes follow the paper's rule: {RULE}.")));
     s.summary = format!("{} distributions of times and squared errors", shown.len());
 }

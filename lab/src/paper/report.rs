@@ -2,6 +2,7 @@
 
 use super::bars::bars;
 use super::description::{Label, Paper};
+use super::interval;
 use super::material::Material;
 use super::section::Section;
 use super::sections::{section, trials};
@@ -20,14 +21,14 @@ use std::time::Instant;
 /// begun.
 pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -> Result<Vec<Bar>> {
     make_folder(out)?;
-    let mut page = Page::new(
-        paper.title.as_str(),
-        "Every table and figure of the paper beside ours, by the paper's protocol: its rule for test volumes, its frames \
-         per volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
-         differ from the paper's: compare ratios, not seconds (errors divided by the standard deviation of the times, \
-         by the errors of the mean of 15 % of the frames, by the errors of the low-resolution proxy). Where nothing \
-         was measured, the report names the command that measures it.",
+    let lead = format!(
+        "Every table and figure of the paper beside ours, by the paper's protocol: its rule for test \
+         volumes, its frames per volume, its networks, its baselines. Errors are root mean squared errors \
+         (RMSE) in seconds. Hardware and volumes differ from the paper's, so compare ratios, not seconds. {} \
+         Where nothing was measured, the report names the command that measures it.",
+        interval::sentence()
     );
+    let mut page = Page::new(paper.title.as_str(), &lead);
     let sections: Vec<(&Label, Section)> =
         paper.labels.iter().map(|l| (l, section(paper, l, material))).collect();
     page.heading("Row by row");

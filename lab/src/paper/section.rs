@@ -57,9 +57,12 @@ pub(super) fn ratio(v: Option<f64>) -> String {
     v.map_or("-".into(), |v| format!("{v:.3}"))
 }
 
-/// A ratio with its interval beside it.
+/// A ratio, with its interval beside it if there is one.
 pub(super) fn with_interval(v: Option<f64>, interval: Option<(f64, f64)>) -> String {
-    v.map_or("-".into(), |v| format!("{v:.3} {}", interval::in_brackets(interval)))
+    match (v, interval) {
+        (Some(v), Some(_)) => format!("{v:.3} {}", interval::in_brackets(interval)),
+        _ => ratio(v),
+    }
 }
 
 /// A ratio to a baseline with its interval; the ratio of the baseline to itself (`own`) has no interval.
@@ -70,8 +73,9 @@ pub(super) fn over(v: Option<f64>, interval: Option<(f64, f64)>, own: bool) -> S
 /// Table of the errors of every predictor in a part of the study.
 pub(super) fn errors_table(r: &Results) -> Table {
     let mut table = Table::headed(
-        "tested on | predictor | #RMSE, s | #SD over runs | #runs | #RMSE/SD | #over the mean of 15 % | \
-         #over LVRP | #median error, % | #prediction, ms | #test frames",
+        "tested on | predictor | #RMSE, s | #SD of the RMSE over runs, s | #runs | #RMSE / SD of the times | \
+         #RMSE / that of the mean of 15 % | #RMSE / that of LVRP | #median error, % | \
+         #time of a prediction, ms | #test frames",
     );
     for row in &r.rows {
         table.row(vec![

@@ -56,7 +56,7 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
     if s.there() {
         for (device, machines) in devices {
             let machines: Vec<_> = machines.into_iter().collect();
-            s.notes.push(format!("Device: {device}. Measured on: {}.", machines.join("; ")));
+            s.notes.push(format!("The device `{device}` drew frames on: {}.", machines.join("; ")));
         }
     }
     s
@@ -73,9 +73,24 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section) {
         let split = split_of(paper, r);
         let frames = r.frames.get(split).map_or(String::new(), |f| {
             let split = in_words(split);
-            format!(" Split by {split}: {} training, {} validation and {} test frames.", f[0], f[1], f[2])
+            let [training, validation, test] = f;
+            format!(
+                " The split by {split} has {training} training, {validation} validation and {test} test \
+                 frames."
+            )
         });
-        let caption = format!("{}.{frames} {}.", title(paper, r), r.encoder);
+        let more = match r.panel {
+            Panel::Varied => {
+                " The test frames are those of four experiments; the column `tested on` names the parameter \
+                 that varies."
+            }
+            Panel::Samples => {
+                " A number in the column `predictor` is a share of the training frames: the network was \
+                 trained on this share."
+            }
+            _ => "",
+        };
+        let caption = format!("{}.{frames} {}.{more}", title(paper, r), r.encoder);
         s.tables.push((errors_table(r), caption));
         let found = r.row(split, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
         if let Some(row) = found {
@@ -111,8 +126,9 @@ fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
         parts.push(format!("{} {} ({})", title(paper, r), seconds(v("mean")), seconds(v("sd"))));
     }
     if !parts.is_empty() {
-        s.tables
-            .push((table, "The column `voxels` has the size of the volumes as they were rendered.".into()));
+        let what = "The column `voxels` has the size of each rendered volume. SD is the standard deviation \
+                    of the frame times.";
+        s.tables.push((table, what.into()));
         s.summary = parts.join("; ");
     }
 }
@@ -133,8 +149,8 @@ fn varied_curves(paper: &Paper, of: &[&Results], s: &mut Section) {
             let x = of.first().map_or("", |c| c.x.as_str());
             let title = format!("{}: {name}", title(paper, r));
             let chart = lines(Chart::new(title, Axis::linear(x), Axis::linear("seconds")), of);
-            let what = "One parameter of the scene varies, the others are constant. Predictions are those of the first \
-                        training run.";
+            let what = "In each chart, one parameter of the scene varies, and all other parameters are \
+                        constant. The predictions are those of the first training run.";
             s.charts.push((chart, what.into()));
         }
         s.summary = format!("{}: 4 experiments with measured, predicted and LVRP's times", title(paper, r));
@@ -148,7 +164,9 @@ fn orbits(paper: &Paper, of: &[&Results], s: &mut Section) {
         let Some(first) = shown.first() else { continue };
         s.summary = format!("{}: {} volumes along an orbit", title(paper, r), shown.len());
         let chart = Chart::new(title(paper, r), Axis::linear(&first.x), Axis::log("seconds"));
-        s.charts.push((lines(chart, shown), "Each pose has its own random transfer function.".into()));
+        let what = "Each line has the frame times of one volume at the camera poses of an orbit. Each pose \
+                    has its own random transfer function.";
+        s.charts.push((lines(chart, shown), what.into()));
     }
 }
 
@@ -167,7 +185,7 @@ fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
         )
         .series(Series::new("± standard deviation", Mark::Band(band)).color(0))
         .series(Series::new("mean over runs", Mark::Line(points)).color(0));
-        s.charts.push((chart, "Each training run uses other random frames.".into()));
+        s.charts.push((chart, "Each run uses another random selection of the training frames.".into()));
     }
     each(paper, of, s);
 }
@@ -175,8 +193,9 @@ fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
 fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of.iter().filter(|r| r.rows.iter().any(|x| x.more.contains_key("size"))) {
         let mut table = Table::headed(
-            "encoder | #PSNR training, dB | #validation | #test | #encoding, ms | #RMSE, s | \
-             #SD over runs | #over the mean of 15 % | #epochs",
+            "encoder | #PSNR of training volumes, dB | #PSNR of validation volumes, dB | \
+             #PSNR of test volumes, dB | #time to encode a volume, ms | #RMSE of PredNet, s | \
+             #SD of the RMSE over runs, s | #RMSE / that of the mean of 15 % | #epochs of the encoder",
         );
         for row in r.rows.iter().filter(|x| x.more.contains_key("size")) {
             let db = |k: &str| row.more.get(k).map(|v| format!("{v:.2}"));
@@ -194,7 +213,7 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
         }
         s.tables.push((
             table,
-            format!("{}: PredNet {} with each encoder.", title(paper, r), paper.encoder_depth),
+            format!("{}: PredNet {} was trained with each encoder.", title(paper, r), paper.encoder_depth),
         ));
     }
 }
@@ -204,8 +223,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
         return;
     }
     let mut table = Table::headed(
-        "data set | encoder | channels | #training, dB | #validation | #test | #epochs | #seconds | \
-         end of training",
+        "data set | encoder | channels | #PSNR of training volumes, dB | #PSNR of validation volumes, dB | \
+         #PSNR of test volumes, dB | #epochs | #duration of the training, s | reason for its end",
     );
     let mut best = Vec::new();
     for r in &material.reconstructions {
@@ -223,7 +242,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             }
             let widths: Vec<String> = e.channels.iter().map(ToString::to_string).collect();
             let mut cells = vec![
-                if together { format!("{set}, {}", of_all(&e.set)) } else { set.to_owned() }.into(),
+                if together { format!("{set}: {}", of_all(&e.set)) } else { set.to_owned() }.into(),
                 format!("{}³F{}", e.size, e.features).into(),
                 if widths.is_empty() { "default".into() } else { widths.join("-") }.into(),
             ];
@@ -239,15 +258,15 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             best.push(format!("{} {}³F{} {v:.1} dB", e.set, e.size, e.features));
         }
     }
-    let what = "Peak signal-to-noise ratio (PSNR) of the reconstructed volumes, mean over volumes. Validation and test \
-                volumes are random volumes, or whole ensemble members for the shipped encoder.";
+    let what = "The table has the mean PSNR (peak signal-to-noise ratio) of reconstructed volumes. For the \
+                shipped encoders, the validation and test volumes are whole ensemble members.";
     s.tables.push((table, what.into()));
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
 }
 
 /// Name of an encoder of several data sets.
 fn of_all(set: &str) -> &'static str {
-    if set == SHIPPED { "of all, as shipped" } else { "of all" }
+    if set == SHIPPED { "shipped encoder of all data sets" } else { "encoder of all data sets" }
 }
 
 fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
@@ -277,7 +296,8 @@ fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
         cells.push(format!("{:.1}", 100.0 * d.iter().sum::<f64>() / d.len().max(1) as f64).into());
     }
     table.row(cells);
-    let what = "RD is the excess of an RMSE over the smallest RMSE of the row, divided by the smallest.";
+    let what = "An arrow joins an encoder and a PredNet. RD, the relative deviation, is the RMSE divided by \
+                the smallest RMSE of the row, minus 1.";
     s.tables.push((table, what.into()));
     s.summary = format!("{} over {} renderers and data sets", names.join(" beside "), shown.len());
 }
@@ -295,7 +315,7 @@ fn codes(of: &[&Results], s: &mut Section) {
         let what = if chart.ends_with("own") {
             "each data set's own encoder"
         } else {
-            "the encoder of all that ships"
+            "the shipped encoder of all data sets"
         };
         let mut drawn = Chart::new(
             format!("Feature vectors by {what}"),
@@ -317,7 +337,7 @@ fn codes(of: &[&Results], s: &mut Section) {
 fn tuning(of: &[&Results], s: &mut Section) {
     for r in of {
         let machine = if r.set == MACHINES {
-            &format!(" Machine of the pre-training frames: {}.", r.machine)
+            &format!(" The pre-training frames were measured on: {}.", r.machine)
         } else {
             ""
         };
@@ -331,8 +351,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
             s.charts.push((lines(chart, of), format!("{what}{machine}")));
         }
         let mut table = Table::headed(
-            "target | #pre-trained, unchanged, s | #ours, unchanged, s | \
-             #mean of its frames as prediction, s | #SD, s | #test frames",
+            "target | #RMSE of the pre-trained network, s | #RMSE of ours, pre-trained, s | \
+             #RMSE of the mean of the target's training frames, s | #SD of the times, s | #test frames",
         );
         for f in &r.facts {
             let v = |k: &str| f.values.get(k).map(|v| seconds(*v));
@@ -346,7 +366,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.facts.is_empty() {
-            let what = "Errors of models that were trained without any frame of the target.";
+            let what = "The models were trained without any frame of the target.";
             s.tables.push((table, format!("{what}{machine}")));
         }
         let mut few = Table::headed("target | predictor | #training frames | #RMSE, s");
@@ -362,7 +382,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.curves.is_empty() {
-            let what = "Errors after training with some frames of the target, medians of the training runs.";
+            let what = "Each model was trained on some frames of the target. `fine-tuned` is the pre-trained \
+                        network, and `from nothing` is a new network. The RMSE is the median of the runs.";
             s.tables.push((few, format!("{what}{machine}")));
         }
     }
@@ -378,7 +399,9 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
         for name in &names {
             let chart = Chart::new(*name, Axis::linear(SORTED), Axis::log("seconds"));
             let chart = lines(chart, r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name));
-            s.charts.push((chart, "Test frames, with the predictions of the first training run.".into()));
+            let what = "Each chart has the measured times of the test frames of one target, and the times \
+                        that the models of the first run predict.";
+            s.charts.push((chart, what.into()));
         }
         all.extend(names);
     }
@@ -395,7 +418,7 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
             Axis::categories("nodes", NODES.iter().map(ToString::to_string).collect()),
             Axis::linear("load of a node over GT's slowest"),
         );
-        let columns = methods.map(|m| format!(" | #{m}: slowest node over GT's")).concat();
+        let columns = methods.map(|m| format!(" | #{m}")).concat();
         let mut table = Table::headed(&format!("nodes{columns}"));
         let fact = |name: &str, nodes: usize| {
             r.facts.iter().find(|f| f.name == name && f.values.get("nodes") == Some(&(nodes as f64)))
@@ -418,9 +441,12 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
             }
             worst = worst.max(slowest(NETWORK).unwrap_or(0.0));
         }
-        s.charts.push((chart, "Tasks are assigned before the job starts, longest first.".into()));
-        let what =
-            "The time of the slowest node, divided by its time if tasks are assigned by measured times (GT).";
+        let what = "Each box shows the loads of all nodes, divided by the load of the slowest node under GT.";
+        s.charts.push((chart, what.into()));
+        let what = "Tasks are assigned to nodes by the times that a column names: measured times (GT, ground \
+                    truth), predicted times, or equal times (`uniform`). A node's load is the sum of the \
+                    measured times of its tasks. The table has the load of the slowest node, divided by the \
+                    load of the slowest node under GT.";
         s.tables.push((table, what.into()));
         s.summary = format!("{}: at most {:.1} % over GT", title(paper, r), 100.0 * (worst - 1.0));
     }
@@ -457,8 +483,8 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         let changed =
             r.rows.iter().filter(|x| x.split == TOGETHER && x.name != CONSTANT && x.name != LVRP).count();
         if changed > 1 {
-            let what =
-                "The paper's recipe, trained on measured frames. Each row changes one part of the recipe.";
+            let what = "The first row has the network that was trained by the paper's recipe on measured \
+                        frames. For each other row, one part of the recipe was changed.";
             procedure.tables.push(trials_table(r, what, "change"));
         }
     }
@@ -467,9 +493,9 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
     }
     let mut frames = Section::default();
     for r in of(Panel::Frames) {
-        let what =
-            "The paper's recipe, trained on times that a teacher predicted, and tested on measured frames.";
-        frames.tables.push(trials_table(r, what, "labels of each volume"));
+        let what = "Another model, the teacher, predicted the frame times for the training. The network was \
+                    trained by the paper's recipe and tested on measured times.";
+        frames.tables.push(trials_table(r, what, "predicted frames of each volume"));
         let x = |row: &Row| row.more.get("training frames").copied();
         let rows = || r.rows.iter().filter(|row| x(row).is_some());
         let line = rows().filter_map(|row| Some((x(row)?, row.over_constant?))).collect();
@@ -484,13 +510,11 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         )
         .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
         .series(Series::new("mean over runs", Mark::Line(line)).color(0));
-        let what = "All networks were trained on the same volumes. The frame times on which the networks \
-                    were trained are predictions of another model, the teacher.";
-        frames.charts.push((chart, what.into()));
+        frames.charts.push((chart, "All networks were trained on the same volumes.".into()));
     }
     let all = [
         ("The recipe, one change at a time", "make paper-procedure", "trial-procedure", procedure),
-        ("Frames without volumes", "make paper-frames DATA=FOLDER", "trial-frames", frames),
+        ("Training on predicted frame times", "make paper-frames DATA=FOLDER", "trial-frames", frames),
     ];
     all.into_iter()
         .filter(|(.., section)| section.there())
@@ -501,8 +525,9 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
 /// Table of the errors of all trials of one part and mode, also relative to the first trial.
 fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     let mut table = Table::headed(&format!(
-        "{name} | #training frames | #validation frames | #epochs | #epoch of the weights | #RMSE, s | \
-         #SD over runs (runs) | #RMSE/SD | #over the mean of 15 % | #over LVRP | #over the first row"
+        "{name} | #training frames | #validation frames | #epochs | #epoch of the chosen weights | #RMSE, s \
+         | #SD of the RMSE over runs, s (runs) | #RMSE / SD of the times | #RMSE / that of the mean of 15 % \
+         | #RMSE / that of LVRP | #RMSE / that of the first row"
     ));
     let rows = || r.rows.iter().filter(|x| x.split == TOGETHER && x.more.contains_key("epochs"));
     let first = rows().next();
@@ -527,7 +552,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     let judged = rows().next().map_or(0, |x| x.frames);
     let volumes = rows().next().map_or(0, |x| x.by_volume.len());
     let caption = format!(
-        "{what} Shading: {}. There are {judged} test frames of {volumes} volumes of {TOGETHER}.",
+        "{what} Shading mode: {}. The {judged} test frames show {volumes} volumes of {TOGETHER}.",
         mode_in_words(&r.mode)
     );
     (table, caption)
@@ -535,8 +560,10 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
 
 /// Table of the errors of the unchanged recipe by mode and data set, relative to baselines of that data set alone.
 fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
-    let mut table =
-        Table::headed("data set, renderer | #test frames | #RMSE/SD | #over the mean of 15 % | #over LVRP");
+    let mut table = Table::headed(
+        "data set, renderer | #test frames | #RMSE / SD of the times | #RMSE / that of the mean of 15 % | \
+         #RMSE / that of LVRP",
+    );
     let mut any = false;
     for r in of {
         let known = |split: &str| split == TOGETHER || paper.data_sets.iter().any(|d| d.title == split);
@@ -553,7 +580,8 @@ fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
         }
     }
     let caption = format!(
-        "The unchanged recipe (row `{AS_IT_IS}`): one network for the three data sets, tested on {TOGETHER} of each."
+        "With the unchanged recipe (row `{AS_IT_IS}`), one network was trained on all three data sets and \
+         tested on {TOGETHER} of each."
     );
     any.then_some((table, caption))
 }

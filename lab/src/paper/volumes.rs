@@ -35,12 +35,12 @@ pub(crate) struct Parts {
     pub(crate) test: BTreeSet<String>,
 }
 
-/// Name of a split in words.
+/// Name of a split in words; of a test on volumes of another kind, the name of that kind.
 pub(super) fn in_words(split: &str) -> &str {
     match split {
         BY_VOLUMES => "random volumes",
         BY_MEMBERS => "left-out member",
-        other => other,
+        other => other.rsplit(": ").next().unwrap_or(other),
     }
 }
 
