@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 const CLOSED: [&str; 3] = ["Broken pipe", "(os error 109)", "(os error 232)"];
 
 /// Runs a command. Exit status: 0, or 1 for an error or a panic (one line on standard error with cause and
-/// remedy). An output that its reader has closed is no error.
+/// remedy). A standard output that its reader has closed is no error.
 pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> ExitCode {
     // The hook only stores the place of a panic: the error is printed below, in one line.
     let location = Arc::new(Mutex::new(None));
@@ -35,7 +35,7 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
                 .unwrap_or("unknown");
             // The panic of `println!` holds no error value, only its text.
             if let Some(why) = text.strip_prefix("failed printing to ") {
-                if CLOSED.iter().any(|closed| why.contains(closed)) {
+                if is_closed_stdout(why) {
                     return ExitCode::SUCCESS;
                 }
                 let _ = writeln!(std::io::stderr().lock(), "{name}: cannot write to {why}");
@@ -64,4 +64,22 @@ pub(crate) fn print_line(line: impl Display) -> Result<()> {
 
 fn is_broken_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// True if the text of a panic, after "failed printing to ", says that the reader of standard output has closed
+/// it. A closed standard error ends a command before it is done, so it is no success.
+fn is_closed_stdout(why: &str) -> bool {
+    why.starts_with("stdout") && CLOSED.iter().any(|closed| why.contains(closed))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_closed_standard_output_is_success() {
+        assert!(is_closed_stdout("stdout: Broken pipe (os error 32)"));
+        assert!(!is_closed_stdout("stderr: Broken pipe (os error 32)"));
+        assert!(!is_closed_stdout("stdout: No space left on device (os error 28)"));
+    }
 }

@@ -3,7 +3,7 @@
 use entire_io::progress::templated_bar;
 use entire_io::quiet::is_quiet;
 use indicatif::ProgressBar;
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 /// Interval between lines of progress without a terminal.
@@ -60,7 +60,8 @@ impl Show {
         self.bar.set_message(format!("{text}{nodes}"));
         if self.lines && self.line_at.elapsed() >= LINE_EVERY {
             self.line_at = Instant::now();
-            eprintln!("{}/{} {text}", view.done, view.all);
+            // A closed standard error is no reason to fail.
+            let _ = writeln!(std::io::stderr().lock(), "{}/{} {text}", view.done, view.all);
         }
     }
 
