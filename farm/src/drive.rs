@@ -13,7 +13,7 @@ use entire_io::files::write_whole;
 use entire_io::interrupt;
 use entire_io::machine;
 use std::collections::{HashMap, HashSet};
-use std::io::Write;
+use std::io::Read;
 use std::time::{Duration, Instant};
 
 /// Minimum interval between estimates of the job's end.
@@ -59,6 +59,14 @@ pub fn queue(planner: &mut Planner, job: &Job, preview: bool) {
     planner.add_stage(rest);
 }
 
+/// Number of bytes for which the disk must have room after a failure, so that the failure is not due to a full
+/// disk: at least twice the bytes of the largest image so far, since the worker copies a program's image, and
+/// the bytes of an uncompressed image of this size.
+fn probe_bytes(largest: u64, [width, height]: [u32; 2]) -> u64 {
+    let raw = 4u64.saturating_mul(width.into()).saturating_mul(height.into());
+    (1 << 18).max(largest.saturating_mul(2)).max(raw)
+}
+
 struct Drive<'a, 'b> {
     database: &'b mut Database<'a>,
     planner: Planner,
@@ -78,6 +86,8 @@ struct Drive<'a, 'b> {
     first: Option<f64>,
     idle_from: Option<f64>,
     now: usize,
+    /// Bytes of the largest image so far.
+    largest: u64,
     full: Option<String>,
     down: Option<String>,
 }
@@ -132,6 +142,7 @@ pub fn run(
         at: unix_now(),
     });
     database.journal.flush()?;
+    let largest = database.done.values().map(|answer| answer.bytes).max().unwrap_or(0);
     let mut drive = Drive {
         database,
         planner,
@@ -148,6 +159,7 @@ pub fn run(
         first: None,
         idle_from: None,
         now: 0,
+        largest,
         full: None,
         down: None,
     };
@@ -375,6 +387,7 @@ impl Drive<'_, '_> {
         }
         self.busy += answer.seconds + answer.load_s;
         self.planner.done(bundle, task, node, answer.seconds, answer.load_s);
+        self.largest = self.largest.max(answer.bytes);
         if !self.database.done.contains_key(&task) {
             self.now += 1;
             self.database.finish(task, answer);
@@ -383,7 +396,7 @@ impl Drive<'_, '_> {
     }
 
     fn failed(&mut self, bundle: u64, task: u32, error: &str, disk_full: bool) -> Result<()> {
-        if disk_full || !self.has_room() {
+        if disk_full || !self.has_room(task) {
             self.full.get_or_insert(format!("the disk of {} is full", self.database.job.output.display()));
             self.planner.again(bundle, task);
             return Ok(());
@@ -398,10 +411,13 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    fn has_room(&self) -> bool {
-        let probe = self.database.job.state().join("parts").join("room");
+    /// True if the disk has room for the image of a task.
+    fn has_room(&self, task: u32) -> bool {
+        let job = self.database.job;
+        let bytes = probe_bytes(self.largest, job.sizes[job.place(task as usize).size]);
+        let probe = job.state().join("parts").join("room");
         let written = std::fs::File::create(&probe).and_then(|mut f| {
-            f.write_all(&[0x5a; 1 << 18])?;
+            std::io::copy(&mut std::io::repeat(0x5a).take(bytes), &mut f)?;
             f.sync_data()
         });
         let _ = std::fs::remove_file(&probe);

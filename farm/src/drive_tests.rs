@@ -149,3 +149,11 @@ fn a_plan_for_another_farm_has_no_task_that_was_given_up() {
     let said = crate::survey::text(&job, &plan, setting, None, None);
     assert!(said.contains("0 of 1 done, 1 given up"), "{said}");
 }
+
+#[test]
+fn the_room_for_a_failed_task_is_that_of_its_image() {
+    assert_eq!(probe_bytes(0, [16, 16]), 1 << 18);
+    assert_eq!(probe_bytes(3 << 20, [16, 16]), 6 << 20);
+    assert_eq!(probe_bytes(0, [2000, 1000]), 8_000_000);
+    assert_eq!(probe_bytes(u64::MAX, [u32::MAX, u32::MAX]), u64::MAX);
+}
