@@ -203,12 +203,13 @@ fn card(
     let mut md = format!(
         "# {name}\n\n{}; weights stored as {}. Predicts the seconds of one frame with shading `{shading}` \
          before it is drawn.\n\n\
-         ## Use\n\nSeconds belong to a machine and a renderer. `entire calibrate --shade {shading}` makes a model of \
-         yours in a minute and a half. From frames that were measured elsewhere:\n\n\
+         ## Use\n\nThe model predicts the seconds of one machine and one renderer. `entire calibrate --shade \
+         {shading}` makes a model of your machine in a minute and a half. To measure frames first and adapt \
+         this model to them:\n\n\
          ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
          entire {calibrate} --out here.safetensors\n\
          entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
-         `entire steer --model here.safetensors` steers with it.\n\n## Inputs\n\n",
+         `entire steer --model here.safetensors` uses the new model.\n\n## Inputs\n\n",
         text("what"),
         ship.dtype.storage()
     );
@@ -230,9 +231,9 @@ fn card(
         let word = |key: &str| d[key].as_str().unwrap_or("not known").to_owned();
         let _ = writeln!(
             md,
-            "- distilled: {} frames of the training volumes, random under seed {}, that were not rendered: \
-             their seconds are those of {} \
-             (`{}`, FNV-1a {}; `make distill` makes it)",
+            "- distilled: {} random frames of the training volumes (seed {}), which were not rendered: \
+             their seconds are predictions of {} \
+             (`{}`, FNV-1a {}; `make distill` makes this file)",
             d["frames"],
             d["seed"],
             word("device"),
@@ -272,7 +273,7 @@ fn card(
             for path in &set.bounds {
                 let _ = writeln!(
                     md,
-                    "- upper bound alone: `data/timings/{}`; weights were not fitted to these frames",
+                    "- only for the upper bound: `data/timings/{}`; weights were not fitted to these frames",
                     file_name(path)
                 );
             }
@@ -280,17 +281,20 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, computed for this project and \
-         under its licenses (MIT or Apache-2.0, see data/README.md), enlarged twice trilinearly. Nothing else was \
-         trained on; scans and other codes serve evaluation alone. The weights are under the project's licenses.\n\n\
-         ## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, \
-         maestroex_bubbles m01 (a tenth of the volumes, of distilled ones one volume, decides when training stops). \
-         The split *member* has other members, with other seeds and physical parameters. *time step* has odd time \
-         steps of the training members, *ray step* other ray steps, *modality* scans, *other codes* simulations by \
-         other codes, *camera inside* cameras inside the volume, and *renderer changed* frames of an earlier \
-         raycaster.\n\n\
+        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, enlarged trilinearly by \
+         a factor of two per axis. They were computed for this project and are under its licenses (MIT or \
+         Apache-2.0, see data/README.md). Scans and other codes were used for evaluation alone. The weights \
+         are under the project's licenses.\n\n\
+         ## Splits\n\nThe training volumes are the even time steps of castro_blast m01 and m02, \
+         nyx_cosmology m01 and m02, and maestroex_bubbles m01. The error on a tenth of these volumes decides \
+         when the training of a network stops (of a distilled network: the error on one volume). The split \
+         *member* has other members, with other seeds and physical parameters. *Time step* has odd time \
+         steps of the training members, *ray step* other ray steps, *modality* scans, *other codes* \
+         simulations by other codes, *camera inside* cameras inside the volume, and *renderer changed* \
+         frames of an earlier raycaster.\n\n\
          ## Training\n\n{}. Clock: {}; a frame's time is the median of its repeats.\n\n```json\n{}\n```\n\n\
-         ## Figures\n\nIn parentheses: 90 % of 200 draws of the volumes, with replacement.\n\n\
+         ## Figures\n\nAn interval in parentheses contains 90 % of the values of 200 random draws of the \
+         volumes, with replacement.\n\n\
          | split | frames | RMSE, ms | RMSE/SD | median error, % | p95, % | R² in log | below the upper bound, % | \
          … slowest tenth | median noise, % |\n\
          |---|---|---|---|---|---|---|---|---|---|",
@@ -332,11 +336,11 @@ fn card(
             if !distilled.is_empty() {
                 "On measured frames of its training volumes"
             } else {
-                "On the frames that it learned from"
+                "On its training frames"
             },
             of(&f.seen, f.seen_intervals.as_ref()),
             crossed.map_or(String::new(), |(m, _)| format!(
-                "; on training frames of ensemble members that it was made without: {}",
+                "; in cross-validation on these frames, with ensemble members held out: {}",
                 of(m, f.crossed_intervals.as_ref())
             ))
         );
@@ -348,8 +352,8 @@ fn card(
     if let Some(l) = latency {
         let _ = writeln!(
             md,
-            "\nOne prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with cold \
-             caches, {:.1} µs warm{}.",
+            "\nTime of one prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with \
+             cold caches, {:.1} µs with warm caches{}.",
             entire_io::machine::machine(),
             1e6 * l.cold,
             1e6 * l.warm,
@@ -364,23 +368,23 @@ fn card(
     let tables: Vec<String> = tables.map(|t| format!("data/timings/{}", file_name(t))).collect();
     let _ = writeln!(
         md,
-        "\n`make models` makes this file and its figures anew. One split: `entire evaluate --clock {} \
+        "\n`make models` makes this file and its figures again. For one split: `entire evaluate --clock {} \
          --model models/{name}.safetensors \
-         --data {}` (or another of {}).",
+         --data {}` (or with another table: {}).",
         study.clock,
         tables.first().map_or("", String::as_str),
         tables.join(", ")
     );
     let _ = writeln!(
         md,
-        "\n## Limits\n\nThe times are those of one renderer on one machine with a software Vulkan driver; on \
+        "\n## Limits\n\nThe times are those of one renderer on one machine with a software Vulkan driver. On \
          another machine, calibrate first. {}",
         if model.scene_features.is_empty() {
             "The network describes a volume by the two features of its VolumeNet. Predictions for volumes unlike \
              the training volumes may have large errors."
         } else {
             "Predictions for scenes unlike the training data (far larger images, other steps) may have large \
-             errors; the out-of-range score is then above 0."
+             errors. The out-of-range score is then above 0."
         }
     );
     Ok(md)

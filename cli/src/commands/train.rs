@@ -426,8 +426,8 @@ fn card(
         format!("{}.", fitted.what),
         "## Use".to_owned(),
         format!(
-            "Predicts, before a volume-rendered frame is drawn, how many seconds it takes on the machine and \
-             with the renderer of the training frames. On another machine, {verb} the model first:"
+            "Predicts how many seconds a volume-rendered frame will take on the machine and with the renderer \
+             of the training frames. On another machine, {verb} the model first:"
         ),
         format!("```\nentire {adapt} {name}.safetensors --out tuned.safetensors\n```"),
         format!("Evaluate it: `entire evaluate --model {name}.safetensors --data FRAMES.csv`"),
@@ -445,7 +445,7 @@ fn card(
                 ": {} on {}; {}; {}; seed {}, {} repeats each",
                 m.renderer, m.device, m.machine, m.created, m.seed, m.repeats
             ),
-            None => "; no manifest, so machine and renderer are not known".to_owned(),
+            None => "; machine and renderer are not known, since there is no manifest".to_owned(),
         };
         format!("- `{file}` ({} frames, FNV-1a {:016x}){origin}", t.frames.len(), t.hash)
     };
@@ -502,15 +502,15 @@ fn card(
     md.extend(["## Metrics".to_owned(), lines(metrics.collect())]);
     if upper.log_factor.is_finite() {
         md.push(format!(
-            "Upper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \
-             (training frames if there are none){}.",
+            "Upper bound of level {UPPER_LEVEL}: {:.2} times the prediction, computed from the validation \
+             frames (or the training frames, if there are no others){}.",
             upper.factor().max(1.0),
-            covered.map_or(String::new(), |c| format!("; it held for {:.1} % of test frames", 100.0 * c))
+            covered.map_or(String::new(), |c| format!("; {:.1} % of the test frames took less", 100.0 * c))
         ));
     }
     md.push(match noise {
         Some(n) => format!(
-            "Noise floor: {}. Perfect predictions would have a median error of {:.1} %.",
+            "Noise floor: {}. Due to this noise, a perfect predictor would have a median error of {:.1} %.",
             n.describe(),
             100.0 * n.mdape()
         ),
@@ -518,9 +518,9 @@ fn card(
     });
     md.push("## Limits".to_owned());
     md.push(format!(
-        "The times are those of one renderer on one machine; on another machine, driver or renderer, \
+        "The times are those of one renderer on one machine. On another machine, driver or renderer, \
          calibrate first. Predictions for scenes unlike the training data (other modalities, sizes, shading \
-         modes, steps) may have large errors; the out-of-range score is then above 0. {tested}"
+         modes, steps) may have large errors. The out-of-range score is then above 0. {tested}"
     ));
     md.join("\n\n") + "\n"
 }
