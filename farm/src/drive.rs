@@ -8,6 +8,7 @@ use super::planner::{Planner, Setting, State};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, unix_now};
 use super::show::{Show, View};
 use super::spool;
+use super::worker::says_full;
 use anyhow::{Result, bail, ensure};
 use entire_io::files::write_whole;
 use entire_io::interrupt;
@@ -59,12 +60,12 @@ pub fn queue(planner: &mut Planner, job: &Job, preview: bool) {
     planner.add_stage(rest);
 }
 
-/// Number of bytes for which the disk must have room after a failure, so that the failure is not due to a full
-/// disk: at least twice the bytes of the largest image so far, since the worker copies a program's image, and
-/// the bytes of an uncompressed image of this size.
+/// Number of bytes for which the disk must have room, so that a failure is not due to a full disk. It is the
+/// maximum of twice the bytes of the largest image so far, since the worker copies a program's image, and of
+/// the bytes of an uncompressed image of this size; at least 256 KiB.
 fn probe_bytes(largest: u64, [width, height]: [u32; 2]) -> u64 {
     let raw = 4u64.saturating_mul(width.into()).saturating_mul(height.into());
-    (1 << 18).max(largest.saturating_mul(2)).max(raw)
+    (1u64 << 18).max(largest.saturating_mul(2)).max(raw)
 }
 
 struct Drive<'a, 'b> {
@@ -184,7 +185,7 @@ impl Drive<'_, '_> {
         while !(self.planner.is_over() || self.full.is_some() || interrupt::requested(&stop)) {
             while self.send()? {}
             ensure!(
-                self.planner.running() > 0 || self.planner.is_over(),
+                self.planner.running() > 0 || self.planner.is_over() || self.full.is_some(),
                 "{} tasks wait and no slot takes one; please report this with the job file",
                 self.planner.pending()
             );
@@ -194,7 +195,11 @@ impl Drive<'_, '_> {
             // Sends new bundles before the journal is flushed, so that slots do not wait for the disk. Until
             // the flush, the spool keeps the finished tasks.
             while self.send()? {}
-            self.flush()?;
+            let flushed = self.flush();
+            self.unless_full(flushed)?;
+            if self.full.is_some() {
+                break;
+            }
             if reordered {
                 self.engine.reprioritize(&self.urgency())?;
             }
@@ -227,19 +232,26 @@ impl Drive<'_, '_> {
                 eta_at = Some(Instant::now());
             }
             if table_at.elapsed() >= TABLE_EVERY {
-                self.database.write_table()?;
+                let written = self.database.write_table();
+                if let Err(error) = self.unless_full(written) {
+                    show.note(&format!("{error:#}; the table is written again later"));
+                }
                 table_at = Instant::now();
             }
         }
         let interrupted = interrupt::requested(&stop) || self.full.is_some();
-        if interrupted {
+        if self.full.is_some() {
+            // The message below says why the run ends.
+            let _ = self.engine.cancel();
+        } else if interrupted {
             show.note("finishing the images in progress; Ctrl-C again ends at once");
             self.engine.cancel()?;
             let patience = Instant::now();
             while self.planner.running() > 0 && patience.elapsed() < Duration::from_secs(600) {
                 let events = self.engine.poll(Duration::from_millis(100))?;
                 self.take(events)?;
-                self.flush()?;
+                let flushed = self.flush();
+                self.unless_full(flushed)?;
                 if self.full.is_some() || self.down.is_some() {
                     break;
                 }
@@ -276,8 +288,27 @@ impl Drive<'_, '_> {
         format!("{:016x}", self.database.job.id(task as usize))
     }
 
-    /// Sends bundles to free slots. Returns true if all of them were quarantined instead, so that slots are still free.
+    /// Records that the disk is full if an error says so, which ends the run. Returns any other error.
+    fn unless_full(&mut self, result: Result<()>) -> Result<()> {
+        match result {
+            Err(error) if says_full(&error) => {
+                self.disk_is_full();
+                Ok(())
+            }
+            other => other,
+        }
+    }
+
+    fn disk_is_full(&mut self) {
+        self.full.get_or_insert(format!("the disk of {} is full", self.database.job.output.display()));
+    }
+
+    /// Sends bundles to free slots, unless the disk is full. Returns true if all of them were quarantined
+    /// instead, so that slots are still free.
     fn send(&mut self) -> Result<bool> {
+        if self.full.is_some() {
+            return Ok(false);
+        }
         let now = unix_now();
         let mut bundles = Vec::new();
         if self.engine.bound() {
@@ -323,7 +354,8 @@ impl Drive<'_, '_> {
             let orders = seconds.map(|(t, s)| self.database.order(*t, f64::from(*s))).collect();
             ready.push(Bundle { number: sent.bundle, slot: sent.slot, orders, upper_s });
         }
-        self.engine.submit(&ready)?;
+        let submitted = self.engine.submit(&ready);
+        self.unless_full(submitted)?;
         Ok(ready.is_empty())
     }
 
@@ -397,7 +429,7 @@ impl Drive<'_, '_> {
 
     fn failed(&mut self, bundle: u64, task: u32, error: &str, disk_full: bool) -> Result<()> {
         if disk_full || !self.has_room(task) {
-            self.full.get_or_insert(format!("the disk of {} is full", self.database.job.output.display()));
+            self.disk_is_full();
             self.planner.again(bundle, task);
             return Ok(());
         }
@@ -431,7 +463,10 @@ impl Drive<'_, '_> {
         let name = format!(".farm/quarantine/{id}.log");
         let order = serde_json::to_string_pretty(&self.database.order(task, self.planner.expected(task)))?;
         let text = format!("{error}\n\n{order}\n\n{output}");
-        write_whole(&self.database.job.output.join(&name), text.as_bytes())?;
+        if let Err(error) = write_whole(&self.database.job.output.join(&name), text.as_bytes()) {
+            self.planner.again(bundle, task);
+            return self.unless_full(Err(error));
+        }
         let entry = Entry::Quarantined { task: id, error: error.to_owned(), log: name };
         self.database.journal.add(&entry);
         self.database.quarantined.insert(task, error.to_owned());

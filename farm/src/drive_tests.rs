@@ -3,19 +3,30 @@ use crate::engine::Places;
 use crate::predict;
 use std::path::PathBuf;
 
+/// Behavior of an engine.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Draws,
+    /// Every task fails, and the engine then ends.
+    Ends,
+    /// Every task fails because the disk is full, and then no bundle can be sent.
+    Full,
+    /// No bundle can be written, because the disk is full.
+    Refuses,
+}
+
 /// An engine of one slot that answers each bundle at once.
 struct Fake {
     state: PathBuf,
-    /// True if every task fails and the engine then ends.
-    ends: bool,
+    kind: Kind,
     events: Vec<Event>,
     /// Bundle and task of the answers so far.
     answered: Vec<(u64, String)>,
 }
 
 impl Fake {
-    fn new(state: PathBuf, ends: bool) -> Self {
-        Self { state, ends, events: Vec::new(), answered: Vec::new() }
+    fn new(state: PathBuf, kind: Kind) -> Self {
+        Self { state, kind, events: Vec::new(), answered: Vec::new() }
     }
 
     /// Checks that all answers so far survive the end of the driver, in the spool or in the journal.
@@ -38,18 +49,23 @@ impl Engine for Fake {
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
         self.check_answers();
+        anyhow::ensure!(self.kind != Kind::Full || self.answered.is_empty(), "a bundle for a full disk");
+        if self.kind == Kind::Refuses {
+            return Err(std::io::Error::from(std::io::ErrorKind::StorageFull).into());
+        }
         for bundle in bundles {
             let (number, mut lines) = (bundle.number, String::new());
             for order in &bundle.orders {
-                let error = self.ends.then(|| "no picture".to_owned());
+                let error = (self.kind != Kind::Draws).then(|| "no picture".to_owned());
+                let disk_full = self.kind == Kind::Full;
                 let task = order.task.clone();
                 self.answered.push((number, task.clone()));
-                let line = Line::Answer(Answer { task, seconds: 1.0, error, ..Answer::default() });
+                let line = Line::Answer(Answer { task, seconds: 1.0, error, disk_full, ..Answer::default() });
                 lines += &(serde_json::to_string(&line)? + "\n");
                 self.events.push(Event::Line(number, line));
             }
             std::fs::write(spool::path(&self.state, number), lines)?;
-            if self.ends {
+            if self.kind == Kind::Ends {
                 self.events.push(Event::Down("the queue is gone".into()));
                 self.events.push(Event::Down("the script ended".into()));
             } else {
@@ -85,10 +101,15 @@ fn setting(attempts: u32) -> (tempfile::TempDir, Job) {
 
 /// Runs a job on engines of which the first `ending` ones end.
 fn run_on(database: &mut Database<'_>, ending: usize) -> Result<Summary> {
+    run_as(database, |started| if started <= ending { Kind::Ends } else { Kind::Draws })
+}
+
+/// Runs a job on engines; `kind` returns the behavior of the first, second, … one.
+fn run_as(database: &mut Database<'_>, kind: impl Fn(usize) -> Kind) -> Result<Summary> {
     let (job, mut started) = (database.job, 0);
     run(database, predict::base(job)?, &Options { overhead: 0.01, ..Options::default() }, &mut |_| {
         started += 1;
-        Ok(Box::new(Fake::new(job.state(), started <= ending)))
+        Ok(Box::new(Fake::new(job.state(), kind(started))))
     })
 }
 
@@ -156,4 +177,28 @@ fn the_room_for_a_failed_task_is_that_of_its_image() {
     assert_eq!(probe_bytes(3 << 20, [16, 16]), 6 << 20);
     assert_eq!(probe_bytes(0, [2000, 1000]), 8_000_000);
     assert_eq!(probe_bytes(u64::MAX, [u32::MAX, u32::MAX]), u64::MAX);
+}
+
+#[test]
+fn a_full_disk_ends_the_run_with_its_remedy() {
+    for kind in [Kind::Full, Kind::Refuses] {
+        let (_dir, job) = setting(1);
+        let mut database = Database::open(&job, &Options::default()).unwrap();
+        let said = run_as(&mut database, |_| kind).unwrap_err().to_string();
+        assert!(said.contains("is full; 0 of 2 images are done; free disk space"), "{said}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_task_is_not_given_up_if_its_log_does_not_fit_on_the_disk() {
+    let (_dir, job) = setting(1);
+    let mut database = Database::open(&job, &Options::default()).unwrap();
+    for task in 0..job.len() {
+        let log = job.state().join("quarantine").join(format!("{:016x}.log", job.id(task)));
+        std::os::unix::fs::symlink("/dev/full", log).unwrap();
+    }
+    let said = run_on(&mut database, 1).unwrap_err().to_string();
+    assert!(said.contains("is full; 0 of 2 images are done; free disk space"), "{said}");
+    assert!(database.quarantined.is_empty());
 }

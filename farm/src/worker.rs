@@ -30,6 +30,11 @@ pub(crate) fn is_full(error: &std::io::Error) -> bool {
     matches!(error.kind(), StorageFull | QuotaExceeded)
 }
 
+/// True if a cause of an error says that the disk is full.
+pub(crate) fn says_full(error: &anyhow::Error) -> bool {
+    error.chain().filter_map(|e| e.downcast_ref::<std::io::Error>()).any(is_full)
+}
+
 fn read_json<T: DeserializeOwned>(file: &Path) -> Result<T> {
     let text = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
     serde_json::from_slice(&text).with_context(|| format!("{}", file.display()))
@@ -181,8 +186,7 @@ impl Worker {
             }
             Err(error) => {
                 answer.seconds = clock.elapsed().as_secs_f64();
-                answer.disk_full =
-                    error.chain().filter_map(|e| e.downcast_ref::<std::io::Error>()).any(is_full);
+                answer.disk_full = says_full(&error);
                 answer.error = Some(format!("{error:#}"));
             }
         }
