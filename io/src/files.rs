@@ -99,6 +99,22 @@ pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Pat
     Ok(())
 }
 
+/// Checks that an output is none of the files with the names `own`, which the command writes into `folder`.
+/// The folder of the output exists.
+///
+/// # Errors
+/// When the output is one of these files; the error names it.
+pub fn ensure_not_own(out: &Path, folder: &Path, own: &[&str]) -> Result<()> {
+    let beside = out.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let (Ok(beside), Ok(folder)) = (beside.canonicalize(), folder.canonicalize()) else { return Ok(()) };
+    ensure!(
+        beside != folder || out.file_name().is_none_or(|name| own.iter().all(|n| name != *n)),
+        "{} is written by this command itself; choose another name",
+        out.display()
+    );
+    Ok(())
+}
+
 /// Checks that every file is given once, also by different spellings of its path.
 ///
 /// # Errors

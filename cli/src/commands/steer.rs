@@ -4,13 +4,13 @@ use crate::collection::{Job, manifest_of};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{Course, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
-use crate::steering::report::{Story, table, write};
+use crate::steering::report::{FILES, Story, table, write};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::enlarge::enlarge;
 use entire_io::files::{
-    ensure_not_input, make_folder, make_folder_of, note, open_model, open_volume, write_json,
+    ensure_not_input, ensure_not_own, make_folder, make_folder_of, note, open_model, open_volume, write_json,
 };
 use entire_io::machine::Provenance;
 use entire_io::options::{
@@ -184,6 +184,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let inputs = options.volumes.iter().chain(&options.model);
         ensure_not_input(to, inputs.map(PathBuf::as_path)).context("--save-path")?;
         make_folder_of(to)?;
+        ensure_not_own(to, &options.out, &FILES).context("--save-path")?;
     }
     let model = options.model.as_deref().map(open_model).transpose()?;
     let named = options.model.as_ref().map(|p| p.display().to_string());
@@ -256,7 +257,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for (option, frame) in named.chain(options.pictures.iter().map(|&frame| ("--pictures", frame))) {
         ensure!(frame < frames, "{option} names frame {frame}; the path has frames 0 to {}", frames - 1);
     }
-    let mut timings = options.table.as_ref().map(|file| begin_table(file, &path)).transpose()?;
+    let mut timings =
+        options.table.as_ref().map(|file| begin_table(file, &options.out, &path)).transpose()?;
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let mut keep = path.switches();
     keep.extend(&options.pictures);
@@ -308,11 +310,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Begins a timing table for the frames of a path.
+/// Begins a timing table for the frames of a path; `out` is the folder of the results.
 ///
 /// # Errors
-/// When a table cannot hold the path's frames, or the file exists or cannot be written.
-fn begin_table(file: &Path, path: &FlightPath) -> Result<Writer> {
+/// When a table cannot hold the path's frames, or the file exists, is one of the results, or cannot be
+/// written.
+fn begin_table(file: &Path, out: &Path, path: &FlightPath) -> Result<Writer> {
     for (i, at) in path.frames.iter().enumerate() {
         ensure!(
             at.transfer.lobes().is_some(),
@@ -325,6 +328,7 @@ fn begin_table(file: &Path, path: &FlightPath) -> Result<Writer> {
         );
     }
     make_folder_of(file)?;
+    ensure_not_own(file, out, &FILES).context("--table")?;
     Writer::create(file)
 }
 

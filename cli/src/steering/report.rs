@@ -405,7 +405,10 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     Ok(page)
 }
 
-/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made if it does not exist.
+/// Files that [`write`] writes: every frame, the summary and the report.
+pub(crate) const FILES: [&str; 3] = ["frames.csv", "summary.json", "report.html"];
+
+/// Writes the [`FILES`] into a folder, which is made if it does not exist.
 /// Returns the metrics of the controllers.
 ///
 /// # Errors
@@ -418,8 +421,9 @@ pub(crate) fn write(
 ) -> Result<Vec<Metrics>> {
     make_folder(folder)?;
     let metrics = playback.metrics();
-    write_csv(&folder.join("frames.csv"), playback)?;
-    write_json(&folder.join("summary.json"), &summary(story, draw, playback, &metrics))?;
-    page(story, draw, playback, &metrics)?.write(&folder.join("report.html"))?;
+    let [frames, figures, html] = FILES.map(|name| folder.join(name));
+    write_csv(&frames, playback)?;
+    write_json(&figures, &summary(story, draw, playback, &metrics))?;
+    page(story, draw, playback, &metrics)?.write(&html)?;
     Ok(metrics)
 }

@@ -184,6 +184,15 @@ fn bad_input_is_one_line_and_status_1() {
     let (code, text) = with("--target 9ms --generate orbit --save-path ./ball.nrrd");
     assert!(code == Some(1) && text.contains("is an input of this command"), "{text}");
     assert_eq!(std::fs::read(dir.path().join("ball.nrrd")).unwrap(), volume);
+    // A table or path in the folder of the results must not have the name of a result.
+    for more in ["--table out/frames.csv", "--table ./out/../out/summary.json", "--save-path out/report.html"]
+    {
+        let (code, text) = with(&format!("--target 9ms --generate orbit {more}"));
+        let option = more.split(' ').next().unwrap();
+        assert!(code == Some(1) && text.contains(&format!("{option}: ")), "{more}: {text}");
+        assert!(text.contains("is written by this command itself; choose another name"), "{more}: {text}");
+        assert_eq!(std::fs::read_dir(dir.path().join("out")).unwrap().count(), 0, "{more}");
+    }
     let (code, text) = with("--target 9ms --path bad.json");
     assert!(code == Some(1) && text.contains("bad.json is no path: there is no keyframe"), "{text}");
     for usage in [
