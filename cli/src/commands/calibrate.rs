@@ -13,7 +13,8 @@ use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables};
 use entire_io::device::{self, Device};
 use entire_io::files::{
-    check_model_out, ensure_distinct, make_folder_of, note, open_model, read_model_file, write_whole,
+    check_model_out, ensure_distinct, ensure_not_input, make_folder_of, note, open_model, read_model_file,
+    write_whole,
 };
 use entire_io::interrupt;
 use entire_io::options::{check_termination, shades, skip_parser, thread_pool};
@@ -161,6 +162,20 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
     }
 }
 
+/// Returns the model files of the shading modes, and makes their folders.
+///
+/// # Errors
+/// When a file has a bad name or is the prior, or its folder cannot be made.
+fn outs_of(options: &Options, modes: &[Shading]) -> Result<Vec<PathBuf>> {
+    let outs: Vec<PathBuf> = modes.iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
+    for out in &outs {
+        check_model_out(out)?;
+        // Later modes read the prior after earlier models were written.
+        ensure_not_input(out, options.prior.as_deref())?;
+    }
+    Ok(outs)
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -184,11 +199,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     check_termination(options.termination)?;
     let modes = options.modes()?;
-    let outs: Vec<PathBuf> = modes.iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
-    for out in &outs {
-        make_folder_of(out)?;
-        check_model_out(out)?;
-    }
+    let outs = outs_of(options, &modes)?;
     let threads = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
@@ -273,6 +284,8 @@ fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
 
 /// Fits models to logged frames.
 fn from_tables(options: &Options) -> Result<()> {
+    let modes = options.modes()?;
+    let outs = outs_of(options, &modes)?;
     let tables = open_tables(&options.data, options.root.as_deref())?;
     let threads = thread_pool(options.threads)?;
     // Device timestamps of a software renderer are no better than wall time, so `auto` means wall time, as in
@@ -286,16 +299,14 @@ fn from_tables(options: &Options) -> Result<()> {
     };
     let clock = entire_io::clock::concrete(asked, tables.iter().flat_map(|t| &t.frames))?;
     say_prior_clock(options, clock)?;
-    for shading in options.modes()? {
-        let out = out_of(options, shading)?;
-        check_model_out(&out)?;
+    for (&shading, out) in modes.iter().zip(&outs) {
         if let Some(text) = left_out(&tables, clock, Some(shading)) {
             note(&text);
         }
         let priors = priors_of(options, shading, &typical_costs_of(&tables))?;
         let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, &threads)?;
-        write_whole(&out, &file.to_bytes()?)?;
-        say(&report, &out)?;
+        write_whole(out, &file.to_bytes()?)?;
+        say(&report, out)?;
     }
     Ok(())
 }

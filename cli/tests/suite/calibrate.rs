@@ -198,6 +198,16 @@ fn what_cannot_be_calibrated_is_said() {
     let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";
     refuses_after_output(at, twice, &["./a.nrrd is given twice, first as a.nrrd"]);
     assert!(!at.join("m.safetensors").exists());
+    // A prior is not replaced, also not by the model of one of several modes.
+    std::fs::write(at.join("m-none.safetensors"), "kept").unwrap();
+    for line in [
+        "calibrate a.nrrd --prior m-none.safetensors --out ./m-none.safetensors",
+        "calibrate a.nrrd --shade all --prior m-none.safetensors --out m.safetensors",
+        "calibrate --data gone.csv --prior m-none.safetensors --out m-none.safetensors",
+    ] {
+        refuses(at, &words(line), &["m-none.safetensors is an input of this command", "another name"]);
+        assert_eq!(std::fs::read(at.join("m-none.safetensors")).unwrap(), b"kept", "{line}");
+    }
 }
 
 /// Checks that a command is refused, as [`refuses`] does; output before the error is allowed.
