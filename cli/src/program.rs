@@ -66,8 +66,8 @@ fn is_broken_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
     error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
-/// True if the text of a panic, after "failed printing to ", says that the reader of standard output has closed
-/// it. A closed standard error ends a command before it is done, so it is no success.
+/// True if the reader of standard output has closed it. `why`: text of a panic after "failed printing to ". A
+/// closed standard error is no success, since the command was not done.
 fn is_closed_stdout(why: &str) -> bool {
     why.starts_with("stdout") && CLOSED.iter().any(|closed| why.contains(closed))
 }
