@@ -198,7 +198,7 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         duration(summary.seconds)
     ))?;
     print_line(job.output.join("data.csv").display())?;
-    if let Some(file) = &options.report {
+    if let Some(file) = options.report.as_ref().filter(|_| summary.done > 0) {
         report::write(&job, file)?;
         print_line(file.display())?;
     }
