@@ -21,6 +21,8 @@ use std::time::{Duration, Instant};
 const ETA_EVERY: Duration = Duration::from_millis(1000);
 /// Interval between writings of the database's table during a run.
 const TABLE_EVERY: Duration = Duration::from_secs(30);
+/// Time limit of the images in progress after Ctrl-C.
+const PATIENCE: Duration = Duration::from_secs(600);
 /// Maximum number of restarts of an engine without a finished task in between.
 const RESTARTS: u32 = 3;
 /// Quantile of a bundle's seconds that its time request covers.
@@ -239,15 +241,18 @@ impl Drive<'_, '_> {
                 table_at = Instant::now();
             }
         }
-        let interrupted = interrupt::requested(&stop) || self.full.is_some();
+        let interrupted = interrupt::requested(&stop) && !self.planner.is_over();
         if self.full.is_some() {
             // The message below says why the run ends.
             let _ = self.engine.cancel();
         } else if interrupted {
-            show.note("finishing the images in progress; Ctrl-C again ends at once");
+            show.note(&format!(
+                "finishing the images in progress, for at most {} minutes; Ctrl-C again ends at once",
+                PATIENCE.as_secs() / 60
+            ));
             self.engine.cancel()?;
             let patience = Instant::now();
-            while self.planner.running() > 0 && patience.elapsed() < Duration::from_secs(600) {
+            while self.planner.running() > 0 && patience.elapsed() < PATIENCE {
                 let events = self.engine.poll(Duration::from_millis(100))?;
                 self.take(events)?;
                 let flushed = self.flush();
@@ -263,7 +268,7 @@ impl Drive<'_, '_> {
         if let Some(why) = &self.full {
             bail!("{why}; {done} of {tasks} images are done; free disk space and continue with --resume");
         }
-        if interrupted {
+        if interrupted && !self.planner.is_over() {
             bail!("interrupted: {done} of {tasks} images are done; continue with --resume");
         }
         let quarantined = self.database.quarantined.keys();

@@ -161,6 +161,26 @@ fn drivers_and_workers_are_killed_and_nothing_is_lost() {
     assert_eq!(done.len(), 40);
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn an_interruption_during_the_last_image_is_no_error() {
+    let script = "touch begun; sleep 1; cp picture.png \"$0\"";
+    let command = format!("command = [\"sh\", \"-c\", {script:?}, \"{{out}}\"]\n");
+    let renderer = format!("[renderer]\nkind = \"command\"\n{command}");
+    let dir = steps(&renderer);
+    let job = format!("{STEPS}{renderer}").replace("16x12", "48x32").replace("views = 2", "views = 1");
+    write_job(dir.path(), &job.replace("step*", "step10"));
+    ball::write(&dir.path().join("second.nrrd"));
+    render_picture(dir.path());
+    let mut driver = start(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    while !dir.path().join("begun").exists() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    kill(driver.id(), "-TERM");
+    assert!(driver.wait().unwrap().success());
+    assert_eq!(table(dir.path()).len(), 1);
+}
+
 /// `nohup` lets a program ignore the signal of a closed terminal.
 #[cfg(target_os = "linux")]
 #[test]

@@ -87,10 +87,11 @@ pub trait Engine {
     fn reprioritize(&mut self, _bundles: &[u64]) -> Result<()> {
         Ok(())
     }
-    /// Cancels waiting bundles; running ones end after their current task.
+    /// Cancels waiting bundles; running ones end after their current task. If the engine refuses to cancel a
+    /// bundle, a note says so, and the bundle ends before its first task.
     ///
     /// # Errors
-    /// When the engine refuses to cancel bundles.
+    /// None of the engines fails.
     fn cancel(&mut self) -> Result<()>;
     /// Events since the last call; waits at most `wait` for one.
     ///

@@ -5,6 +5,7 @@ use crate::command::quoted;
 use crate::record::Line;
 use crate::spool::{Spool, tail};
 use anyhow::{Context, Result, bail, ensure};
+use entire_io::files::note;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -324,7 +325,10 @@ impl Engine for Slurm {
 
     fn cancel(&mut self) -> Result<()> {
         self.open.keys().for_each(|b| super::cancel(&self.places.state, *b));
-        ask("scancel", &[format!("--name={}", self.name), "--state=PENDING".into()], None)?;
+        let waiting = [format!("--name={}", self.name), "--state=PENDING".into()];
+        if let Err(error) = ask("scancel", &waiting, None) {
+            note(&format!("waiting jobs are not canceled and end when they start: {error:#}"));
+        }
         Ok(())
     }
 
@@ -418,6 +422,19 @@ mod tests {
         // The next loss comes after the next query, so that a short failure does not end the run.
         engine.submit(&[bundle(3)]).unwrap();
         assert!(engine.poll(Duration::ZERO).unwrap().is_empty());
+    }
+
+    #[test]
+    fn a_failure_of_scancel_is_no_error() {
+        // Without Slurm's commands, scancel cannot be started.
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("cancel")).unwrap();
+        let places = Places { state: dir.path().to_owned(), program: vec!["entire".into()] };
+        let mut engine = Slurm::new(places, 1, Options::default(), 2, None).unwrap();
+        let (state, nodes) = ("RUNNING".to_owned(), String::new());
+        engine.open.insert(3, Job { id: 7, state, nodes, gone: 0 });
+        engine.cancel().unwrap();
+        assert!(dir.path().join("cancel/3").exists() && engine.open.contains_key(&3));
     }
 
     #[test]
