@@ -13,13 +13,13 @@ use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::play::Course;
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
-use crate::steering::report::{Story, table, write};
+use crate::steering::report::{Story, make_report_folder, table, write};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
 use entire_io::dataset::Clock;
 use entire_io::enlarge::enlarge;
-use entire_io::files::{make_folder, open_volume, write_json, write_whole};
+use entire_io::files::{open_volume, write_json, write_whole};
 use entire_io::machine::Provenance;
 use entire_io::options::{DrawSettings, RenderArgs, parse_distance, parse_size, thread_pool};
 use entire_io::path::Generated;
@@ -210,7 +210,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
     };
     ensure!(options.scenes >= 4, "--scenes is {}; at least 4 scenes are needed", options.scenes);
-    make_folder(&options.out)?;
+    make_report_folder(&options.out)?;
     let shown = file.display().to_string();
     let volume = open_volume(&file, &options.reading)?;
     // By default, a small volume is enlarged, so that its frames take as long as those of larger volumes.

@@ -6,6 +6,7 @@ mod host;
 use crate::steering::contenders::ControllerKind;
 use anyhow::{Context, Result};
 use entire_core::scene::{Shading, Skipping};
+use entire_io::dataset::ensure_no_table;
 use entire_io::options::{check_termination, parse_size, shade_parser, skip_parser};
 use entire_io::path::parse_target;
 use entire_io::volume::Reading;
@@ -66,10 +67,14 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// When there is no display, no Vulkan device can show pictures on it, or a model cannot be read.
+/// When there is no display, no Vulkan device can show pictures on it, a model cannot be read, or the log would
+/// replace a timing table.
 pub fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
     check_termination(options.termination)?;
+    if let Some(log) = &options.log {
+        ensure_no_table(log).context("--log")?;
+    }
     open(options, target)
 }
 
@@ -130,6 +135,13 @@ mod tests {
     fn options_are_checked_before_a_window_opens() {
         assert!(said(&["--target", "5 bananas"]).contains("--target"));
         assert!(said(&["--termination", "0"]).contains("(0, 1]"));
+        let folder = tempfile::tempdir().unwrap();
+        let table = folder.path().join("t.csv");
+        drop(entire_io::dataset::Writer::create(&table).unwrap());
+        let kept = std::fs::read(&table).unwrap();
+        let refused = said(&["--log", table.to_str().unwrap()]);
+        assert!(refused.starts_with("--log: ") && refused.contains("is a timing table"), "{refused}");
+        assert_eq!(std::fs::read(&table).unwrap(), kept);
     }
 
     #[cfg(not(feature = "explore"))]

@@ -4,13 +4,13 @@ use crate::collection::{Job, manifest_of};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{Course, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
-use crate::steering::report::{FILES, Story, table, write};
+use crate::steering::report::{FILES, Story, make_report_folder, table, write};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::enlarge::enlarge;
 use entire_io::files::{
-    ensure_not_input, ensure_not_own, make_folder, make_folder_of, note, open_model, open_volume, write_json,
+    ensure_not_input, ensure_not_own, make_folder_of, note, open_model, open_volume, write_json,
 };
 use entire_io::machine::Provenance;
 use entire_io::options::{
@@ -222,7 +222,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
-    make_folder(&options.out)?;
+    make_report_folder(&options.out)?;
     let mut renderer = device::open(options.render.device)?;
     let (machines, clock) = match model {
         Some(_) => (None, clock),

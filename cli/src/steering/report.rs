@@ -7,7 +7,8 @@ use super::model::Steers;
 use super::play::{ActsOn, Playback, Record};
 use super::rivals::StepResponse;
 use crate::pictures::BEST_PSNR;
-use anyhow::Result;
+use anyhow::{Context, Result};
+use entire_io::dataset::ensure_no_table;
 use entire_io::files::{make_folder, write_json, write_whole};
 use entire_io::machine::Provenance;
 use entire_io::options::DrawSettings;
@@ -407,6 +408,15 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
 
 /// Files that [`write`] writes: every frame, the summary and the report.
 pub(crate) const FILES: [&str; 3] = ["frames.csv", "summary.json", "report.html"];
+
+/// Makes the folder of a report if it does not exist.
+///
+/// # Errors
+/// When the folder cannot be made, or the report would replace a timing table.
+pub(crate) fn make_report_folder(folder: &Path) -> Result<()> {
+    make_folder(folder)?;
+    ensure_no_table(&folder.join(FILES[0])).context("--out")
+}
 
 /// Writes the [`FILES`] into a folder, which is made if it does not exist.
 /// Returns the metrics of the controllers.

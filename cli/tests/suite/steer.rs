@@ -193,6 +193,19 @@ fn bad_input_is_one_line_and_status_1() {
         assert!(text.contains("is written by this command itself; choose another name"), "{more}: {text}");
         assert_eq!(std::fs::read_dir(dir.path().join("out")).unwrap().count(), 0, "{more}");
     }
+    // The results do not replace a timing table in their folder.
+    let table = dir.path().join("out/frames.csv");
+    drop(entire_io::dataset::Writer::create(&table).unwrap());
+    let kept = std::fs::read(&table).unwrap();
+    for line in
+        ["steer ball.nrrd --device cpu --target 9ms --generate orbit --out out", "demo ball.nrrd --out out"]
+    {
+        let output = entire(dir.path(), &words(line));
+        let text = stderr(&output);
+        assert!(output.status.code() == Some(1) && text.contains("frames.csv is a timing table"), "{text}");
+        assert_eq!(std::fs::read(&table).unwrap(), kept, "{line}");
+    }
+    std::fs::remove_file(&table).unwrap();
     let (code, text) = with("--target 9ms --path bad.json");
     assert!(code == Some(1) && text.contains("bad.json is no path: there is no keyframe"), "{text}");
     for usage in [

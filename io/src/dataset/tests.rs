@@ -182,6 +182,20 @@ fn every_wrong_field_is_named_with_its_line_and_column() {
 }
 
 #[test]
+fn a_timing_table_is_told_from_other_files() {
+    let dir = folder();
+    let (table, other) = (dir.path().join("t.csv"), dir.path().join("o.csv"));
+    ensure_no_table(&table).unwrap();
+    Writer::create(&table).unwrap().append(0, &scene(), &[measured(0.1)]).unwrap();
+    let said = ensure_no_table(&table).unwrap_err().to_string();
+    assert!(said.ends_with("t.csv is a timing table; choose another name"), "{said}");
+    for text in ["", "frame,controller,switch\n", "frame,repeat"] {
+        std::fs::write(&other, text).unwrap();
+        ensure_no_table(&other).unwrap();
+    }
+}
+
+#[test]
 fn a_table_that_is_given_twice_is_refused() {
     let dir = folder();
     let path = dir.path().join("t.csv");

@@ -182,6 +182,23 @@ impl Writer {
     }
 }
 
+/// Checks that a file, which is to be replaced by another kind of output, is no timing table.
+///
+/// # Errors
+/// When the file begins with the columns of a timing table, or cannot be read.
+pub fn ensure_no_table(path: &Path) -> Result<()> {
+    if !path.is_file() {
+        return Ok(());
+    }
+    let columns = COLUMNS.join(",");
+    let mut start = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(columns.len() as u64).read_to_end(&mut start))
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    ensure!(start != columns.as_bytes(), "{} is a timing table; choose another name", path.display());
+    Ok(())
+}
+
 fn lock(file: &File, path: &Path) -> Result<()> {
     lock_alone(
         file,
