@@ -4,7 +4,7 @@ use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pas
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
-use entire_io::files::{ensure_distinct, note, open_volume, read_model_file};
+use entire_io::files::{ensure_distinct, fnv1a_text, note, open_volume, parse_model, read_model_bytes};
 use entire_io::identity::{self, Identity};
 use entire_io::options::{RenderArgs, check_termination};
 use entire_io::progress::progress_bar;
@@ -181,16 +181,23 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     check_termination(protocol.termination)?;
     protocol.scenes.check()?;
     let stop = interrupt::flag()?;
+    let mut teacher = None;
     let mut renderer: Box<dyn Renderer> = match &options.teacher {
         Some(path) => {
-            let (_, model) = read_model_file(path)?;
+            let bytes = read_model_bytes(path)?;
+            let model = parse_model(path, &bytes)?;
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            teacher = Some(json!({ "file": name, "fnv1a": fnv1a_text(&bytes) }));
             Box::new(Teacher::new(&name, &model).with_context(|| format!("{}", path.display()))?)
         }
         None => device::open(options.render.device)?,
     };
 
     let mut manifest = protocol.manifest(&jobs, renderer.as_ref())?;
+    // The device of a teacher states only the file's name, which other models may share.
+    if let Some(teacher) = teacher {
+        manifest.settings["teacher"] = teacher;
+    }
     for job in &jobs {
         manifest.files.insert(job.name(), identity::of_volume(&job.path)?);
     }

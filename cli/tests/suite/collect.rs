@@ -208,6 +208,34 @@ fn a_table_is_collected_anew_from_its_manifest() {
 }
 
 #[test]
+fn a_table_of_a_teacher_is_not_gone_on_with_after_its_model_changed() {
+    let (dir, _) = setting();
+    let teacher = dir.path().join("m.safetensors");
+    let take = |name: &str| {
+        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models").join(name);
+        std::fs::copy(model, &teacher).unwrap();
+    };
+    let line = "collect v.nrrd --out t.csv --teacher m.safetensors --frames 2 --repeats 1 --max-size 48";
+    take("unshaded-selected.safetensors");
+    let output = entire(dir.path(), &words(line));
+    assert!(output.status.success(), "{}", stderr(&output));
+    let table = dir.path().join("t.csv");
+    let whole = std::fs::read_to_string(&table).unwrap();
+    // The table is cut as if the collection had been interrupted before the last frame.
+    let cut: Vec<&str> = whole.lines().take(2).collect();
+    std::fs::write(&table, cut.join("\n") + "\n").unwrap();
+    let resume = format!("{line} --resume");
+    take("unshaded-xeon-selected.safetensors");
+    let output = entire(dir.path(), &words(&resume));
+    let said = stderr(&output);
+    assert!(output.status.code() == Some(1) && said.contains("teacher was"), "{said}");
+    take("unshaded-selected.safetensors");
+    let output = entire(dir.path(), &words(&resume));
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(std::fs::read_to_string(&table).unwrap(), whole);
+}
+
+#[test]
 fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     let (dir, volume) = setting();
     let out = dir.path().join("t.csv");
