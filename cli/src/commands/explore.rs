@@ -67,8 +67,8 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// When there is no display, no Vulkan device can show pictures on it, a model cannot be read, or the log would
-/// replace a timing table.
+/// When there is no display, no Vulkan device can show pictures on it, a model cannot be read, or the log
+/// would replace a timing table.
 pub fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
     check_termination(options.termination)?;
