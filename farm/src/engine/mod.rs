@@ -12,6 +12,7 @@ pub use slurm::{Options as SlurmOptions, Slurm};
 use super::record::{BundleOrder, Line, Order};
 use anyhow::{Context, Result};
 use std::ffi::{OsStr, OsString};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -144,11 +145,16 @@ impl Places {
         Ok(line)
     }
 
-    /// Writes the file `orders/NUMBER.json`, from which the bundle's worker reads its tasks.
+    /// Writes the file `orders/NUMBER.json`, from which the bundle's worker reads its tasks, and an empty spool
+    /// file. The driver polls the spool file: an NFS client caches the absence of a file, while an existing file
+    /// is checked at each opening.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// When a file cannot be written.
     pub(crate) fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
+        let spool = crate::spool::path(&self.state, bundle.number);
+        let made = File::options().create(true).append(true).open(&spool);
+        made.with_context(|| format!("cannot write {}", spool.display()))?;
         let path = self.state.join("orders").join(format!("{}.json", bundle.number));
         entire_io::files::write_whole(&path, &serde_json::to_vec(&bundle.order(run))?)
     }

@@ -411,12 +411,16 @@ mod tests {
     #[test]
     fn a_bundle_that_sbatch_refuses_is_lost_and_the_run_goes_on() {
         let dir = tempfile::tempdir().unwrap();
-        std::fs::create_dir(dir.path().join("orders")).unwrap();
+        for folder in ["orders", "spool"] {
+            std::fs::create_dir(dir.path().join(folder)).unwrap();
+        }
         let places = Places { state: dir.path().to_owned(), program: vec!["entire".into()] };
         let options = Options { sbatch: vec!["--no-such-option".into()], ..Options::default() };
         let mut engine = Slurm::new(places, 1, options, 2, None).unwrap();
         let bundle = |number| Bundle { number, slot: None, orders: Vec::new(), upper_s: 1.0 };
         engine.submit(&[bundle(1), bundle(2)]).unwrap();
+        let spool = crate::spool::path(dir.path(), 1);
+        assert!(spool.exists() && crate::spool::lines(&spool).unwrap().is_empty());
         let lost = engine.poll(Duration::ZERO).unwrap();
         assert!(matches!(lost[..], [Event::Lost(1, _), Event::Lost(2, _)]), "{lost:?}");
         // The next loss comes after the next query, so that a short failure does not end the run.
