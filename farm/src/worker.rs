@@ -197,15 +197,14 @@ impl Worker {
     fn paint(&mut self, order: &Order) -> Result<(Painted, u64, u32)> {
         let out = self.output.join(&order.image);
         make_folder_of(&out)?;
+        // A folder for this image only: a program that is still writing after it was killed cannot overwrite
+        // another image. The next run removes the folder of a killed worker.
+        let parts = self.state.join("parts");
+        let folder = tempfile::Builder::new().prefix("p").tempdir_in(&parts);
+        let folder = folder.with_context(|| format!("cannot make a folder in {}", parts.display()))?;
         let (painted, png) = match &mut self.painter {
             Painter::Own(own) => own.paint(order)?,
             program => {
-                // A folder for this image only: a program that is still writing after it was killed cannot
-                // overwrite another image.
-                let parts = self.state.join("parts");
-                let folder = tempfile::Builder::new().prefix("p").tempdir_in(&parts);
-                let folder =
-                    folder.with_context(|| format!("cannot make a folder in {}", parts.display()))?;
                 let part = folder.path().join(format!("{}.png", order.task));
                 let log = self.state.join("logs").join(format!("{}.log", order.task));
                 let painted = match program {
@@ -231,7 +230,9 @@ impl Worker {
                 order.volume.display()
             );
         }
-        write_whole(&out, &png)?;
+        let whole = folder.path().join("whole.png");
+        write_whole(&whole, &png)?;
+        std::fs::rename(&whole, &out).with_context(|| format!("cannot write {}", out.display()))?;
         Ok((painted, png.len() as u64, crc32fast::hash(&png)))
     }
 }

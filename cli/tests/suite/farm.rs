@@ -33,11 +33,10 @@ fn images(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         for file in std::fs::read_dir(part.unwrap().path()).unwrap() {
             let path = file.unwrap().path();
             let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            // A partial file of a killed writer is not an image.
-            if name.ends_with(".png") {
-                let bytes = std::fs::read(&path).unwrap();
-                out.insert(path.strip_prefix(folder).unwrap().to_owned(), bytes);
-            }
+            // A killed worker leaves no partial file among the images.
+            assert!(name.ends_with(".png"), "{name}");
+            let bytes = std::fs::read(&path).unwrap();
+            out.insert(path.strip_prefix(folder).unwrap().to_owned(), bytes);
         }
     }
     out
