@@ -9,7 +9,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Maximum size of a model file, in bytes.
@@ -129,6 +129,22 @@ pub fn ensure_distinct(paths: &[PathBuf]) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Returns a path without `.` and `..`: `a/b/../c` becomes `a/c`. Links are not followed. `..` at the
+/// beginning of a relative path stays.
+pub fn without_dots(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for part in path.components() {
+        match (part, out.components().next_back()) {
+            (Component::CurDir, _) | (Component::ParentDir, Some(Component::RootDir)) => {}
+            (Component::ParentDir, Some(Component::Normal(_))) => {
+                out.pop();
+            }
+            (part, _) => out.push(part),
+        }
+    }
+    out
 }
 
 /// Makes a folder and its parents if they do not exist.
@@ -353,6 +369,20 @@ mod tests {
         assert_eq!([fnv1a(b""), fnv1a(b"a")], [0xcbf2_9ce4_8422_2325, 0xaf63_dc4c_8601_ec8c]);
         assert_eq!(fnv1a_after(fnv1a(b"foo"), b"bar"), fnv1a(b"foobar"));
         assert_eq!(fnv1a_text(b"foobar"), "85944171f73967e8");
+    }
+
+    #[test]
+    fn dots_are_taken_out_of_paths() {
+        for (path, expected) in [
+            ("a/b/../c", "a/c"),
+            ("./a/./b", "a/b"),
+            ("a/b/../../c", "c"),
+            ("../a/../../b", "../../b"),
+            ("/../a/..", "/"),
+            ("a/..", ""),
+        ] {
+            assert_eq!(without_dots(Path::new(path)), Path::new(expected), "{path}");
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
 use entire_io::dataset::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE, Scene};
 use entire_io::enlarge::{enlarge, resample};
+use entire_io::files::without_dots;
 use entire_io::identity::{self, Identity};
 use entire_io::machine;
 use entire_io::scenes::{RandomScene, SceneDistribution};
@@ -25,6 +26,11 @@ pub struct Job {
     pub time_step: Option<u32>,
 }
 
+/// Returns the absolute path of a volume, without `..`.
+fn place_of(path: &Path) -> PathBuf {
+    without_dots(&std::path::absolute(path).unwrap_or_else(|_| path.to_owned()))
+}
+
 impl Job {
     /// Parses a path: `…/m01/t0012.nrrd` is time step 12 of member `m01`.
     pub fn from_path(path: &Path) -> Self {
@@ -34,8 +40,8 @@ impl Job {
             .strip_prefix('t')
             .filter(|d| !d.is_empty() && d.bytes().all(|b| b.is_ascii_digit()))
             .and_then(|d| d.parse().ok());
-        let folder =
-            std::path::absolute(path).ok().and_then(|p| p.parent()?.file_name().map(|n| n.to_owned()));
+        let place = place_of(path);
+        let folder = place.parent().and_then(Path::file_name);
         let member = match (time_step, folder) {
             (Some(_), Some(folder)) => folder.to_string_lossy().into_owned(),
             _ => String::new(),
@@ -52,9 +58,9 @@ impl Job {
     /// names of the two folders above it. This name does not depend on the working folder or on the location
     /// of the data.
     pub(crate) fn seed_name(&self) -> String {
-        let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
+        let place = place_of(&self.path);
         let parts: Vec<String> =
-            absolute.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
+            place.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
         let keep = if self.time_step.is_some() { 3 } else { 1 };
         parts[parts.len().saturating_sub(keep)..].join("/")
     }

@@ -7,6 +7,7 @@ pub use frames::TimedFrames;
 use anyhow::{Result, bail, ensure};
 use entire_core::model::{Key, Model};
 use entire_io::dataset::{Scene, TimedFrame};
+use entire_io::files::without_dots;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -35,7 +36,8 @@ impl GroupBy {
     /// Returns the group of a frame. A member's name includes the name of the folder above its own folder,
     /// since ensembles often have the same member numbers: `castro_blast/m01`.
     pub fn group(self, scene: &Scene) -> String {
-        let folder = Path::new(&scene.volume).parent();
+        let volume = without_dots(Path::new(&scene.volume));
+        let folder = volume.parent();
         let name = |p: Option<&Path>| p.and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned());
         match self {
             Self::Member if !scene.member.is_empty() => match name(folder.and_then(Path::parent)) {
@@ -186,6 +188,9 @@ mod tests {
     fn members_of_two_ensembles_with_one_name_are_two_groups() {
         let scene = TimedFrame::of_no_volume("data/castro/m01/t0001.nrrd", "m01").scene;
         assert_eq!(GroupBy::Member.group(&scene), "castro/m01");
+        for path in ["castro/m01/y/../t1.nrrd", "castro/m02/../m01/t1.nrrd"] {
+            assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume(path, "m01").scene), "castro/m01");
+        }
         assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("m01/t1.nrrd", "m01").scene), "m01");
         assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "x").scene), "x");
         assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "").scene), "a/b.nrrd");
