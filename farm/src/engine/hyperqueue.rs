@@ -30,7 +30,8 @@ pub struct Options {
     pub server_dir: Option<String>,
     /// Number of processors of a bundle, and of a worker that is started.
     pub cpus: u32,
-    /// Time limit of the workers, seconds.
+    /// Time limit that bundles are planned for, seconds. Workers of a given server may have this limit; workers
+    /// that are started have none.
     pub worker_limit: Option<f64>,
 }
 
