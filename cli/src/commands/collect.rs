@@ -280,6 +280,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let stop = || interrupt::requested(&stop);
     let result = collect_passes(&jobs, &protocol, renderer, &mut open, &mut table, out, &stop, &bar);
     bar.finish_and_clear();
+    let done = table.done().len();
+    // Some systems let no other handle read a locked file, so the table is unlocked before it is read.
+    drop(table);
     let go_on = format!("continue with the same command and --resume ({})", options.out.display());
     let mut tables = pass_files(&options.out, protocol.passes);
     tables.push(options.out.clone());
@@ -288,7 +291,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             if tables.iter().try_fold(true, |all, file| anyhow::Ok(all && Writer::is_fresh(file)?))? =>
         {
             // No table has frames: all are removed, so that a corrected command can start.
-            drop(table);
             tables.push(Manifest::path_for(&options.out));
             remove(&tables)?;
             return Err(error);
@@ -316,7 +318,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     manifest.write(&options.out)?;
     println!(
         "{} frames of {} volume{} x {} repeats in {}; {} warm-up renderings were discarded",
-        table.done().len(),
+        done,
         jobs.len(),
         if jobs.len() == 1 { "" } else { "s" },
         manifest.repeats,
