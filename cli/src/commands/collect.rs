@@ -317,8 +317,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     manifest.write(&options.out)?;
     println!(
-        "{} frames of {} volume{} x {} repeats in {}; {} warm-up renderings were discarded",
-        done,
+        "{done} frames of {} volume{} x {} repeats in {}; {} warm-up renderings were discarded",
         jobs.len(),
         if jobs.len() == 1 { "" } else { "s" },
         manifest.repeats,
