@@ -4,8 +4,8 @@ use crate::support::{byte_nrrd, entire, json, model_of, stderr, succeeds, unread
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
 use entire_core::scene::{Arcball, GaussianLobe};
-use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, TimedFrame, Timing, Writer};
-use entire_steer::predict::{Quality, load};
+use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, Table, TimedFrame, Timing, Writer};
+use entire_steer::predict::{AnalyticModel, Quality, load};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::Path;
@@ -81,6 +81,23 @@ fn number_after(text: &str, line: &str, label: &str) -> f64 {
     let line = text.lines().find(|l| l.starts_with(line)).unwrap();
     let rest = &line[line.find(label).unwrap() + label.len()..];
     rest.split_whitespace().next().unwrap().parse().unwrap()
+}
+
+#[test]
+fn seconds_of_two_clocks_are_not_evaluated_together() {
+    let data = data(2);
+    // A model that states no clock.
+    let file = AnalyticModel::default().to_model_file().unwrap();
+    std::fs::write(data.path().join("m.safetensors"), file.to_bytes().unwrap()).unwrap();
+    let evaluate = "evaluate --quiet --model m.safetensors --data t.csv";
+    works(&data, evaluate);
+    // One more frame, which has device timestamps.
+    let path = data.path().join("t.csv");
+    let scene = Table::read(&path, 0).unwrap().frames[0].scene.clone();
+    let both = Timing { device: Some(1e-3), wall: Some(2e-3), ..Timing::default() };
+    Writer::resume(&path, 2).unwrap().append(16, &scene, &[both; 2]).unwrap();
+    fails(&data, evaluate, 1, "2 of 34 repeats have device timestamps");
+    works(&data, &format!("{evaluate} --clock wall"));
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod report;
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Storage;
 use entire_core::model::Model;
+use entire_io::clock::{agreed, concrete, unstated};
 use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, open_tables, timed};
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
@@ -127,9 +128,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     let tables = open_tables(&options.data, options.root.as_deref())?;
     let named = || models.iter().map(|m| (m.name.as_str(), &m.model));
-    let clock = entire_io::clock::agreed(options.clock, named())?;
+    let judged = |f: &&TimedFrame| options.shade.is_none_or(|s| f.scene.shading == s);
+    let judged = tables.iter().flat_map(|t| &t.frames).filter(judged);
+    let clock = concrete(agreed(options.clock, named())?, judged)?;
     let mut frames = timed(&tables, clock, options.shade)?;
-    let said = [entire_io::clock::unstated(clock, named()), left_out(&tables, clock, options.shade)];
+    let said = [unstated(clock, named()), left_out(&tables, clock, options.shade)];
     said.into_iter().flatten().for_each(|text| note(&text));
     if options.unseen {
         for m in models.iter().filter(|m| m.splits.is_empty()) {
