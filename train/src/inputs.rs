@@ -6,8 +6,8 @@ use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::{VolumeNet, VolumeNetParts};
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
-use entire_io::dataset::{Table, TimedFrame};
-use entire_io::enlarge::{MAX_FACTOR, enlarge};
+use entire_io::dataset::{Manifest, Table, TimedFrame};
+use entire_io::enlarge::{MAX_FACTOR, enlarge, resample};
 use entire_io::volume::Volume;
 use entire_steer::features::{
     Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, TransferSummary, VolumeSummary,
@@ -287,8 +287,8 @@ pub fn measure<T: Send>(
     results.into_iter().map(|r| r.context("a frame was left out")).collect()
 }
 
-/// Opens the volume that a frame names. The volume is enlarged if its size in the table is a whole multiple
-/// of its size in the file.
+/// Opens the volume that a frame names. The volume is resampled if the manifest says so, and enlarged if its
+/// size in the table is a whole multiple of its size in the file.
 ///
 /// # Errors
 /// When the volume is not found, cannot be read, has another size than the table states, or has changed since
@@ -302,8 +302,7 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
             table.path.display()
         )
     })?;
-    let reading =
-        table.manifest.as_ref().map(entire_io::dataset::Manifest::reading).transpose()?.unwrap_or_default();
+    let reading = table.manifest.as_ref().map(Manifest::reading).transpose()?.unwrap_or_default();
     let volume = entire_io::files::open_volume(&path, &reading)?;
     if let Some(manifest) = &table.manifest
         && let Some(what) = manifest.changed(name, &path)?
@@ -319,6 +318,10 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
     let have = volume.dims();
     if have == want {
         return Ok(volume);
+    }
+    let edge = table.manifest.as_ref().and_then(Manifest::resampled_to_edge);
+    if let Some(edge) = edge.filter(|&edge| want == [edge; 3]) {
+        return resample(&volume, edge);
     }
     let factor = want[0] / have[0].max(1);
     if (2..=MAX_FACTOR).contains(&factor) && have.map(|n| n * factor) == want {

@@ -208,6 +208,21 @@ fn a_table_is_collected_anew_from_its_manifest() {
 }
 
 #[test]
+fn frames_of_a_proxy_have_features() {
+    let dir = tempfile::tempdir().unwrap();
+    let volume = dir.path().join("v.nrrd");
+    std::fs::write(&volume, byte_nrrd([12, 10, 8], (0..12 * 10 * 8).map(|i| (i % 251) as u8))).unwrap();
+    works(&mut collect(
+        &volume,
+        &dir.path().join("t.csv"),
+        &["--frames", "3", "--max-size", "48", "--proxy", "6"],
+    ));
+    let output = entire(dir.path(), &words("features --quiet --data t.csv"));
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(dir.path().join("t.features.csv.gz").exists());
+}
+
+#[test]
 fn a_table_of_a_teacher_is_not_gone_on_with_after_its_model_changed() {
     let (dir, _) = setting();
     let teacher = dir.path().join("m.safetensors");

@@ -90,6 +90,12 @@ impl Manifest {
         }
     }
 
+    /// Returns the number of voxels per side to which the table's volumes were resampled; `None` for the
+    /// volumes as read.
+    pub fn resampled_to_edge(&self) -> Option<usize> {
+        self.settings.get("resampled_to_edge")?.as_u64().and_then(|edge| usize::try_from(edge).ok())
+    }
+
     /// Reads the manifest beside `table`; `None` if there is no manifest.
     ///
     /// # Errors
