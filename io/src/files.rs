@@ -105,24 +105,30 @@ pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Pat
 /// # Errors
 /// When the output is one of these files; the error names it.
 pub fn ensure_not_own(out: &Path, folder: &Path, own: &[&str]) -> Result<()> {
-    let beside = out.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let (Ok(beside), Ok(folder)) = (beside.canonicalize(), folder.canonicalize()) else { return Ok(()) };
+    let (Some(place), Ok(folder)) = (place_of(out), folder.canonicalize()) else { return Ok(()) };
     ensure!(
-        beside != folder || out.file_name().is_none_or(|name| own.iter().all(|n| name != *n)),
+        own.iter().all(|name| folder.join(name) != place),
         "{} is written by this command itself; choose another name",
         out.display()
     );
     Ok(())
 }
 
-/// Checks that every file is given once, also by different spellings of its path.
+/// Returns the path of a file in its folder without links in the folder's path; `None` if there is no such
+/// folder or the path names no file.
+fn place_of(path: &Path) -> Option<PathBuf> {
+    let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    Some(folder.canonicalize().ok()?.join(path.file_name()?))
+}
+
+/// Checks that every file is given once, also by different spellings of its path. The files need not exist.
 ///
 /// # Errors
 /// When two paths lead to the same file; the error names them.
 pub fn ensure_distinct(paths: &[PathBuf]) -> Result<()> {
     let mut seen: BTreeMap<PathBuf, &Path> = BTreeMap::new();
     for path in paths {
-        let place = path.canonicalize().unwrap_or_else(|_| path.clone());
+        let place = path.canonicalize().ok().or_else(|| place_of(path)).unwrap_or_else(|| path.clone());
         if let Some(before) = seen.insert(place, path) {
             let (path, before) = (path.display(), before.display());
             bail!("{path} is given twice, first as {before}; give every file once");

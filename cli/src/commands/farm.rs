@@ -11,7 +11,7 @@ use entire_farm::planner::{Planner, Setting, State};
 use entire_farm::show::{duration, parse_duration};
 use entire_farm::worker::Worker;
 use entire_farm::{drive, openjd, predict, report, survey};
-use entire_io::files::{ensure_not_input, make_folder_of, write_whole};
+use entire_io::files::{ensure_distinct, ensure_not_input, make_folder_of, write_whole};
 use entire_io::machine;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -159,13 +159,20 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
         print!("{}", job.listing());
         return Ok(());
     }
+    let inputs = || {
+        let told = job.predict.list.iter().chain(&job.predict.model);
+        let volumes = job.volumes.iter().map(|volume| &volume.path);
+        std::iter::once(&options.job).chain(told).chain(volumes).map(PathBuf::as_path)
+    };
     for (option, file) in
         [("--openjd", &options.openjd), ("--save-tasks", &options.save_tasks), ("--report", &options.report)]
     {
         let Some(file) = file else { continue };
-        ensure_not_input(file, [options.job.as_path()]).context(option)?;
+        ensure_not_input(file, inputs()).context(option)?;
         make_folder_of(file)?;
     }
+    let outputs: Vec<PathBuf> = options.report.iter().chain(&options.save_tasks).cloned().collect();
+    ensure_distinct(&outputs)?;
     let base = predict::base(&job)?;
     if options.dry_run {
         return dry_run(&job, base, options);

@@ -317,9 +317,14 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         (&["--sbatch=-p", "--dry-run"], ["--sbatch has no effect", "--engine slurm"]),
         (&["--time-limit", "1h"], ["--time-limit has no effect", "--engine hyperqueue or slurm"]),
         (&["--dry-run", "--save-tasks", "job.toml"], ["--save-tasks: job.toml", "would be replaced"]),
+        (&["--report", "second.nrrd"], ["--report: second.nrrd", "would be replaced"]),
+        (&["--report", "r.csv", "--save-tasks", "./r.csv"], ["./r.csv is given twice", "first as r.csv"]),
     ] {
         refuses(dir.path(), &[&["farm", "job.toml"], more].concat(), &parts);
     }
+    let replaced = words("farm told.toml --dry-run --save-tasks tasks.csv");
+    refuses(dir.path(), &replaced, &["--save-tasks: tasks.csv", "would be replaced"]);
+    assert_eq!(std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap(), list);
     for (more, part) in [
         (&["--price", "1"][..], "--dry-run"),
         (&["--deadline", "1h"], "--dry-run"),
