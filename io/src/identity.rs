@@ -6,6 +6,7 @@ use crate::volume::{Companions, Folder, Format, Reading, Stream, Volume};
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
+use std::collections::HashSet;
 use std::fs::{File, Metadata};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -180,7 +181,7 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     let format = Format::of_name(name).or_else(|| Format::of_content(&head));
     let (Ok(_), Some(format)) = (read, format) else { return Vec::new() };
     let folder = Folder::new(path.parent().unwrap_or(Path::new("")), None);
-    let noted = Noted { folder, names: RefCell::default() };
+    let noted = Noted { folder, names: RefCell::default(), known: RefCell::default() };
     // The reader stops at the latest when it opens a data file; its error does not matter here.
     let _ = Volume::read(format, Stream::from_bytes(&head), name, &noted, &Reading::default());
     noted.names.into_inner()
@@ -190,13 +191,14 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,
+    /// The same names, to find a name fast.
+    known: RefCell<HashSet<String>>,
 }
 
 impl Noted {
     fn note(&self, name: &str) {
-        let mut names = self.names.borrow_mut();
-        if self.folder.path_of(name).is_ok() && names.iter().all(|n| n != name) {
-            names.push(name.to_owned());
+        if self.folder.path_of(name).is_ok() && self.known.borrow_mut().insert(name.to_owned()) {
+            self.names.borrow_mut().push(name.to_owned());
         }
     }
 }

@@ -7,6 +7,9 @@ use anyhow::{Context, Result, bail, ensure};
 /// Maximum number of files of a volume.
 const MAX_FILES: usize = 1 << 16;
 
+/// Maximum length of the names of a volume's files in all, bytes.
+const MAX_NAME_BYTES: usize = 16 << 20;
+
 /// Several files, in the order of the voxels.
 #[derive(Debug, PartialEq)]
 pub(super) struct Several {
@@ -24,12 +27,12 @@ impl Several {
             Some(word) => Some(whole(word.trim_end_matches(['d', 'D']))?),
             None => None,
         };
-        let mut names = Vec::new();
+        let (mut names, mut bytes) = (Vec::new(), 0);
         while let Some(line) = stream.line()? {
             let name = String::from_utf8_lossy(&line).trim().to_owned();
             if !name.is_empty() {
                 ensure!(names.len() < MAX_FILES, "LIST names more than {MAX_FILES} files");
-                names.push(name);
+                add(&mut names, &mut bytes, name)?;
             }
         }
         ensure!(!names.is_empty(), "LIST is followed by no file name; each stands on a line of its own");
@@ -55,7 +58,10 @@ impl Several {
         );
         let steps = span / step;
         ensure!(steps < MAX_FILES as i64, "{value:?} names more than {MAX_FILES} files");
-        let names = (0..=steps).map(|k| numbered(words[0], first + k * step)).collect::<Result<_>>()?;
+        let (mut names, mut bytes) = (Vec::new(), 0);
+        for k in 0..=steps {
+            add(&mut names, &mut bytes, numbered(words[0], first + k * step)?)?;
+        }
         Ok(Some(Self { names, axes }))
     }
 
@@ -103,6 +109,18 @@ impl Several {
         }
         all.context("the header names no file of voxels")
     }
+}
+
+/// Appends a name to `names`; `bytes` is the length of all names.
+fn add(names: &mut Vec<String>, bytes: &mut usize, name: String) -> Result<()> {
+    *bytes += name.len();
+    ensure!(
+        *bytes <= MAX_NAME_BYTES,
+        "the names of the data files have more than {} MiB in all; give the files shorter names",
+        MAX_NAME_BYTES >> 20
+    );
+    names.push(name);
+    Ok(())
 }
 
 fn whole(word: &str) -> Result<i64> {
@@ -187,6 +205,9 @@ mod tests {
         ] {
             assert!(names(wrong).is_err(), "{wrong}");
         }
+        assert_eq!(names("v%05d.raw 0 65535 1").unwrap().unwrap().len(), MAX_FILES);
+        let long = format!("{}%d.raw 0 65535 1", "a".repeat(65_000));
+        assert!(names(&long).unwrap_err().to_string().contains("more than 16 MiB"));
     }
 
     #[test]
