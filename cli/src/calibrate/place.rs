@@ -1,12 +1,12 @@
 //! Location of the machine's model: the user's data folder, one file per shading mode.
 
-use crate::collection::Job;
+use crate::collection::{Job, ensure_utf8};
 use anyhow::{Context, Result};
 use entire_core::model::{Key, ModelFile};
 use entire_core::scene::Shading;
 use entire_io::dataset::Clock;
 use entire_io::device::names_software;
-use entire_io::files::read_model_file;
+use entire_io::files::{note, read_model_file};
 use entire_io::identity::is_volume;
 use std::path::{Path, PathBuf};
 
@@ -101,7 +101,7 @@ pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Returns the volumes below a folder, sorted by name, for whose ensemble member `wanted` returns true
-/// (`None` for a volume outside any ensemble).
+/// (`None` for a volume outside any ensemble). Volumes whose paths tables cannot hold are left out, with a note.
 fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];
@@ -111,6 +111,10 @@ fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Ve
             if path.is_dir() {
                 folders.push(path);
             } else if is_volume(&path) {
+                if let Err(error) = ensure_utf8(&path) {
+                    note(&format!("{error}; it is left out"));
+                    continue;
+                }
                 let member = Job::from_path(&path).member;
                 if wanted(Some(member.as_str()).filter(|m| !m.is_empty())) {
                     out.push(path);
@@ -135,6 +139,13 @@ mod tests {
         for path in &paths {
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(path, "").unwrap();
+        }
+        // A volume whose path tables cannot hold is left out.
+        #[cfg(target_os = "linux")]
+        {
+            use std::os::unix::ffi::OsStrExt;
+            let name = std::ffi::OsStr::from_bytes(b"caf\xe9.nrrd");
+            std::fs::write(data.path().join(name), "").unwrap();
         }
         let [seen, first, second, _, scan] = paths;
         assert_eq!(volumes_in(data.path()).unwrap(), [seen, scan]);

@@ -12,8 +12,8 @@ mod protocol;
 mod tests;
 
 pub(crate) use passes::{collect_passes, pass_files, remove};
-pub(crate) use protocol::manifest_of;
 pub use protocol::{Job, Protocol, differences};
+pub(crate) use protocol::{ensure_utf8, manifest_of};
 
 use anyhow::{Context, Result};
 use entire_core::scene::Frame;

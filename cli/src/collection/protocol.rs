@@ -26,6 +26,19 @@ pub struct Job {
     pub time_step: Option<u32>,
 }
 
+/// Checks that tables can hold the path of a volume.
+///
+/// # Errors
+/// When the path is not UTF-8.
+pub(crate) fn ensure_utf8(path: &Path) -> Result<()> {
+    ensure!(
+        path.to_str().is_some(),
+        "{}: the path is not UTF-8, which tables cannot hold; rename it",
+        path.display()
+    );
+    Ok(())
+}
+
 /// Returns the absolute path of a volume, without `..`.
 fn place_of(path: &Path) -> PathBuf {
     without_dots(&std::path::absolute(path).unwrap_or_else(|_| path.to_owned()))

@@ -4,7 +4,7 @@ use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
-use crate::collection::manifest_of;
+use crate::collection::{ensure_utf8, manifest_of};
 use crate::program::print_line;
 use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
@@ -195,6 +195,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     } else {
         // A second copy of a volume would not be held out with the first one.
         ensure_distinct(&options.volumes)?;
+        options.volumes.iter().try_for_each(|volume| ensure_utf8(volume))?;
         options.volumes.clone()
     };
     check_termination(options.termination)?;

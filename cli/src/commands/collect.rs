@@ -1,6 +1,8 @@
 //! `entire collect`: render many random frames of volumes and write their times to a table.
 
-use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files, remove};
+use crate::collection::{
+    Job, Outcome, Protocol, collect_passes, differences, ensure_utf8, pass_files, remove,
+};
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
@@ -130,9 +132,10 @@ fn jobs(options: &Options) -> Result<Vec<Job>> {
     Ok(jobs)
 }
 
-/// Checks that every volume exists and is given once.
+/// Checks that every volume exists, is given once and has a path that tables can hold.
 fn check(jobs: &[Job], remedy: &str) -> Result<()> {
     for job in jobs {
+        ensure_utf8(&job.path)?;
         let shown = job.path.display();
         ensure!(!job.path.is_dir(), "{shown}: is a folder; name volume files in it");
         ensure!(job.path.is_file(), "{shown}: no such file; {remedy}");

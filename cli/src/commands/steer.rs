@@ -1,6 +1,6 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
-use crate::collection::{Job, manifest_of};
+use crate::collection::{Job, ensure_utf8, manifest_of};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{Course, Playback};
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
@@ -176,6 +176,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             || options.controllers.contains(&ControllerKind::Hybrid),
         "--max-image-sample-distance is for the controller hybrid; leave it out, or name hybrid too"
     );
+    if options.table.is_some() {
+        options.volumes.iter().try_for_each(|volume| ensure_utf8(volume))?;
+    }
     let hold = parse_hold(options.volumes.len(), options.hold)?;
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");

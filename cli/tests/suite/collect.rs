@@ -161,6 +161,23 @@ fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
     refused(collect(&volume, &out, &[]).arg(again), 1, &["v.nrrd is given twice"]);
 }
 
+#[cfg(unix)]
+#[test]
+fn volumes_whose_paths_tables_cannot_hold_are_refused() {
+    use std::os::unix::ffi::OsStrExt;
+    let dir = tempfile::tempdir().unwrap();
+    let name = std::ffi::OsStr::from_bytes(b"caf\xe9.nrrd");
+    for line in [
+        "collect --out t.csv",
+        "calibrate --out m.safetensors",
+        "steer --table t.csv --generate orbit --target 9ms --out out",
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+        let command = command.args(words(line)).arg(name).current_dir(dir.path());
+        refused(command, 1, &["the path is not UTF-8", "rename it"]);
+    }
+}
+
 #[test]
 fn frames_of_a_pass_survive_an_error_with_the_manifest() {
     let (dir, volume) = setting();
