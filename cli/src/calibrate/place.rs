@@ -101,7 +101,8 @@ pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Returns the volumes below a folder, sorted by name, for whose ensemble member `wanted` returns true
-/// (`None` for a volume outside any ensemble). Volumes whose paths tables cannot hold are left out, with a note.
+/// (`None` for a volume outside any ensemble). Volumes whose paths tables cannot hold are left out, with a
+/// note.
 fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];
