@@ -284,7 +284,7 @@ impl Recipe {
     ///
     /// # Errors
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, training
-    /// fails, or a network is stopped before its training.
+    /// fails, or the fit is stopped before a network's training or before the end of an analytic model's fit.
     pub fn make(
         &self,
         context: &FitContext<'_>,
@@ -419,6 +419,7 @@ impl Recipe {
 
     fn analytic(&self, context: &FitContext<'_>, training: Timed<'_>) -> Result<FittedModel> {
         let (model, report) = fit_analytic(context, training, self.side())?;
+        ensure!(!(context.stop)(), NOTHING_LEARNED);
         let costs: BTreeMap<String, f64> = model.costs().named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
             file: model.to_model_file()?,

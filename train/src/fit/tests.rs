@@ -6,8 +6,9 @@ use crate::gradient::Network;
 use crate::inputs::work_of;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
 use entire_io::dataset::Timed;
+use entire_io::dataset::feature_table::{FeatureTable, quantity_column};
 use entire_io::options::thread_pool;
-use entire_steer::features::{SceneFeature, SceneQuantity};
+use entire_steer::features::{PROBE_SIDE, SceneFeature, SceneQuantity};
 use entire_steer::predict::{COST_QUANTITIES, GroupKind, UnitCosts};
 
 fn network(widths: &[usize], seed: u64) -> PredNetParts {
@@ -237,4 +238,25 @@ fn a_stop_before_the_training_is_an_error_and_gives_no_model() {
     std::fs::remove_file(&path).unwrap();
     assert_eq!(goes_on.unwrap(), "PredNet, fine-tuned");
     assert!(said.iter().all(|said| said.contains("nothing was written")), "{said:?}");
+}
+
+#[test]
+fn an_analytic_fit_that_is_stopped_gives_no_model() {
+    let frames = tables_of_no_volume(9);
+    let frames: Vec<&TimedFrame> = frames.iter().collect();
+    let seconds: Vec<f64> = (1..=9).map(|i| 0.01 * f64::from(i)).collect();
+    let part = Timed { frames: &frames, seconds: &seconds };
+    let columns: Vec<String> = COST_QUANTITIES.iter().map(|&q| quantity_column(q, PROBE_SIDE)).collect();
+    let numbers: Vec<u64> = (0..9).collect();
+    let values = (0..9 * columns.len()).map(|i| 1.0 + (i * 7 % 31) as f32).collect();
+    let features = Some(FeatureTable::new(columns, &numbers, values, 0).unwrap());
+    let (tables, pool) = ([Table { features, ..Table::default() }], thread_pool(Some(1)).unwrap());
+    let bar = ProgressBar::hidden();
+    let made = |stop: &dyn Fn() -> bool| {
+        let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop };
+        Recipe { kind: Kind::Analytic, ..Recipe::default() }.make(&context, part, part)
+    };
+    assert_eq!(made(&|| false).unwrap().what, "Unit costs of estimated work");
+    let said = made(&|| true).unwrap_err().to_string();
+    assert!(said.contains("nothing was written"), "{said}");
 }
