@@ -229,6 +229,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             }
             manifest.created = old.created;
             manifest.commit = old.commit;
+            // Keys that this version does not know are kept. The noise is measured anew.
+            manifest.other = old.other;
+            manifest.other.remove("noise");
         } else {
             // A collection that was killed before its manifest was written has no frames, so it may begin
             // anew.

@@ -311,10 +311,13 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     let path = dir.path().join("t.manifest.json");
     let mut kept = json(&path);
     assert!(kept.as_object_mut().unwrap().remove("files").is_some());
+    // A key of another program is kept.
+    kept["laboratory"] = "north".into();
     std::fs::write(&path, kept.to_string()).unwrap();
     let output = works(collect(&volume, &out, &resume).arg("--quiet"));
     assert!(output.stderr.is_empty(), "{}", stderr(&output));
     std::fs::write(&path, kept.to_string()).unwrap();
     let output = works(&mut collect(&volume, &out, &resume));
     assert!(stderr(&output).contains("no checksums"), "{}", stderr(&output));
+    assert_eq!(json(&path)["laboratory"], "north");
 }
