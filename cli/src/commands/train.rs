@@ -390,6 +390,7 @@ fn check_used(recipe: &Recipe) -> Result<()> {
         ("--scene-features", !recipe.scene_features.is_empty(), GroupKind::SceneFeatures),
         ("--probe-side", recipe.probe_side.is_some(), GroupKind::SceneFeatures),
         ("--sorted-lobes", recipe.sorted_lobes, GroupKind::TransferFunction),
+        ("--volumenet", recipe.volumenet.is_some(), GroupKind::VolumeFeatures),
     ] {
         ensure!(
             !given || recipe.inputs.iter().any(|name| name.trim() == group.name()),

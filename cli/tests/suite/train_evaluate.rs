@@ -368,6 +368,7 @@ fn what_cannot_be_done_is_said() {
         ("--sorted-lobes --fine-tune m.safetensors", 2, "--sorted-lobes"),
         ("--model-kind residual --fine-tune m.safetensors", 2, "--model-kind"),
         ("--sorted-lobes", 1, "--sorted-lobes has no effect without the input group transfer_function"),
+        ("--volumenet e.safetensors", 1, "--volumenet has no effect without the input group volume_features"),
         ("--inputs camera --probe-side 7", 1, "--probe-side has no effect without the input group"),
         ("--inputs camera --scene-features pixels", 1, "--scene-features has no effect"),
     ] {
