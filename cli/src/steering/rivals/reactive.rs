@@ -108,8 +108,8 @@ impl Controller for VtkFixedPoint {
 }
 
 /// The rule of vtk.js: after each window of at least one second, the scale is multiplied by the ratio of
-/// desired to measured frame rate if the two differ by more than 15 %. The scale is s, from 1 to 400: the
-/// image's sides are divided by its square root.
+/// desired to measured frame rate if this ratio is below 0.85 or above 1.15, and limited to 1.5…400. If the
+/// scale exceeds 1.5, s is the scale: the image's sides are divided by its square root. Else s is 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VtkJs {
     scale: f32,
@@ -130,14 +130,15 @@ impl Controller for VtkJs {
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         if self.elapsed >= 1.0 {
             let ratio = self.elapsed / self.frames / request.target;
-            if !(1.0 / 1.15..=1.15).contains(&ratio) {
-                self.scale = (self.scale * ratio).clamp(1.0, 400.0);
+            if !(0.85..=1.15).contains(&ratio) {
+                self.scale *= ratio;
             }
+            self.scale = self.scale.clamp(1.5, 400.0);
             self.elapsed = 0.0;
             self.frames = 0.0;
         }
         self.scale = request.limits.clamp(self.scale).max(1.0);
-        reactive(request.limits.clamp(self.scale))
+        reactive(request.limits.clamp(if self.scale > 1.5 { self.scale } else { 1.0 }))
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
@@ -151,27 +152,40 @@ impl Controller for VtkJs {
 /// Maximum number of past frame times that [`Unreal`] uses.
 const WINDOW: usize = 16;
 
-/// The dynamic-resolution heuristic of Unreal Engine. Let f be the present fraction of each image side; the
-/// work is f², and s is 1 / f². A frame time that is n frames old has the weight 0.9ⁿ in the mean time. The
-/// new fraction is f · √(0.95 target / mean time), at most 1; if it is larger than f, only 0.9 of the increase
-/// of the work is applied. The fraction changes by at least 2 % and at most every 8 frames. After two frames
-/// in a row over the target, the rule reacts to the last frame at once and drops the history. The caller's
-/// limits keep f in 0.5…1.
+/// The dynamic-resolution heuristic of Unreal Engine. Let f be the present fraction of each image side; s is
+/// 1 / f². Each past frame suggests its own fraction times √(0.9 target / its time). The new fraction is the
+/// mean of these suggestions, with weight 0.9ⁿ for a frame that is n frames old, and at most 1. Only 0.9 of an
+/// increase is applied. The fraction changes by at least 2 % and at most every 8 frames. (In version 4 of the
+/// engine, the threshold of 2 % is for increases only.) After two frames in a row over the target, or if the
+/// only frame of the history is over it, the rule takes the mean of their suggestions at once, without a
+/// threshold, and drops the history. The caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unreal {
-    work: f32,
+    /// Fraction of each image side.
+    side: f32,
     /// Seconds of past frames, converted to full resolution, newest last.
     times: [f32; WINDOW],
     len: usize,
     since_change: u32,
-    over: u32,
+    over: usize,
     frames: u32,
 }
 
 impl Unreal {
     /// The rule before the first frame, at full resolution.
     pub(crate) fn new() -> Self {
-        Self { work: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 }
+        Self { side: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 }
+    }
+
+    /// Returns the weighted mean of the fractions that the newest `count` frames suggest.
+    fn suggested(&self, target: f32, count: usize) -> f32 {
+        let (mut sum, mut weights, mut weight) = (0.0f32, 0.0f32, 1.0f32);
+        for &time in self.times[..self.len].iter().rev().take(count) {
+            sum += weight * libm::sqrtf(0.9 * target / time);
+            weights += weight;
+            weight *= 0.9;
+        }
+        sum / weights
     }
 }
 
@@ -179,32 +193,32 @@ impl Controller for Unreal {
     starts_as_new!("unreal");
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
-        let panic = self.over >= 2;
-        if self.len > 0 && (panic || self.since_change >= 8) {
-            let (mut sum, mut weights, mut weight) = (0.0f32, 0.0f32, 1.0f32);
-            let used = if panic { 1 } else { self.len };
-            for &t in self.times[..self.len].iter().rev().take(used) {
-                sum += weight * t;
-                weights += weight;
-                weight *= 0.9;
+        let newest = self.len.min(2);
+        let panic = newest > 0 && self.over >= newest;
+        if panic || (newest > 0 && self.since_change >= 8) {
+            let mut wanted = self.suggested(request.target, if panic { newest } else { self.len });
+            if !panic {
+                if libm::fabsf(wanted - self.side) < 0.02 * self.side {
+                    wanted = self.side;
+                } else if wanted > self.side {
+                    wanted = self.side + 0.9 * (wanted - self.side);
+                }
             }
-            let full = sum / weights;
-            let mut wanted = (0.95 * request.target / full).min(1.0);
-            if wanted > self.work {
-                wanted = self.work + 0.9 * (wanted - self.work);
-            }
-            // Changes of at least 2 % of the resolution fraction, which is the square root of the work.
-            if libm::fabsf(libm::sqrtf(wanted) - libm::sqrtf(self.work)) >= 0.02 * libm::sqrtf(self.work) {
-                self.work = wanted;
+            let wanted = wanted.max(1.0 / libm::sqrtf(request.limits.coarsest)).min(1.0);
+            if panic || wanted != self.side {
                 self.since_change = 0;
             }
+            self.side = wanted;
             if panic {
                 self.len = 0;
                 self.over = 0;
             }
         }
-        let step = request.limits.clamp(1.0 / self.work);
-        self.work = (1.0 / step).min(1.0);
+        let wanted = 1.0 / (self.side * self.side);
+        let step = request.limits.clamp(wanted);
+        if step != wanted {
+            self.side = (1.0 / libm::sqrtf(step)).min(1.0);
+        }
         reactive(step)
     }
 
@@ -227,13 +241,15 @@ impl Controller for Unreal {
 
 /// The frame-rate controller of Filament: the median of up to 15 frame times is the input of a PI controller
 /// in velocity form on the ratio of measured to target time (Kp = 1 − e^(−1/8), Ki = 0.002). Output changes
-/// of −1 %…+5 % are ignored, and the integral stops while the output is clamped. The controlled quantity is
-/// the share of work, and s is its inverse; the caller's limits keep the scale of each side in 0.5…1.
+/// of −1 %…+5 % are ignored. The sum of errors is limited to ±100, and stops while the output is clamped. The
+/// controlled quantity is the share of work, and s is its inverse; the caller's limits keep the scale of each
+/// side in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Filament {
     work: f32,
     times: [f32; 15],
     len: usize,
+    /// Ki times the sum of errors.
     integral: f32,
     clamped: bool,
 }
@@ -256,7 +272,7 @@ impl Controller for Filament {
             let time = sorted[self.len / 2];
             let error = (1.0 - time / request.target).clamp(-10.0, 1.0);
             if !self.clamped {
-                self.integral = (self.integral + 0.002 * error).clamp(-1.0, 1.0);
+                self.integral = (self.integral + 0.002 * error).clamp(-0.2, 0.2);
             }
             let out = (1.0 - 0.882_496_9) * error + self.integral;
             if !(-0.01..=0.05).contains(&out) {

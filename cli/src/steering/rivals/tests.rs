@@ -72,6 +72,62 @@ fn the_rule_of_vtks_gpu_mapper_counts_with_the_step_that_was_drawn() {
     assert_eq!(rule.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost }).step, 2.0);
 }
 
+/// Returns the step that a rule plans after frames that took `times` seconds. The target is 0.1 s, and steps
+/// range from 1 to `coarsest`.
+fn after(kind: ControllerKind, coarsest: f32, times: &[f32]) -> f32 {
+    let g = StepResponse::inverse_step(0.1);
+    let mut rule = controller(kind, 1.0, &g, HybridOptions::default().prior);
+    let limits = StepLimits { finest: 1.0, coarsest };
+    let (target, changes) = (0.1, Changes::default());
+    let mut cost = |_: f32| CostTerms::whole(1.0, 0.0, Source::Analytic);
+    for &seconds in times {
+        let step = rule.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost }).step;
+        let (terms, scene) = (cost(step), rule.scene());
+        rule.observe(&Observed { seconds, step, target, changes, terms, scene, unusual: false });
+    }
+    rule.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost }).step
+}
+
+fn close(a: f32, b: f32) -> bool {
+    (a / b - 1.0).abs() < 1e-3
+}
+
+#[test]
+fn the_rule_of_vtk_js_has_its_published_limits() {
+    let step = |times: &[&[f32]]| after(ControllerKind::VtkJs, 400.0, &times.concat());
+    // Each slice is one window of a second.
+    let slow: &[f32] = &[0.4; 3];
+    assert!(close(step(&[slow]), 4.0));
+    assert!(close(step(&[slow, &[0.086; 12]]), 4.0));
+    assert!(close(step(&[slow, &[0.084; 12]]), 3.36));
+    assert_eq!(step(&[slow, &[0.03; 34]]), 1.0);
+    assert!(close(step(&[slow, &[0.03; 34], &[0.12; 9]]), 1.8));
+}
+
+#[test]
+fn the_heuristic_of_unreal_has_its_published_constants() {
+    let side = |times: &[&[f32]]| after(ControllerKind::Unreal, 4.0, &times.concat()).sqrt().recip();
+    // Fraction of each side that a frame at full resolution suggests.
+    let suggested = |seconds: f32| (0.09 / seconds).sqrt();
+    // The time of the first frame is ignored.
+    let first: &[f32] = &[0.1];
+    assert!(close(side(&[first, &[0.095; 8]]), suggested(0.095)));
+    assert_eq!(side(&[first, &[0.092; 8]]), 1.0);
+    let panic = (suggested(0.4) + 0.9 * suggested(0.2)) / 1.9;
+    assert!(close(side(&[first, &[0.09, 0.2, 0.4]]), panic));
+    // A slow frame right after the first one; then frames of half the target, at 1 / 2.22 of the pixels.
+    let low = suggested(0.2);
+    assert!(close(side(&[first, &[0.2]]), low));
+    assert!(close(side(&[first, &[0.2], &[0.045; 8]]), low + 0.9 * (suggested(0.1) - low)));
+}
+
+#[test]
+fn the_integral_of_filament_is_limited_to_a_fifth() {
+    // With the limit of 0.2, about 150 fast frames outweigh the slow ones.
+    let times = [&[2.0f32; 60][..], &[0.001; 200]].concat();
+    assert_eq!(after(ControllerKind::Filament, 1e5, &times), 1.0);
+}
+
 #[test]
 fn what_the_last_frames_say_is_their_mean_the_last_or_the_larger_of_two() {
     let g = StepResponse::inverse_step(0.1);
