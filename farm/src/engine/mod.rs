@@ -145,9 +145,9 @@ impl Places {
         Ok(line)
     }
 
-    /// Writes the file `orders/NUMBER.json`, from which the bundle's worker reads its tasks, and an empty spool
-    /// file. The driver polls the spool file: an NFS client caches the absence of a file, while an existing file
-    /// is checked at each opening.
+    /// Writes the file `orders/NUMBER.json`, from which the bundle's worker reads its tasks, and an empty
+    /// spool file. An NFS client caches the absence of a file, while it checks an existing file at each
+    /// opening, so the driver sees answers without delay.
     ///
     /// # Errors
     /// When a file cannot be written.
