@@ -219,7 +219,8 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses options that the chosen engine does not use. With --openjd, --time-limit is for every engine.
+/// Refuses options that the chosen engine or --dry-run does not use. With --openjd, --time-limit is for every
+/// engine.
 fn check_engine(options: &Options) -> Result<()> {
     let (hyperqueue, slurm) = (EngineOption::Hyperqueue, EngineOption::Slurm);
     for (name, given, engines) in [
@@ -237,6 +238,15 @@ fn check_engine(options: &Options) -> Result<()> {
             engine(options.engine),
             engines.iter().map(|e| engine(*e)).collect::<Vec<_>>().join(" or ")
         );
+    }
+    for (name, given) in [
+        ("--verify", options.verify),
+        ("--python", options.python.is_some()),
+        ("--cpus", options.cpus.is_some()),
+        ("--server-dir", options.server_dir.is_some()),
+        ("--sbatch", !options.sbatch.is_empty()),
+    ] {
+        ensure!(!given || !options.dry_run, "{name} has no effect with --dry-run; leave one of the two out");
     }
     Ok(())
 }

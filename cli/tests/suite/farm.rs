@@ -315,6 +315,11 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     for (more, parts) in [
         (&["--cpus", "2"][..], ["--cpus has no effect with --engine local", "--engine hyperqueue"]),
         (&["--sbatch=-p", "--dry-run"], ["--sbatch has no effect", "--engine slurm"]),
+        (
+            &["--engine", "slurm", "--sbatch=-p", "--dry-run"],
+            ["--sbatch has no effect with --dry-run", "leave"],
+        ),
+        (&["--resume", "--verify", "--dry-run"], ["--verify has no effect with --dry-run", "leave"]),
         (&["--time-limit", "1h"], ["--time-limit has no effect", "--engine hyperqueue or slurm"]),
         (&["--dry-run", "--save-tasks", "job.toml"], ["--save-tasks: job.toml", "would be replaced"]),
         (&["--report", "second.nrrd"], ["--report: second.nrrd", "would be replaced"]),
