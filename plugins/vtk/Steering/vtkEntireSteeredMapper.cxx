@@ -509,7 +509,7 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
   const vtkEntire::Hold<vtkVolumeMapper> mapper(this->Mapper.GetPointer());
   const vtkEntire::Hold<vtkVolume> volume(this->Internals->Volume.GetPointer());
   this->Ready = false;
-  if (!this->Alive || !this->SetEarly() || !volume || !volume->GetVisibility())
+  if (!this->Alive || !mapper || !this->SetEarly() || !volume || !volume->GetVisibility())
   {
     return;
   }

@@ -490,6 +490,13 @@ void OutlivesItsObjects(Kind kind)
   const vtkIdType steered = steering->GetNumberOfSteeredFrames();
   next.Draw();
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
+  // A volume whose last mapper is deleted. VTK reports an error.
+  other = nullptr;
+  next.Volume->SetMapper(nullptr);
+  vtkObject::GlobalWarningDisplayOff();
+  next.Draw();
+  vtkObject::GlobalWarningDisplayOn();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
 }
 
 // A setting that the application makes during a frame is the mapper's setting in the next frame.
