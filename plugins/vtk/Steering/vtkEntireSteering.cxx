@@ -139,6 +139,7 @@ void vtkEntireSteering::Reset()
 {
   this->Internals->State.clear();
   this->Internals->RefusedModel.clear();
+  this->Internals->Model.reset();
   for (const auto& leaf : this->Internals->Drawing)
   {
     leaf->Forget();

@@ -7,6 +7,7 @@
 #include "vtkSmartPointer.h"
 
 #include <algorithm>
+#include <cctype>
 #include <chrono>
 #include <cstring>
 #include <ctime>
@@ -189,6 +190,7 @@ vtkEntireSteering::vtkInternals::Leaves vtkEntireSteering::vtkInternals::TakeApa
   this->Said.clear();
   this->ClocksSaid.clear();
   this->RefusedModel.clear();
+  this->Model.reset();
   this->ModelClock = ENTIRE_CLOCK_UNSTATED;
   this->Rendering = false;
   this->Present = false;
@@ -220,8 +222,11 @@ void vtkEntireSteering::vtkInternals::Report(const char* reason, const char* sta
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::FallBack(const std::string& why)
 {
-  // Said once for an attachment: other mappers of the volume may be steered.
-  if (this->Said.insert(why).second)
+  // Said once for an attachment, whatever numbers it contains: other mappers of the volume may be steered.
+  std::string key;
+  std::copy_if(why.begin(), why.end(), std::back_inserter(key),
+    [](unsigned char c) { return !std::isdigit(c) && c != '.' && c != '-'; });
+  if (this->Said.insert(key).second)
   {
     this->Warn("Not steered: " + why);
   }
@@ -325,7 +330,7 @@ void vtkEntireSteering::vtkInternals::FindMappers()
 {
   // Fast path for a mapper that is not inside another.
   if (this->Volume && this->Drawing.size() == 1 && !this->Drawing[0]->Outer &&
-    this->Drawing[0]->Mapper.GetPointer() == this->Volume->GetMapper())
+    this->Drawing[0]->Mapper && this->Drawing[0]->Mapper.GetPointer() == this->Volume->GetMapper())
   {
     return;
   }
