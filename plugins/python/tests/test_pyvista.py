@@ -69,6 +69,18 @@ def test_the_mapper_is_exchanged_and_put_back(shown):
     assert "screenshot" not in plotter.__dict__
 
 
+def test_a_data_set_that_is_exchanged_while_held_stays(shown):
+    plotter, actor = shown
+    smart = actor.mapper
+    plotter.entire.hold(fps=1000)
+    other = actor.mapper.GetInputDataObject(0, 0).copy()
+    actor.mapper.SetInputData(other)
+    plotter.render()
+    plotter.entire.detach()
+    assert actor.mapper is smart
+    assert smart.GetInputDataObject(0, 0) is other
+
+
 def test_screenshots_in_the_midst_of_a_drag_are_at_full_quality(shown):
     plotter, actor = shown
     plotter.entire.hold(fps=1000)

@@ -189,7 +189,9 @@ def _copy(source: Any, target: Any, names: tuple[str, ...]) -> None:
 
 
 def copy_changed(source: Any, target: Any) -> None:
-    """Copies settings that applications change while a volume is shown: cropping, clipping planes, blend mode."""
+    """Copies what applications change while a volume is shown: input, cropping, clipping planes, blend mode."""
+    if source.GetNumberOfInputConnections(0):
+        target.SetInputConnection(source.GetInputConnection(0, 0))
     _copy(source, target, ("Cropping", "CroppingRegionFlags", "CroppingRegionPlanes", "BlendMode"))
     planes = source.GetClippingPlanes()
     if planes is not None:
