@@ -35,23 +35,28 @@ class Scene:
         self.view.OrientationAxesVisibility = 0
         self.view.UseColorPaletteForBackground = 0
         self.view.Background = [0.0, 0.0, 0.0]
-        self.path = None
+        self.loaded = None
         self.source = None
 
-    def load(self, path):
+    def load(self, path, reading):
         # If loading fails, the next task loads its volume again.
-        self.path = None
+        self.loaded = None
         if self.source is not None:
             simple.Delete(self.source)
             self.source = None
         self.source = simple.OpenDataFile(path)
         self.source.UpdatePipeline()
         information = self.source.GetPointDataInformation()
-        self.array = information.GetArray(0)
+        name = reading.get("array")
+        self.array = information.GetArray(name if name else 0)
+        if self.array is None:
+            raise ValueError(f"{path} has no array {name or 0} of points")
+        if reading.get("fill") not in (None, "auto", "none"):
+            raise ValueError(f"fill {reading['fill']}: this program draws no fill values")
         self.display = simple.Show(self.source, self.view)
         self.display.SetRepresentationType("Volume")
         simple.ColorBy(self.display, ("POINTS", self.array.GetName()))
-        self.path = path
+        self.loaded = (path, name)
 
     def scalar_range(self, text):
         """Returns the scalar values that map to 0 and 1; `text` is `auto`, `data`, or two numbers."""
@@ -62,8 +67,8 @@ class Scene:
     def draw(self, task):
         begin = time.perf_counter()
         load_s = 0.0
-        if task["volume"] != self.path:
-            self.load(task["volume"])
+        if (task["volume"], task["reading"].get("array")) != self.loaded:
+            self.load(task["volume"], task["reading"])
             load_s = time.perf_counter() - begin
         low, high = self.scalar_range(task["reading"]["range"])
         points = opacity(task["transfer"])
