@@ -101,6 +101,9 @@ impl App {
             return Ok(());
         };
         let is_lost = result.is_err() && self.is_lost();
+        let job = self.loading.as_ref().map(|loading| &loading.job);
+        let keeps_curve = job.is_some_and(|job| job.curve.is_some());
+        let modes = job.map(|job| (job.shading, job.skipping));
         if !is_lost {
             self.loading = None;
         }
@@ -135,7 +138,8 @@ impl App {
         if self.scene.as_ref().is_none_or(|s| s.path != scene.path) {
             state.recent.add(&scene.path, |file, text| self.host.write_whole(file, text));
         }
-        if curve != state.edited.curve {
+        // A curve that was given to the load may have been edited since.
+        if !keeps_curve && curve != state.edited.curve {
             state.edited = Edited::new(curve);
             state.selected = None;
         }
@@ -160,7 +164,7 @@ impl App {
         state.changed.replaced = true;
         state.picture = Some(Shown { steered: STEERED, full: None });
         self.warm.clear();
-        self.warm.insert((state.shading, state.skipping));
+        self.warm.extend(modes);
         self.refinement = None;
         self.scene = Some(scene);
         self.swapped = Instant::now();
@@ -222,7 +226,10 @@ impl App {
         let modes = (state.shading, state.skipping);
         if self.warm.insert(modes) {
             warm(&mut scene.raycaster, modes.0, modes.1)?;
+        }
+        if changed.settings {
             state.predictor = state.steer.predictor(state.shading);
+            state.calibration = self.host.calibration(&scene.path, state.shading);
         }
         let size = pictures.size;
         let frame = self.full_frame(size)?;
