@@ -145,7 +145,7 @@ mod tests {
         #[cfg(target_os = "linux")]
         {
             use std::os::unix::ffi::OsStrExt;
-            let name = std::ffi::OsStr::from_bytes(b"caf\xe9.nrrd");
+            let name = std::ffi::OsStr::from_bytes(b"v\xe9.nrrd");
             std::fs::write(data.path().join(name), "").unwrap();
         }
         let [seen, first, second, _, scan] = paths;
