@@ -298,7 +298,7 @@ typedef struct entire_calibration_report {
     double median_error;
     /**
      * Root mean square error in seconds over held-out frames, divided by the standard deviation of their
-     * times.
+     * times; NaN if all of these times are equal.
      */
     double rmse_over_sd;
     /**
@@ -813,14 +813,15 @@ entire_result entire_session_recorded_count(const entire_session *session, size_
 
 /**
  * Replaces the session's model, keeping the options that the session was made with. Observations are
- * forgotten; volume, transfer function, limits and recorded frames stay. If the model takes volume features,
- * set the volume again. The session holds a reference to the model.
+ * forgotten; volume, transfer function and limits stay, and so do recorded frames unless the model needs
+ * another number of probe rays. If the model takes volume features, set the volume again. The session holds a reference to the model.
  *
  * Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an
  * input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
  * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT (`model` may not be NULL here).
  */
-entire_result entire_session_set_model(entire_session *session, const entire_model *model);
+entire_result entire_session_set_model(entire_session *session,
+                                       const entire_model *model);
 
 /**
  * Forgets every observation and every pending plan; volume, transfer function and limits stay.

@@ -531,8 +531,8 @@ typedef struct entire_plan {
     float step;
     /**
      * Distance of neighboring rays in pixels of the frame, along each side of the image: divide the frame's
-     * width and height by this, rounded down. 1 unless entire_session_set_max_image_sample_distance allows
-     * more.
+     * width and height by this, rounded down, but at least 1. The number is 1 unless
+     * entire_session_set_max_image_sample_distance allows more.
      */
     float image_sample_distance;
     /**
