@@ -38,25 +38,10 @@ const STRETCHES: u64 = 5;
 /// Scene of a timed frame: hashes of its volume and its transfer function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Shown {
-    /// Hash of the volume.
+    /// Hash of the volume ([`VolumeSummary::fingerprint`]).
     pub(crate) volume: u64,
-    /// Hash of the transfer function.
+    /// Hash of the transfer function's opacities ([`TransferSummary::fingerprint`]).
     pub(crate) transfer: u64,
-}
-
-impl Shown {
-    /// Returns hashes of a volume's sizes and histogram and of a transfer function; equal hashes of different
-    /// scenes are very unlikely.
-    fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
-        Self { volume: volume.fingerprint(), transfer: table_fingerprint(transfer) }
-    }
-}
-
-/// Hash of a transfer table; different tables are very unlikely to collide.
-pub(crate) fn table_fingerprint(table: &TransferTable) -> u64 {
-    let unit = u64::from(table.unit_distance().to_bits());
-    let pairs = table.rgba().iter().flat_map(|[r, g, b, a]| [(r, g), (b, a)]);
-    pairs.fold(unit, |sum, (a, b)| mixed(sum, u64::from(a.to_bits()) << 32 | u64::from(b.to_bits())))
 }
 
 /// Kind of the groups of frames that are held out together in cross-validation.
@@ -178,7 +163,8 @@ impl Calibration {
         let mut features = FrameFeatures::default();
         features.measure(volume, &mut transfer, frame)?;
         let work = features.cost_work(&Setting::from(frame));
-        self.add_work(&work, Shown::of(volume, table), seconds);
+        let shown = Shown { volume: volume.fingerprint(), transfer: transfer.fingerprint() };
+        self.add_work(&work, shown, seconds);
         Ok(())
     }
 
