@@ -138,16 +138,7 @@ in_debian() {
     ' in_debian "$folder" "${#mounts[@]}" "${mounts[@]}" "$@"
 }
 
-# inside FOLDER [SOURCE=TARGET]... -- [NAME=VALUE]... COMMAND...: runs a command with a clean environment in the Debian of a
-# folder: as in_debian, with this checkout at /entire and the C library, which the caller mounts, at /sdk.
-# shellcheck disable=SC2329
-inside() {
-    local folder=$1 mounts=()
-    shift
-    while [[ $1 != -- ]]; do
-        mounts+=("$1")
-        shift
-    done
-    in_debian "$folder" "$PWD=/entire" "${mounts[@]}" -- env -i HOME=/root LANG=C.UTF-8 \
-        PATH=/usr/sbin:/usr/bin:/sbin:/bin PYTHONDONTWRITEBYTECODE=1 ENTIRE_SDK=/sdk "${@:2}"
-}
+# Command before a program that runs in_debian: gives it a clean environment, with the C library, which the caller mounts, at
+# /sdk.
+# shellcheck disable=SC2034
+clean_environment=(env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin PYTHONDONTWRITEBYTECODE=1 ENTIRE_SDK=/sdk)

@@ -121,15 +121,17 @@ for name in "${names[@]}"; do
         continue
     fi
     rm -rf "$folders/$name/build"
+    # This checkout and the C library are mounted read-only.
+    within=(in_debian "$folders/$name" "$PWD=/entire" "$sdk=/sdk" -- "${clean_environment[@]}")
     if [[ $short ]]; then
-        tests "$name" vtk inside "$folders/$name" "$sdk=/sdk" -- VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test
+        tests "$name" vtk "${within[@]}" VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test
         continue
     fi
     places+=("$name=$folders/$name=$folders/$name/build/vtk=$folders/$name/build/paraview")
     modules=()
     if [[ -e $folders/$name/opt/python3-paraview/usr ]]; then modules=(PARAVIEW_PYTHON=/opt/python3-paraview); fi
-    tests "$name" vtk inside "$folders/$name" "$sdk=/sdk" -- VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test --full
-    tests "$name" paraview inside "$folders/$name" "$sdk=/sdk" -- PARAVIEW_OUT=/build/paraview "${modules[@]}" \
+    tests "$name" vtk "${within[@]}" VTK_OUT=/build/vtk /entire/plugins/vtk/run.sh test --full
+    tests "$name" paraview "${within[@]}" PARAVIEW_OUT=/build/paraview "${modules[@]}" \
         /entire/plugins/paraview/run.sh test --full
 done
 if ((${#places[@]})); then

@@ -34,7 +34,8 @@ if [[ ${VTK_DEBIAN:-} ]]; then
     folder=$(realpath -m "$target/matrix/$VTK_DEBIAN")
     [[ -e $folder/made-in ]] || { echo "bars.sh: $folder does not exist; make it: make test-matrix MATRIX=$VTK_DEBIAN" >&2; exit 2; }
     # The folder has no compiler of Rust: the command and the C library are those of this machine.
-    inside "$folder" "$(sdk)=/sdk" "$(realpath "$target/release")=/release" -- VTK_OUT=/build/vtk \
+    in_debian "$folder" "$PWD=/entire" "$(sdk)=/sdk" "$(realpath "$target/release")=/release" -- \
+        "${clean_environment[@]}" VTK_OUT=/build/vtk \
         sh -c 'cd /entire && exec plugins/vtk/run.sh exec /usr/bin/python3 "$@"' sh lab/scripts/vtk/bars.py \
         --out /build/vtk/bars --entire /release/entire --repeats "${VTK_REPEATS:-3}" \
         --frames "${VTK_FRAMES:-200}" --parts comparison || status=1
