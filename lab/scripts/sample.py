@@ -45,7 +45,7 @@ def sentences():
             continue
         text = (ROOT / path).read_text()
         text = re.sub(r"```.*?```", "\n\n", text, flags=re.S)
-        for block in re.split(r"\n\s*\n", text):
+        for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )", text):
             block = " ".join(line.strip() for line in block.splitlines())
             if block.startswith(("|", "#", "<", "!")):
                 continue
