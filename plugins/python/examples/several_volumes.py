@@ -22,9 +22,11 @@ for i, (shape, cmap) in enumerate(zip(shapes, ("viridis", "plasma", "cividis")))
     grid = pv.ImageData(dimensions=(n, n, n), origin=((n + 8) * i, 0, 0))
     grid["value"] = (255 * shape).astype(np.uint8).ravel()
     pl.add_volume(grid, cmap=cmap, opacity="linear", show_scalar_bar=False)
-pl.entire.hold(fps=8, overlay=True)
+steering = pl.entire.hold(fps=8, overlay=True)
+# When the window is closed, the steering has no leaves; each leaf keeps its history.
+leaves = list(steering.leaves)
 
 if __name__ == "__main__":
     pl.show()
-    for leaf in pl.entire.steering.leaves:
+    for leaf in leaves:
         print(leaf.session.history)

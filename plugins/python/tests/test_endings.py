@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Settings after steering ends during a frame, volumes that share a mapper, values of the last frame, pictures of a
-calibration, memory of deleted volumes and renderers."""
+calibration, memory of deleted volumes and renderers, history and learned state after the end."""
 
 import gc
 import math
@@ -124,6 +124,29 @@ def test_a_volume_changes_hands(voxels):
     second.detach()
     assert volume.GetMapper() is smart
     assert "nothing" in repr(first)
+
+
+@pytest.mark.parametrize("how", ["detach", "remove"])
+def test_history_and_learned_state_of_the_last_volume_stay(voxels, tmp_path, how):
+    view, volume = one_volume(voxels)
+    steering, file = entire.vtk.hold(view.renderer, seconds=0.01), tmp_path / "state"
+    view.draw(4)
+    session = steering.leaves[0].session
+    frames, state = len(session.history), session.save_state()
+    assert frames > 0
+    if how == "detach":
+        steering.detach()
+    else:
+        view.renderer.RemoveVolume(volume)
+        view.draw(1)
+    assert steering.leaves == []
+    assert len(steering.history) == frames
+    steering.save(file)
+    assert file.read_bytes() == state
+    steering.reset()
+    assert len(steering.history) == 0
+    with pytest.raises(ValueError, match="nothing was learned"):
+        steering.save(file)
 
 
 @pytest.mark.parametrize("given", [False, True])

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """PyVista: three lines, widgets, several renderers, screenshots and movies."""
 
+import runpy
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,8 @@ pv = pytest.importorskip("pyvista")
 
 import entire
 import entire.vtk
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
 @pytest.fixture
@@ -48,6 +53,40 @@ def test_three_lines(image):
         assert pl.entire.steering.reason not in ("still", "fallback", "")
     assert len(pl.entire.history) > 4
     pl.close()
+
+
+def test_history_and_learned_state_outlive_the_window(image, tmp_path):
+    pl = pv.Plotter(window_size=(240, 240))
+    pl.add_volume(image)
+    steering = pl.entire.hold(fps=30)
+    pl.show(auto_close=False, interactive=False)
+    for _ in drag(pl):
+        pass
+    frames = len(pl.entire.history)
+    assert frames > 4
+    pl.close()
+    assert steering.leaves == []
+    assert pl.entire.steering is steering
+    assert len(pl.entire.history) >= frames
+    pl.entire.steering.save(tmp_path / "state")
+    assert (tmp_path / "state").stat().st_size > 0
+
+
+@pytest.mark.parametrize(("name", "volumes"), [("three_lines", 1), ("several_volumes", 3), ("clip_plane", 1)])
+def test_examples_print_their_histories_after_the_window_was_closed(name, volumes, monkeypatch, capsys):
+    show = pv.Plotter.show
+
+    def show_and_drag(plotter):
+        show(plotter, auto_close=False, interactive=False)
+        for _ in drag(plotter, at=(90, 300)):
+            pass
+        plotter.close()
+
+    monkeypatch.setattr(pv.Plotter, "show", show_and_drag)
+    runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
+    histories = [line for line in capsys.readouterr().out.splitlines() if line.startswith("History(")]
+    assert len(histories) == volumes
+    assert not any("no frames" in history for history in histories)
 
 
 def test_the_mapper_is_exchanged_and_put_back(shown):

@@ -1,11 +1,23 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Comparison of the clock that times frames with the clock whose times the model predicts."""
+"""The clocks that time frames, and their comparison with the clock whose times the model predicts."""
 
 from __future__ import annotations
 
+import time
 import warnings
+from collections.abc import Callable
 
 from ._core import Session
+
+# Functions that read each clock.
+_TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
+
+
+def timer(clock: str) -> Callable[[], float]:
+    """Function that reads a clock and returns seconds."""
+    if clock not in _TIMERS:
+        raise ValueError(f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)")
+    return _TIMERS[clock]
 
 
 def difference(session: Session) -> str:

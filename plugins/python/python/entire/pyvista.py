@@ -45,6 +45,8 @@ class EntireComponent:
         self._plotter = plotter
         #: Steerings of each held renderer, by the renderer's index in the plotter, newest last.
         self._held: dict[int, list[Steering]] = {}
+        #: The last steering that ended in each renderer.
+        self._past: dict[int, Steering] = {}
         self._screenshots: dict[str, Any] = {}
 
     def _make_gpu(self, smart: Any) -> Any:
@@ -145,8 +147,10 @@ class EntireComponent:
 
     @property
     def steering(self) -> Steering | None:
-        """entire.vtk.Steering or None : Steering of the active renderer, of the last call of :meth:`hold`."""
-        return next(reversed(self._held.get(self._plotter.renderers.active_index, [])), None)
+        """entire.vtk.Steering or None : Steering of the active renderer, of the last call of :meth:`hold`. When it has
+        ended, also because the plotter was closed, it has no leaves and keeps its history and learned state."""
+        index = self._plotter.renderers.active_index
+        return next(reversed(self._held.get(index, [])), self._past.get(index))
 
     @property
     def history(self) -> History | None:
@@ -171,6 +175,7 @@ class EntireComponent:
     def _end(self, index: int) -> None:
         for steering in self._held.pop(index, []):
             steering.detach()
+            self._past[index] = steering
         if not self._held:
             for name in self._screenshots:
                 self._plotter.__dict__.pop(name, None)

@@ -13,10 +13,11 @@ import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
+from .._clocks import timer
 from .._core import Calibration, CannotSteer, Model
 from . import _mappers, _scene
 from ._leaf import first_volume
-from ._steering import _check_renderer, _volumes, timer
+from ._steering import _check_renderer, _volumes
 
 log = logging.getLogger("entire.vtk")
 

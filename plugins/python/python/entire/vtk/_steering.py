@@ -10,7 +10,6 @@ import math
 import numbers
 import os
 import statistics
-import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +20,7 @@ from typing import Any, Union
 from .. import _clocks
 from .._core import CannotSteer, ModelLike, Session, _model, _named
 from .._history import History
-from .._native import ModelError
+from .._native import ModelError, write_whole
 from . import _mappers
 from ._leaf import Leaf, refusal, weak
 from ._overlay import Overlay
@@ -40,8 +39,6 @@ _OUTSIDE_TIMES = 5
 # Number of still frames off screen, without any steered one, after which a warning names `always`.
 _STILL_FRAMES = 10
 _NAN = math.nan
-# Functions that read each clock.
-_TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
 
 # Steerings by the address of their volume. Only the scene's observers keep steerings alive.
 _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
@@ -52,13 +49,6 @@ def _holder(volume: Any) -> Steering | None:
     may have the address of a deleted one."""
     held = _held.get(volume.__this__)
     return held if held is not None and any(leaf.volume is volume for leaf in held.leaves) else None
-
-
-def timer(clock: str) -> Callable[[], float]:
-    """Function that reads a clock and returns seconds."""
-    if clock not in _TIMERS:
-        raise ValueError(f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)")
-    return _TIMERS[clock]
 
 
 class Steering:
@@ -117,7 +107,7 @@ class Steering:
                 f"seconds is {seconds}; it must be finite and positive (1 / 30 for 30 frames per second), "
                 f"or None"
             )
-        now = timer(clock)
+        now = _clocks.timer(clock)
         if not 1 / 64 <= coarsest <= 4096:
             raise ValueError(f"coarsest is {coarsest} voxel spacings; it must lie in 1/64 to 4096")
         if finest is not None and not 1 / 64 <= finest <= 4096:
@@ -167,6 +157,8 @@ class Steering:
         # Called with a GPU mapper and the smart mapper that replaces it when steering ends.
         self._given_back: Callable[[Any, Any], None] | None = None
         self._last: Leaf | None = None
+        # History and learned state of the volume that was drawn last, once it is released.
+        self._past: tuple[History, bytes | None] = unbound.history, None
         self._props_time = 0
         self._all = volumes is None
         self.notes: list[str] = []
@@ -212,11 +204,18 @@ class Steering:
             self.detach()
 
     def _release(self, leaf: Leaf) -> None:
-        self._last = None if self._last is leaf else self._last
+        if self._last is leaf:
+            self._keep()
         leaf._leave()
         self.leaves.remove(leaf)
         if _held.get(leaf.address) is self:
             del _held[leaf.address]
+
+    def _keep(self) -> None:
+        """Keeps the history and the learned state of the last drawn volume, which is released."""
+        if self._last is not None:
+            session, self._last = self._last.session, None
+            self._past = session.history, session.save_state()
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -240,13 +239,14 @@ class Steering:
         return session
 
     def detach(self) -> None:
-        """Releases the scene: restores the application's settings of mappers, and exchanged mappers."""
+        """Releases the scene: restores the application's settings of mappers, and exchanged mappers. :attr:`history`
+        and :meth:`save` still give the last drawn volume's frames and state."""
+        self._keep()
         for address in [a for a, s in _held.items() if s is self]:
             del _held[address]
         for leaf in self.leaves:
             leaf._leave()
         self.leaves = []
-        self._last = None
         renderer = self._renderer()
         if renderer is not None:
             for tag in self._renderer_tags:
@@ -299,6 +299,7 @@ class Steering:
     def reset(self) -> None:
         """Discards the learned state, and a state from :meth:`load`."""
         self._state = None
+        self._past = Session().history, None
         for leaf in self.leaves:
             leaf._restart(self._session(leaf._class))
 
@@ -314,9 +315,10 @@ class Steering:
         ValueError
             Before the first frame.
         """
-        if self._last is None:
+        state = self._last.session.save_state() if self._last else self._past[1]
+        if state is None:
             raise ValueError("nothing was learned yet: no frame was drawn")
-        self._last.session.save(path)
+        write_whole(path, state)
 
     def load(self, path: Union[str, os.PathLike[str]]) -> None:
         """Starts from a file of :meth:`save`: now, and whenever a volume gets a new session, until :meth:`reset`.
@@ -410,7 +412,7 @@ class Steering:
     @property
     def history(self) -> History:
         """History : The last frames of the volume that was drawn last; ``leaves`` have the frames of the others."""
-        return self._leaf.session.history if self._leaf else Session().history
+        return self._leaf.session.history if self._leaf else self._past[0]
 
     def __repr__(self) -> str:
         if not self.leaves:
