@@ -126,6 +126,20 @@ def test_a_volume_changes_hands(voxels):
     assert "nothing" in repr(first)
 
 
+def test_a_renderer_has_one_steering_of_all_its_volumes(voxels):
+    view, volume = one_volume(voxels)
+    first = entire.vtk.hold(view.renderer, seconds=0.1)
+    view.renderer.RemoveVolume(volume)
+    view.draw(1)
+    add_volume(view.renderer, voxels)
+    second = entire.vtk.hold(view.renderer, seconds=0.001)
+    # The first steering has no volume when the second one begins, and must not take a later one.
+    add_volume(view.renderer, voxels[:30])
+    view.draw(2)
+    assert first.leaves == []
+    assert len(second.leaves) == 2
+
+
 @pytest.mark.parametrize("how", ["detach", "remove"])
 def test_history_and_learned_state_of_the_last_volume_stay(voxels, tmp_path, how):
     view, volume = one_volume(voxels)

@@ -123,6 +123,17 @@ def test_a_view_may_be_empty_at_first(voxels):
     assert len(steering.leaves) == 1
 
 
+def test_a_second_call_on_an_empty_view_replaces_the_first(voxels):
+    view = SlicerView()
+    first = entire.slicer.hold(view.group, seconds=20)
+    second = entire.slicer.hold(view.group, seconds=1e-4)
+    view.show(voxels)
+    view.move()
+    view.draw(2)
+    assert not first.leaves
+    assert len(second.leaves) == 1
+
+
 def test_views_of_slicer_lead_to_their_manager(view):
     # The methods by which qMRMLThreeDWidget and qMRMLThreeDView return the manager.
     three_d_view = SimpleNamespace(displayableManagerByClassName=view.group.GetDisplayableManagerByClassName)

@@ -42,6 +42,8 @@ _NAN = math.nan
 
 # Steerings by the address of their volume. Only the scene's observers keep steerings alive.
 _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
+# Steerings that hold all volumes of their renderer, also those that are added later.
+_whole: weakref.WeakSet[Steering] = weakref.WeakSet()
 
 
 def _holder(volume: Any) -> Steering | None:
@@ -189,6 +191,11 @@ class Steering:
             renderer.AddObserver("EndEvent", self._on_renderer_end),
         ]
         self._follow_window(renderer.GetRenderWindow())
+        if self._all:
+            # An earlier one would take the volumes that are added later.
+            for earlier in [each for each in _whole if each.renderer is renderer]:
+                earlier.detach()
+            _whole.add(self)
 
     def _add(self, volume: Any) -> None:
         earlier = _holder(volume)
@@ -242,6 +249,7 @@ class Steering:
         """Releases the scene: restores the application's settings of mappers, and exchanged mappers. :attr:`history`
         and :meth:`save` still give the last drawn volume's frames and state."""
         self._keep()
+        _whole.discard(self)
         for address in [a for a, s in _held.items() if s is self]:
             del _held[address]
         for leaf in self.leaves:
