@@ -79,6 +79,7 @@ RENAMED = {
     "a_volume_of_bricks_costs_the_same_in_any_unit": "any_other_unit_changes_rounding_alone",
     "cell_bounds_are_those_of_their_voxels_and_the_next":
         "every_type_range_and_layout_is_summarized_as_defined",
+    "every_volume_format_renders_the_same_picture": "every_fixture_is_read_as_independent_readers_read_it",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
