@@ -80,6 +80,8 @@ RENAMED = {
     "cell_bounds_are_those_of_their_voxels_and_the_next":
         "every_type_range_and_layout_is_summarized_as_defined",
     "every_volume_format_renders_the_same_picture": "every_fixture_is_read_as_independent_readers_read_it",
+    "commands_of_other_programs_never_see_a_panic":
+        "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

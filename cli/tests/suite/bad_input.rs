@@ -297,27 +297,6 @@ fn volumes_with_broken_constant_or_thin_voxels_have_an_answer() {
 }
 
 #[test]
-fn commands_of_other_programs_never_see_a_panic() {
-    // One byte of a model is damaged, at every 37th position: the command succeeds or prints one line, and
-    // never panics.
-    let folder = workshop();
-    let at = folder.path();
-    let model = std::fs::read(at.join("pred.safetensors")).unwrap();
-    for i in (0..model.len()).step_by(37) {
-        let mut bytes = model.clone();
-        bytes[i] ^= 0x5a;
-        std::fs::write(at.join("m.safetensors"), &bytes).unwrap();
-        let output = entire(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"]);
-        let told = stderr(&output);
-        assert!(matches!(output.status.code(), Some(0 | 1)), "byte {i}: {told}");
-        assert!(
-            told.lines().count() <= 1 && !told.contains("panicked") && !told.contains("internal error"),
-            "byte {i}: {told}"
-        );
-    }
-}
-
-#[test]
 fn settings_of_the_environment_are_not_replaced() {
     let folder = workshop();
     let arguments =
