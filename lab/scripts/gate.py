@@ -82,6 +82,7 @@ RENAMED = {
     "every_volume_format_renders_the_same_picture": "every_fixture_is_read_as_independent_readers_read_it",
     "commands_of_other_programs_never_see_a_panic":
         "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
+    "a_refused_collection_leaves_no_table": "frames_of_a_pass_survive_an_error_with_the_manifest",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

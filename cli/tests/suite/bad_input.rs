@@ -309,16 +309,6 @@ fn settings_of_the_environment_are_not_replaced() {
 }
 
 #[test]
-fn a_refused_collection_leaves_no_table() {
-    let folder = workshop();
-    let at = folder.path();
-    let collect = "collect ball.nrrd --frames 1 --max-size 32 --device cpu --out t.csv --enlarge";
-    refuses(at, &words(&format!("{collect} 0")), &["factors of 1 to 8"]);
-    assert!(!at.join("t.csv").exists() && !at.join("t.manifest.json").exists());
-    succeeds(at, &words(&format!("{collect} 1")));
-}
-
-#[test]
 fn a_picture_of_nothing_is_no_silence() {
     let folder = workshop();
     let arguments = render("ball.nrrd", "0,0,2", "4,0.01,0.5", "8x8", &[]);
