@@ -196,22 +196,6 @@ fn a_signal_that_the_parent_ignores_stays_ignored() {
     assert_eq!(table(dir.path()).len(), 40);
 }
 
-#[test]
-fn two_drivers_do_not_work_on_one_database() {
-    let renderer =
-        "[renderer]\nkind = \"command\"\ncommand = [\"sh\", \"-c\", \"sleep 5; exit 1\", \"{out}\"]\n";
-    let dir = setting(renderer);
-    let mut first = start(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
-    let lock = dir.path().join("db.cdb/.farm/run");
-    while !lock.exists() {
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let output = entire(dir.path(), &["farm", "job.toml", "--resume", "--quiet"]);
-    assert!(stderr(&output).contains("another `entire farm`"), "{}", stderr(&output));
-    kill(first.id(), "-KILL");
-    first.wait().unwrap();
-}
-
 /// Renders `picture.png` in the folder, for programs that copy it.
 fn render_picture(folder: &Path) {
     let line =
