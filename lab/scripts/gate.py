@@ -84,6 +84,7 @@ RENAMED = {
         "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
     "a_refused_collection_leaves_no_table": "frames_of_a_pass_survive_an_error_with_the_manifest",
     "two_drivers_do_not_work_on_one_database": "whole_lines_are_read_back_and_a_torn_one_is_cut_off",
+    "order_of_volumes_changes_numbers_but_no_scene": "a_scene_depends_on_seed_volume_and_index_alone",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

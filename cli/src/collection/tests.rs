@@ -155,21 +155,6 @@ fn warm_up_repeats_are_rendered_before_every_frame_and_not_timed() {
 }
 
 #[test]
-fn order_of_volumes_changes_numbers_but_no_scene() {
-    let dir = tempfile::tempdir().unwrap();
-    let (a, b) = (dir.path().join("a.csv"), dir.path().join("b.csv"));
-    run_until(&a, None, &some_jobs());
-    run_until(&b, None, &some_jobs().into_iter().rev().collect::<Vec<_>>());
-    let sorted = |p: &Path| {
-        let mut rows: Vec<String> =
-            without_times(p).into_iter().map(|l| l.split_once(',').unwrap().1.to_owned()).collect();
-        rows.sort();
-        rows
-    };
-    assert_eq!(sorted(&a), sorted(&b));
-}
-
-#[test]
 fn members_and_time_steps_come_from_the_path_and_seeds_do_not_depend_on_the_folder() {
     let job = Job::from_path(Path::new("x/castro_blast/m01/t0012.nrrd"));
     assert_eq!((job.member.as_str(), job.time_step), ("m01", Some(12)));
