@@ -85,6 +85,8 @@ RENAMED = {
     "a_refused_collection_leaves_no_table": "frames_of_a_pass_survive_an_error_with_the_manifest",
     "two_drivers_do_not_work_on_one_database": "whole_lines_are_read_back_and_a_torn_one_is_cut_off",
     "order_of_volumes_changes_numbers_but_no_scene": "a_scene_depends_on_seed_volume_and_index_alone",
+    "warm_up_repeats_are_rendered_before_every_frame_and_not_timed":
+        "ctrl_c_keeps_finished_frames_and_resuming_completes_them",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

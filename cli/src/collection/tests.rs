@@ -138,23 +138,6 @@ fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere
 }
 
 #[test]
-fn warm_up_repeats_are_rendered_before_every_frame_and_not_timed() {
-    let dir = tempfile::tempdir().unwrap();
-    let (jobs, path) = (some_jobs(), dir.path().join("t.csv"));
-    let protocol = Protocol { warm_up: 2, warm_up_repeats: 1, ..protocol() };
-    let mut table = Writer::create(&path).unwrap();
-    let mut renderer = ScriptedRenderer::default();
-    let bar = ProgressBar::hidden();
-    let outcome = collect(&jobs, &protocol, &mut renderer, &mut tiny, &mut table, &|| false, &bar).unwrap();
-    // Two renderings of each volume's first frame are discarded, and one of every other frame.
-    assert_eq!(outcome.discarded, outcome.total + jobs.len() as u64);
-    let frames = Table::read(&path, 0).unwrap().frames;
-    assert!(frames.len() == 8 && frames.iter().all(|f| f.repeats.len() == 3));
-    let manifest = protocol.manifest(&jobs, &renderer).unwrap();
-    assert_eq!(Protocol::of_manifest(&manifest).unwrap().0, protocol);
-}
-
-#[test]
 fn members_and_time_steps_come_from_the_path_and_seeds_do_not_depend_on_the_folder() {
     let job = Job::from_path(Path::new("x/castro_blast/m01/t0012.nrrd"));
     assert_eq!((job.member.as_str(), job.time_step), ("m01", Some(12)));
@@ -191,7 +174,9 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     volumes.iter_mut().for_each(|volume| volume.as_object_mut().unwrap().sort_keys());
     assert_eq!(differences(&sorted, &base), Vec::<String>::new());
     // The protocol that is read from a manifest equals the protocol that the manifest was written from.
-    let twice = Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
+    let (passes, repeats, warm_up_repeats) = (2, 4, 1);
+    let other = Protocol { passes, repeats, warm_up_repeats, proxy: Some(64), ..protocol() };
+    let twice = Protocol { shading: Shading::Scatter, ..other };
     for p in [protocol(), twice] {
         let mut written = manifest(&p, &some_jobs(), "d");
         written.repeats = p.repeats * p.passes;
