@@ -87,6 +87,7 @@ RENAMED = {
     "order_of_volumes_changes_numbers_but_no_scene": "a_scene_depends_on_seed_volume_and_index_alone",
     "warm_up_repeats_are_rendered_before_every_frame_and_not_timed":
         "ctrl_c_keeps_finished_frames_and_resuming_completes_them",
+    "what_a_recipe_cannot_take_is_said_before_anything_is_computed": "what_cannot_be_done_is_said",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
