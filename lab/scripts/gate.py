@@ -88,6 +88,8 @@ RENAMED = {
     "warm_up_repeats_are_rendered_before_every_frame_and_not_timed":
         "ctrl_c_keeps_finished_frames_and_resuming_completes_them",
     "what_a_recipe_cannot_take_is_said_before_anything_is_computed": "what_cannot_be_done_is_said",
+    "hostile_models_predict_positive_seconds_or_are_refused":
+        "times_that_are_not_positive_are_the_shortest_one_and_not_trusted",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

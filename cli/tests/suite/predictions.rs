@@ -5,7 +5,7 @@
 
 use crate::support::model_of;
 use entire_core::kernels::Executor;
-use entire_core::model::{Model, ModelFile};
+use entire_core::model::Model;
 use entire_core::nn::{Normalization, PredNet};
 use entire_io::dataset::{Table, TimedFrame};
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
@@ -141,28 +141,5 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
     for ((name, _), counts) in models.iter().zip(ordinary.into_iter().zip(of_random)) {
         let known = known(name);
         assert!(counts.0 <= known.0 && counts.1 <= known.1, "{name}: {counts:?}, known are {known:?}");
-    }
-}
-
-#[test]
-fn hostile_models_predict_positive_seconds_or_are_refused() {
-    let path = files_in("models", "local-distilled.safetensors").remove(0);
-    let file = ModelFile::from_bytes(&std::fs::read(path).unwrap()).unwrap();
-    let model = file.to_model().unwrap();
-    let width: usize = model.inputs.iter().map(|g| g.size).sum();
-    let mean = model.prednet.as_ref().unwrap().input.as_ref().unwrap().mean.clone();
-    for factor in [-1.0, -1e3, 0.0, 1e4, -1e20] {
-        let mut parts = model.prednet.as_ref().unwrap().clone();
-        let last = parts.layers.last_mut().unwrap();
-        last.weight.iter_mut().chain(&mut last.bias).for_each(|w| *w *= factor);
-        let mut hostile = file.clone();
-        // Some of these networks cannot be stored: the file refuses them, which is also correct.
-        let Ok(hostile) = hostile.set_prednet(&parts, &model.inputs).and_then(|f| f.to_model()) else {
-            continue;
-        };
-        match predict_rows(&hostile, &mean, width) {
-            Ok(seconds) => assert!(seconds.iter().all(|s| !invalid(*s)), "{factor}: {seconds:?}"),
-            Err(e) => assert!(format!("{e:#}").contains("finite number"), "{factor}: {e:#}"),
-        }
     }
 }
