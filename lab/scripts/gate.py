@@ -90,6 +90,7 @@ RENAMED = {
     "what_a_recipe_cannot_take_is_said_before_anything_is_computed": "what_cannot_be_done_is_said",
     "hostile_models_predict_positive_seconds_or_are_refused":
         "times_that_are_not_positive_are_the_shortest_one_and_not_trusted",
+    "a_second_writer_of_a_table_is_refused_and_ruins_nothing": "a_table_has_one_writer_at_a_time",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

@@ -59,33 +59,6 @@ fn setting() -> (tempfile::TempDir, PathBuf) {
     (dir, volume)
 }
 
-#[test]
-fn a_second_writer_of_a_table_is_refused_and_ruins_nothing() {
-    let (dir, volume) = setting();
-    let out = dir.path().join("t.csv");
-    let settings = ["--frames", "3000", "--min-size", "96", "--max-size", "160"];
-    let mut first = started(&mut collect(&volume, &out, &settings), &out, 5);
-    for _ in 0..3 {
-        let mut second = collect(&volume, &out, &settings);
-        refused(second.arg("--resume"), 1, &["another process writes this table"]);
-    }
-    first.kill().unwrap();
-    first.wait().unwrap();
-    // Every whole line has all columns and the frames are in order, so only one process wrote them.
-    let text = std::fs::read_to_string(&out).unwrap();
-    let columns = text.lines().next().unwrap().split(',').count();
-    let whole = &text[..text.rfind('\n').unwrap()];
-    let numbers: Vec<usize> = whole
-        .lines()
-        .skip(1)
-        .map(|line| {
-            assert_eq!(line.split(',').count(), columns, "{line}");
-            line.split(',').next().unwrap().parse().unwrap()
-        })
-        .collect();
-    assert!(numbers.len() >= 4 && numbers.iter().enumerate().all(|(i, n)| *n == i / 2), "{numbers:?}");
-}
-
 #[cfg(unix)]
 #[test]
 fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
