@@ -91,6 +91,8 @@ RENAMED = {
     "hostile_models_predict_positive_seconds_or_are_refused":
         "times_that_are_not_positive_are_the_shortest_one_and_not_trusted",
     "a_second_writer_of_a_table_is_refused_and_ruins_nothing": "a_table_has_one_writer_at_a_time",
+    "any_bytes_are_an_error_and_never_a_panic":
+        "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
