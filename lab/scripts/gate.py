@@ -93,6 +93,7 @@ RENAMED = {
     "a_second_writer_of_a_table_is_refused_and_ruins_nothing": "a_table_has_one_writer_at_a_time",
     "any_bytes_are_an_error_and_never_a_panic":
         "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
+    "sizes_are_checked_in_wide_arithmetic": "lies_are_named_with_what_was_expected_and_found",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
