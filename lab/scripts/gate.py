@@ -94,6 +94,7 @@ RENAMED = {
     "any_bytes_are_an_error_and_never_a_panic":
         "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
     "sizes_are_checked_in_wide_arithmetic": "lies_are_named_with_what_was_expected_and_found",
+    "likeness_is_one_for_equal_pictures_and_falls": "sizes_and_likeness_are_those_of_the_image_crates",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
