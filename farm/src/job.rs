@@ -11,7 +11,7 @@ use entire_io::identity::{self, Identity};
 use entire_io::options::parse_size;
 use entire_io::path::Transfer;
 use entire_io::volume::Reading;
-use entire_report::{Column, Table};
+use entire_report::Table;
 use entire_steer::features::MAX_PROBE_SIDE;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -300,8 +300,7 @@ impl Job {
 
     /// Returns the list of volumes in their order, one line each: number, time step, name and file.
     pub fn listing(&self) -> String {
-        let [index, time] = ["index", "time"].map(Column::number);
-        let mut table = Table::new(vec![index, time, Column::text("volume"), Column::text("file")]);
+        let mut table = Table::headed("#index | #time | volume | file");
         for (i, volume) in self.volumes.iter().enumerate() {
             let (index, time) = (i.to_string(), volume.time.to_string());
             table.row(vec![index.into(), time.into(), volume.name.as_str().into(), self.shown(i).into()]);

@@ -8,7 +8,7 @@ use super::show::duration;
 use crate::list::lower_bound;
 use anyhow::{Result, ensure};
 use entire_io::machine::Provenance;
-use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
@@ -87,7 +87,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     slowest(&mut page, job, &all);
     if !quarantined.is_empty() {
         page.heading("Quarantined tasks");
-        let mut table = Table::new(vec![Column::text("task"), Column::text("error"), Column::text("log")]);
+        let mut table = Table::headed("task | error | log");
         for (task, (error, log)) in &quarantined {
             table.row(vec![task.as_str().into(), error.as_str().into(), log.as_str().into()]);
         }
@@ -230,8 +230,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let dealt = share.into_iter().fold(0.0, f64::max);
     let bound = lower_bound(&seconds, &speeds)?;
     let took = run.done.iter().map(|a| a.end - run.at).fold(0.0, f64::max);
-    let mut table =
-        Table::new(vec![Column::text("order"), Column::number("end / s"), Column::number("end / bound")]);
+    let mut table = Table::headed("order | #end / s | #end / bound");
     for (name, end) in [
         ("lower bound: no order is faster", bound),
         ("queue, longest predicted first", longest),
@@ -254,8 +253,7 @@ fn slowest(page: &mut Page, job: &Job, all: &[&Answer]) {
     let mut late = all.to_vec();
     late.sort_by(|a, b| (b.seconds / b.predicted_s).total_cmp(&(a.seconds / a.predicted_s)));
     let names: HashMap<u64, u32> = if job.len() <= 1_000_000 { job.numbers() } else { HashMap::new() };
-    let texts = ["task", "volume", "node"].map(Column::text);
-    let mut table = Table::new([&texts[..], &["predicted / s", "measured / s"].map(Column::number)].concat());
+    let mut table = Table::headed("task | volume | node | #predicted / s | #measured / s");
     for a in late.into_iter().take(10) {
         let task = parse_id(&a.task).and_then(|id| names.get(&id));
         let volume = task.map(|t| job.volumes[job.place(*t as usize).volume].name.clone());

@@ -4,7 +4,7 @@
 use super::job::Job;
 use super::planner::{Planner, Setting, State};
 use super::show::duration;
-use entire_report::{Column, Table};
+use entire_report::Table;
 
 /// Maximum number of nodes that is considered.
 const MOST: usize = 4096;
@@ -83,16 +83,8 @@ pub fn text(
         out += "no task has been measured: the times below are rough; let the job run for a moment, end it \
                 with Ctrl-C, and repeat the dry run\n";
     }
-    let mut columns = vec![
-        Column::number("nodes"),
-        Column::text("done after"),
-        Column::text("90 % interval"),
-        Column::number("node hours"),
-    ];
-    if price.is_some() {
-        columns.push(Column::number("price"));
-    }
-    let mut table = Table::new(columns);
+    let priced = if price.is_some() { " | #price" } else { "" };
+    let mut table = Table::headed(&format!("#nodes | done after | 90 % interval | #node hours{priced}"));
     let row = |table: &mut Table, o: &Offer| {
         let mut cells = vec![
             o.nodes.to_string().into(),

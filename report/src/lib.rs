@@ -10,4 +10,4 @@ mod table;
 
 pub use chart::{Axis, Chart, Mark, Rule, Series};
 pub use page::{Page, encode_png};
-pub use table::{Cell, Column, Table, bias_table};
+pub use table::{Cell, Table, bias_table};

@@ -6,21 +6,9 @@ use std::fmt::Write as _;
 
 /// A column: its heading, with unit, and true if it holds numbers, which are aligned at the right.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Column {
+struct Column {
     name: String,
     number: bool,
-}
-
-impl Column {
-    /// A column of texts.
-    pub fn text(name: impl Into<String>) -> Self {
-        Self { name: name.into(), number: false }
-    }
-
-    /// A column of numbers.
-    pub fn number(name: impl Into<String>) -> Self {
-        Self { name: name.into(), number: true }
-    }
 }
 
 /// A cell: its text, and true if it is the best of its column.
@@ -68,16 +56,12 @@ struct Html<'a> {
 }
 
 impl Table {
-    /// An empty table.
-    pub fn new(columns: Vec<Column>) -> Self {
-        Self { columns, rows: Vec::new() }
-    }
-
     /// An empty table. `headings` has the headings of the columns, separated by ` | `; a `#` before a heading marks a
     /// column of numbers.
     pub fn headed(headings: &str) -> Self {
-        let column = |h: &str| h.strip_prefix('#').map_or_else(|| Column::text(h), Column::number);
-        Self::new(headings.split(" | ").map(column).collect())
+        let column =
+            |h: &str| Column { name: h.strip_prefix('#').unwrap_or(h).into(), number: h.starts_with('#') };
+        Self { columns: headings.split(" | ").map(column).collect(), rows: Vec::new() }
     }
 
     /// Adds a row. A row that is shorter than the heading is padded with empty cells.
@@ -197,7 +181,7 @@ mod tests {
 
     #[test]
     fn tables_of_many_columns_are_set_smaller() {
-        let of = |n: usize| Table::new((0..n).map(|i| Column::number(i.to_string())).collect()).to_html();
+        let of = |n: usize| Table::headed(&vec!["#n"; n].join(" | ")).to_html();
         assert!(of(WIDE).contains("<table>") && of(WIDE + 1).contains("<table class=\"wide\">"));
     }
 }

@@ -4,7 +4,7 @@ use anyhow::Result;
 use entire_io::dataset::{NoiseFloor, TimedFrame};
 use entire_io::files::{make_folder, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
-use entire_report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, bias_table};
+use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table, bias_table};
 use entire_train::evaluation::WarmLatency;
 use entire_train::split::GroupBy;
 use serde::Serialize;
@@ -103,12 +103,9 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let rows: Vec<_> = predictors.iter().map(|p| (p.name.as_str(), &p.metrics)).collect();
     let bias = bias_table(&rows);
 
-    let mut columns = vec![Column::text(by.name()), Column::number("frames")];
-    for p in predictors {
-        columns.push(Column::number(format!("RMSE/SD, {}", p.name)));
-        columns.push(Column::number(format!("median error %, {}", p.name)));
-    }
-    let mut by_group = Table::new(columns);
+    let of = |p: &Predictor| format!(" | #RMSE/SD, {0} | #median error %, {0}", p.name);
+    let columns: String = predictors.iter().map(of).collect();
+    let mut by_group = Table::headed(&format!("{} | #frames{columns}", by.name()));
     if let Some(first) = predictors.first() {
         for (group, m) in &first.by_group {
             let mut row = vec![group.clone().into(), m.frames.to_string().into()];
