@@ -368,8 +368,7 @@ pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_
 /// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *const c_char) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
-    // and `path` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
     unsafe {
         reading(model, |loaded| {
             reserve::check()?;
@@ -413,8 +412,7 @@ pub unsafe extern "C" fn entire_model_describe(
     model: *const entire_model,
     info: *mut entire_model_info,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
-    // and `info` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
     unsafe {
         reading(model, |loaded| {
             check_output(info)?;
@@ -446,8 +444,7 @@ pub unsafe extern "C" fn entire_model_input_group(
     index: usize,
     group: *mut entire_input_group,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
-    // and `group` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
     unsafe {
         reading(model, |loaded| {
             check_output(group)?;
@@ -496,8 +493,7 @@ pub unsafe extern "C" fn entire_model_metadata(
     key: *const c_char,
 ) -> *const c_char {
     let mut found = std::ptr::null();
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
-    // and `key` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
     unsafe {
         reading(model, |loaded| {
             let key = text(key, "key")?;
@@ -523,8 +519,7 @@ pub unsafe extern "C" fn entire_model_encode(
     capacity: usize,
     feature_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
-    // and the other pointers are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
     unsafe {
         reading(model, |loaded| {
             check_pointer(feature_count, "feature_count (output)")?;
@@ -554,8 +549,7 @@ pub unsafe extern "C" fn entire_model_predict(
     input_count: usize,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
-    // and `inputs` and `seconds` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
     unsafe {
         reading(model, |loaded| {
             check_pointer(seconds, "seconds (output)")?;
@@ -581,8 +575,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
     input_count: usize,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing,
-    // and `inputs` and `seconds` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
     unsafe {
         reading(model, |loaded| {
             let (net, _) = loaded.prednet()?;
@@ -647,8 +640,7 @@ pub unsafe extern "C" fn entire_model_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle, and `buffer` and `length` are
-    // NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs.
     unsafe { last_error_of(model, buffer, capacity, length) }
 }
 

@@ -25,8 +25,7 @@ pub unsafe extern "C" fn entire_schedule(
     node_of_task: *mut usize,
     makespan: *mut f64,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid for the length that is passed
-    // with it.
+    // SAFETY: by the pointer rules in lib.rs.
     guard(|| unsafe {
         reserve::check()?;
         check_counts(task_count, node_count)?;

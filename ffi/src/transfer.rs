@@ -206,8 +206,7 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     distance: f32,
     unit: entire_unit,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle that only this
-    // thread uses.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `transfer_function`.
     unsafe {
         changing(transfer_function, |transfer| {
             // This only checks the distance; entire_session_set_transfer_function applies it.
@@ -236,8 +235,7 @@ pub unsafe extern "C" fn entire_transfer_function_table(
     rgba: *mut f32,
     capacity: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle that no thread is
-    // changing, and `rgba` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `transfer_function`.
     unsafe {
         reading(transfer_function, |transfer| {
             let table = transfer.table.rgba().as_flattened();
@@ -258,15 +256,13 @@ pub unsafe extern "C" fn entire_transfer_function_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle, and `buffer` and
-    // `length` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs.
     unsafe { last_error_of(transfer_function, buffer, capacity, length) }
 }
 
 /// Frees a transfer function; NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_free(transfer_function: *mut entire_transfer_function) {
-    // SAFETY: by the pointer rules in lib.rs, `transfer_function` is NULL or a live handle that nothing else
-    // uses.
+    // SAFETY: by the pointer rules in lib.rs; nothing else uses `transfer_function`.
     unsafe { freeing(transfer_function) }
 }

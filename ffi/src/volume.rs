@@ -473,8 +473,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
     features: *const f32,
     feature_count: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that only this thread uses,
-    // and `features` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `volume`.
     unsafe {
         changing(volume, |volume| {
             at_most("feature_count", feature_count, ENTIRE_MAX_FEATURES, "ENTIRE_MAX_FEATURES")?;
@@ -497,8 +496,7 @@ pub unsafe extern "C" fn entire_volume_describe(
     volume: *const entire_volume,
     info: *mut entire_volume_info,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that no thread is changing,
-    // and `info` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `volume`.
     unsafe { reading(volume, |volume| describe(volume, info)) }
 }
 
@@ -534,8 +532,7 @@ pub unsafe extern "C" fn entire_volume_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle, and `buffer` and `length`
-    // are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs.
     unsafe { last_error_of(volume, buffer, capacity, length) }
 }
 

@@ -79,8 +79,7 @@ pub unsafe extern "C" fn entire_session_record(
     prior: *const entire_model,
     frame_count: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `prior` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -104,8 +103,7 @@ pub unsafe extern "C" fn entire_session_calibrate(
     model: *mut *mut entire_model,
     report: *mut entire_calibration_report,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
-    // and `model` and `report` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
     unsafe {
         reading(session, |state| {
             check_pointer(model, "model (output)")?;
@@ -172,8 +170,7 @@ pub unsafe extern "C" fn entire_session_recorded_count(
     session: *const entire_session,
     frame_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
-    // and `frame_count` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
     unsafe {
         reading(session, |state| {
             crate::abi::write(frame_count, state.session.recorded().unwrap_or(0), "frame_count (output)")
@@ -193,8 +190,7 @@ pub unsafe extern "C" fn entire_session_set_model(
     session: *mut entire_session,
     model: *const entire_model,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `model` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             reserve::check()?;

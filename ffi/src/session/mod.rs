@@ -100,8 +100,7 @@ pub unsafe extern "C" fn entire_session_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle, and `buffer` and `length`
-    // are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs.
     unsafe { last_error_of(session, buffer, capacity, length) }
 }
 

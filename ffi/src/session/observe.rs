@@ -41,8 +41,7 @@ pub unsafe extern "C" fn entire_session_observe(
     flags: u32,
     verdict: *mut entire_verdict,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `verdict` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             check_flags("flags", flags, ENTIRE_OBSERVE_UNUSUAL | ENTIRE_OBSERVE_CANCELLED)?;

@@ -179,8 +179,7 @@ pub unsafe extern "C" fn entire_session_predict(
     frame: *const entire_frame,
     prediction: *mut entire_prediction,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `frame` and `prediction` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             check_output(prediction)?;
@@ -219,8 +218,7 @@ pub unsafe extern "C" fn entire_session_plan(
     target_seconds: f32,
     plan: *mut entire_plan,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `frame` and `plan` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             check_output(plan)?;
@@ -251,8 +249,7 @@ pub unsafe extern "C" fn entire_session_choose(
     index: *mut usize,
     plan: *mut entire_plan,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and the other pointers are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             check_output(plan)?;

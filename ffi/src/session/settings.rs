@@ -37,8 +37,7 @@ pub unsafe extern "C" fn entire_session_set_volume(
     session: *mut entire_session,
     volume: *const entire_volume,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `volume` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -69,8 +68,7 @@ pub unsafe extern "C" fn entire_session_set_time_step(
     session: *mut entire_session,
     volume: *const entire_volume,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `volume` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -93,8 +91,7 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
     session: *mut entire_session,
     transfer_function: *const entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `transfer_function` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             reserve::check()?;
@@ -197,8 +194,7 @@ pub unsafe extern "C" fn entire_session_quality(
     image_exponent: *mut f32,
     ray_share: *mut f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
-    // and the other pointers are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
     unsafe {
         reading(session, |state| {
             let known = state

@@ -26,8 +26,7 @@ pub unsafe extern "C" fn entire_session_set_timing_source(
     renderer: *const c_char,
     clock: *const c_char,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `renderer` and `clock` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             let (renderer, clock) = (text(renderer, "renderer")?, text(clock, "clock")?);
@@ -68,8 +67,7 @@ pub unsafe extern "C" fn entire_session_clocks(
     model: *mut entire_clock,
     own: *mut entire_clock,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
-    // and `model` and `own` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
     unsafe {
         reading(session, |state| {
             check_pointer(own, "own (output)")?;
@@ -93,8 +91,7 @@ pub unsafe extern "C" fn entire_session_save_state(
     capacity: usize,
     byte_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that no thread is changing,
-    // and `buffer` and `byte_count` are NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
     unsafe {
         reading(session, |state| {
             check_pointer(byte_count, "byte_count (output)")?;
@@ -126,8 +123,7 @@ pub unsafe extern "C" fn entire_session_load_state(
     bytes: *const u8,
     byte_count: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses,
-    // and `bytes` is NULL or valid.
+    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
     unsafe {
         changing(session, |state| {
             at_most("byte_count", byte_count, ENTIRE_MAX_STATE_BYTES, "ENTIRE_MAX_STATE_BYTES")?;
