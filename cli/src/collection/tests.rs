@@ -61,29 +61,29 @@ fn stop_after(calls: Option<u32>) -> impl Fn() -> bool {
     }
 }
 
-fn run_until(path: &Path, renders: Option<u32>, jobs: &[Job]) -> Outcome {
+fn run_until(path: &Path, renders: Option<u32>) -> Outcome {
     let mut table = Writer::resume(path, 3).unwrap();
     let mut renderer = ScriptedRenderer::default();
-    let stop = stop_after(renders);
-    collect(jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &ProgressBar::hidden()).unwrap()
+    let (jobs, stop, bar) = (some_jobs(), stop_after(renders), ProgressBar::hidden());
+    collect(&jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &bar).unwrap()
 }
 
 #[test]
 fn stopping_anywhere_and_resuming_gives_the_same_table() {
     let dir = tempfile::tempdir().unwrap();
     let whole = dir.path().join("whole.csv");
-    let outcome = run_until(&whole, None, &some_jobs());
+    let outcome = run_until(&whole, None);
     assert_eq!(outcome, Outcome { done: 8, total: 8, discarded: 4, interrupted: false });
     let expected = without_times(&whole);
     assert_eq!(expected.len(), 1 + 8 * 3);
     for stop_after in 0..28 {
         let path = dir.path().join(format!("{stop_after}.csv"));
-        let first = run_until(&path, Some(stop_after), &some_jobs());
+        let first = run_until(&path, Some(stop_after));
         assert!(first.interrupted, "{stop_after}");
         // A partial frame is not in the table. The first frame of a volume is partial until it was rendered
         // five times (two warm-ups, three repeats).
         assert_eq!(Table::read(&path, 0).map(|t| t.frames.len() as u64).unwrap(), first.done);
-        let second = run_until(&path, None, &some_jobs());
+        let second = run_until(&path, None);
         assert!(!second.interrupted && second.done == 8);
         assert_eq!(without_times(&path), expected, "{stop_after}");
     }
