@@ -176,11 +176,6 @@ fn outs_of(options: &Options, modes: &[Shading]) -> Result<Vec<PathBuf>> {
     Ok(outs)
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// Volumes or models that cannot be read, a renderer that fails or lacks the clock, a file that cannot be
-/// written, interruption before enough frames for a fit.
 pub(crate) fn run(options: &Options) -> Result<()> {
     if !options.data.is_empty() {
         return from_tables(options);

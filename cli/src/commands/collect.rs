@@ -143,10 +143,6 @@ fn check(jobs: &[Job], remedy: &str) -> Result<()> {
     ensure_distinct(&jobs.iter().map(|j| j.path.clone()).collect::<Vec<_>>())
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// Bad options or files, a device that fails, and interruption; the message names the command that continues.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let (protocol, jobs) = match &options.like {
         Some(table) => {

@@ -192,10 +192,6 @@ fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     )
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// A volume that cannot be read, a device that fails, interruption.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let begin = Instant::now();
     let file = match &options.volume {

@@ -47,10 +47,6 @@ const PACKAGES: [(&str, &str); 5] = [
 /// it.
 type Finding = Result<String, (&'static str, &'static str)>;
 
-/// Runs the command.
-///
-/// # Errors
-/// When a shipped model cannot be read.
 pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     println!("entire {}", machine::version());
     heading("Machine");

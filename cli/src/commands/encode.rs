@@ -31,10 +31,6 @@ pub(crate) struct Options {
     pub(crate) threads: Option<usize>,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// When the model or the volume cannot be read, the model has no VolumeNet, or a feature is not finite.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let model = open_model(&options.model)?;
     let Some(parts) = model.volumenet.as_ref() else {

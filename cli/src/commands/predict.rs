@@ -39,11 +39,6 @@ pub(crate) struct Options {
     pub(crate) inputs: PathBuf,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// When the model or the table cannot be read, the model has no PredNet, or a row or its prediction is
-/// invalid.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let path = match &options.model {
         Some(path) => path.clone(),

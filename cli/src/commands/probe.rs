@@ -52,10 +52,6 @@ const LARGEST: u8 = 2;
 /// Limit of the mean difference from the CPU version's picture, on a scale of 0 to 255.
 const MEAN: f64 = 0.1;
 
-/// Runs the command.
-///
-/// # Errors
-/// When the renderer fails, its clock is too noisy, or its picture differs from the CPU version's.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut renderer = device::open(options.device)?;
     let options_of_probe =

@@ -90,10 +90,6 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
     Ok(Lobes(lobes.iter().map(|&[center, width, height]| GaussianLobe { center, width, height }).collect()))
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// When an option or the volume is invalid, the renderer fails, or the picture cannot be written.
 pub(crate) fn run(options: &Options) -> Result<()> {
     // All options are checked before the volume is loaded.
     ensure_not_input(&options.out, [options.volume.as_path()]).context("--out")?;

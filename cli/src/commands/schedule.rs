@@ -42,10 +42,6 @@ pub(crate) struct Options {
     pub(crate) out: PathBuf,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// Bad options or tasks, a file that cannot be written.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let tasks = read_tasks(&options.tasks)?;
     let speeds = match (options.nodes, options.speeds.is_empty()) {

@@ -153,10 +153,6 @@ fn parse_retarget(text: &str) -> Result<(u32, f64)> {
     Ok((frame, parse_target(time).with_context(|| format!("--retarget {text:?}"))?))
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// Bad options or files, a device that fails, interruption.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
     let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };

@@ -110,10 +110,6 @@ impl Loaded {
     }
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// When a model or table cannot be read, a model's inputs cannot be computed, or no frame is left.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     if let Some(out) = &options.out {
