@@ -52,9 +52,6 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
 
 /// Prints a line on standard output, for a command that has more to do. If the reader of the output has closed
 /// it, the line is dropped and the command goes on.
-///
-/// # Errors
-/// When standard output cannot be written for another reason.
 pub(crate) fn print_line(line: impl Display) -> Result<()> {
     match writeln!(std::io::stdout().lock(), "{line}") {
         Err(error) if is_broken_pipe(&error) => Ok(()),

@@ -28,9 +28,6 @@ fn read((name, bytes): (&str, &[u8])) -> Result<(String, ModelFile)> {
 }
 
 /// The shipped models of a shading mode with their names; the first is the selected one.
-///
-/// # Errors
-/// When a file holds no model.
 pub(crate) fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)>> {
     files(shading).into_iter().map(read).collect()
 }
@@ -38,18 +35,12 @@ pub(crate) fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)
 /// The priors of a calibration of a renderer with these typical costs, with their names: the shipped models of the
 /// shading mode, which were fitted to software renderers. For a GPU there are none, so that the calibration starts from
 /// the typical costs.
-///
-/// # Errors
-/// When a file holds no model.
 pub(crate) fn shipped_priors(shading: Shading, typical: &UnitCosts) -> Result<Vec<(String, ModelFile)>> {
     if *typical == UnitCosts::GPU { Ok(Vec::new()) } else { shipped_models(shading) }
 }
 
 /// The shipped model that was selected for a shading mode, with its name. For a mode without one, a model of the
 /// typical unit costs of software renderers.
-///
-/// # Errors
-/// When a file holds no model.
 pub(crate) fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
     match files(shading).into_iter().next() {
         Some(selected) => read(selected),

@@ -116,9 +116,6 @@ impl<'a> Measuring<'a> {
 
     /// Renders batch after batch until the time is over, the maximum number of frames is reached, or `stop`
     /// returns true.
-    ///
-    /// # Errors
-    /// When a volume cannot be read or the renderer fails.
     pub(crate) fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, &self.pool.prior.costs.seconds);
         // The prior predicts seconds of another machine: the first, small batch measures the ratio of the two

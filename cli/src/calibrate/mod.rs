@@ -123,9 +123,6 @@ pub fn can_be_prior(file: &ModelFile) -> bool {
 }
 
 /// Refuses [`Clock::Auto`]: a model states one clock.
-///
-/// # Errors
-/// For [`Clock::Auto`].
 fn ensure_fixed(clock: Clock) -> Result<()> {
     ensure!(clock != Clock::Auto, "a model predicts one clock's seconds; name cpu, wall or device, not auto");
     Ok(())

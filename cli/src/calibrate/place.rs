@@ -31,9 +31,6 @@ pub(crate) fn file_of(shading: Shading) -> Option<PathBuf> {
 
 /// The machine's model for a shading mode, with its file and its clock; `None` where `entire calibrate` was
 /// not run.
-///
-/// # Errors
-/// When the file holds no model.
 pub(crate) fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Option<Clock>)>> {
     let Some(path) = file_of(shading).filter(|p| p.is_file()) else { return Ok(None) };
     let (file, model) = read_model_file(&path).with_context(|| {

@@ -95,9 +95,6 @@ impl Pool {
     }
 
     /// Draws candidates of every volume and computes their features.
-    ///
-    /// # Errors
-    /// When a volume cannot be read, or the priors do not fit together.
     pub(crate) fn draw(
         settings: &Settings,
         (priors, typical): (&[ModelFile], &UnitCosts),

@@ -75,9 +75,6 @@ pub struct Pictures {
 impl Report {
     /// Returns the report of a calibration in which nothing was rendered. The error is measured on the frames
     /// for whose index `judged` returns true.
-    ///
-    /// # Errors
-    /// When there are no such frames.
     pub(crate) fn new(
         (shading, clock): (Shading, Clock),
         prior: Option<String>,
@@ -196,9 +193,6 @@ impl Report {
     }
 
     /// Writes clock, upper bound and provenance into the model file.
-    ///
-    /// # Errors
-    /// When the file's content is damaged.
     pub(crate) fn write_into(
         &self,
         file: &mut ModelFile,

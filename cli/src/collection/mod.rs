@@ -68,9 +68,6 @@ pub fn time_scene(
 
 /// Returns the times of `repeats` renderings of a frame; `None` if `stop`, which is called before every
 /// rendering, returned true. Before the repeats, `warm_up` renderings are discarded; they count it down to 0.
-///
-/// # Errors
-/// When the renderer fails.
 pub(crate) fn timed_repeats(
     renderer: &mut dyn Renderer,
     frame: &Frame,

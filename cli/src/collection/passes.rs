@@ -19,9 +19,6 @@ pub(crate) fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
 /// Runs [`collect`] once for each pass of the protocol. Each pass has its own table beside `out`, so that it
 /// can be continued. At the end these tables are merged into `table`, where a frame's repeats have the order
 /// of the passes, and removed.
-///
-/// # Errors
-/// Those of [`collect`], and pass tables that cannot be read or removed.
 #[expect(clippy::too_many_arguments, reason = "the parameters of `collect`, and the path of the table")]
 pub(crate) fn collect_passes(
     jobs: &[Job],
@@ -79,9 +76,6 @@ pub(crate) fn collect_passes(
 }
 
 /// Removes the files that exist.
-///
-/// # Errors
-/// When a file cannot be removed; names the file.
 pub(crate) fn remove(files: &[PathBuf]) -> Result<()> {
     for file in files.iter().filter(|f| f.exists()) {
         std::fs::remove_file(file).with_context(|| format!("cannot remove {}", file.display()))?;

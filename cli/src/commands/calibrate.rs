@@ -163,9 +163,6 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
 }
 
 /// Returns the model files of the shading modes, and makes their folders.
-///
-/// # Errors
-/// When a file has a bad name or is the prior, or its folder cannot be made.
 fn outs_of(options: &Options, modes: &[Shading]) -> Result<Vec<PathBuf>> {
     let outs: Vec<PathBuf> = modes.iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
     for out in &outs {
@@ -266,9 +263,6 @@ fn priors_of(options: &Options, shading: Shading, typical: &UnitCosts) -> Result
 }
 
 /// Prints a note if the given prior and the new model predict seconds of different clocks.
-///
-/// # Errors
-/// When the prior cannot be read.
 fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     let Some(path) = &options.prior else { return Ok(()) };
     let theirs = entire_io::clock::of(&open_model(path)?);

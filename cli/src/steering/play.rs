@@ -229,9 +229,6 @@ pub(crate) const RAYCASTER: Quality =
 /// contenders rotates by one from frame to frame. Changes of the transfer function are not timed.
 ///
 /// Returns `None` when `stop` returned true.
-///
-/// # Errors
-/// When the renderer or a prediction fails; the error names the frame.
 pub(crate) fn play(
     task: &Task<'_>,
     draw: &DrawSettings,

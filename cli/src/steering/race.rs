@@ -47,9 +47,6 @@ pub(crate) struct Race<'a> {
 
 /// Returns the name of the model that predicts, the model, and true unless it is the shipped model: the given
 /// model, else the machine's, else the shipped one.
-///
-/// # Errors
-/// When a file holds no model.
 pub(crate) fn chosen_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,
@@ -65,9 +62,6 @@ pub(crate) fn chosen_model(
 
 /// Returns the [chosen](chosen_model) model, and the prior of its errors for controllers. Sessions scale the
 /// shipped model to this machine frame by frame.
-///
-/// # Errors
-/// When a model cannot be read, or holds no predictor.
 pub(crate) fn steering_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,
@@ -87,9 +81,6 @@ pub(crate) fn steering_model(
 /// Returns the machine's model for a shading mode, with its name, and the clock of frame times: with
 /// [`Clock::Auto`] the clock of the machine's model. A model of another clock than the requested one is
 /// ignored, with a note; so is a GPU's model for a software renderer, and the reverse.
-///
-/// # Errors
-/// When the file of the machine's model holds no model.
 pub(crate) fn machine_model_for(
     shading: Shading,
     asked: Clock,
@@ -185,9 +176,6 @@ pub fn calibration_scenes() -> SceneDistribution {
 /// default target and the fixed step. The predictor is not fitted to these scenes.
 ///
 /// Returns `None` when `stop` returned true.
-///
-/// # Errors
-/// When the renderer fails or there are too few scenes.
 pub(crate) fn prepare(
     race: &Race<'_>,
     renderer: &mut dyn Renderer,
@@ -240,9 +228,6 @@ pub(crate) fn prepare(
 /// Plays the path.
 ///
 /// Returns `None` when `stop` returned true.
-///
-/// # Errors
-/// When the renderer or a prediction fails.
 pub(crate) fn run(
     race: &Race<'_>,
     prepared: &Prepared,

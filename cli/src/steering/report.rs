@@ -253,9 +253,6 @@ fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) ->
 }
 
 /// Returns the HTML report.
-///
-/// # Errors
-/// When a picture cannot be encoded.
 fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Result<Page> {
     let frames = playback.references.len();
     let numbered = |c: usize, f: &dyn Fn(&Record) -> f64| -> Vec<(f64, f64)> {
@@ -410,9 +407,6 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
 pub(crate) const FILES: [&str; 3] = ["frames.csv", "summary.json", "report.html"];
 
 /// Makes the folder of a report if it does not exist.
-///
-/// # Errors
-/// When the folder cannot be made, or the report would replace a timing table.
 pub(crate) fn make_report_folder(folder: &Path) -> Result<()> {
     make_folder(folder)?;
     ensure_no_table(&folder.join(FILES[0])).context("--out")
@@ -420,9 +414,6 @@ pub(crate) fn make_report_folder(folder: &Path) -> Result<()> {
 
 /// Writes the [`FILES`] into a folder, which is made if it does not exist.
 /// Returns the metrics of the controllers.
-///
-/// # Errors
-/// When a file cannot be written; the error names the file.
 pub(crate) fn write(
     folder: &Path,
     story: &Story,

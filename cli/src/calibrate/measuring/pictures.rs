@@ -55,9 +55,6 @@ impl PictureError {
 impl Measuring<'_> {
     /// Draws scenes at full quality, at coarser steps and as smaller images until `deadline`, and returns the
     /// compared pictures. An unfinished scene is dropped.
-    ///
-    /// # Errors
-    /// When a volume cannot be read or the renderer fails.
     pub(crate) fn pictures(&mut self, deadline: Instant) -> Result<Vec<Picture>> {
         self.deadline = deadline;
         let longest = self.left() / (SCENES * GRID);
