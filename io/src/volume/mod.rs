@@ -257,9 +257,6 @@ impl Volume {
 
     /// Reads a volume of a known format from a stream. `file_name` is the file's name, from which the names
     /// of raw and JSON files that belong together are derived. Data files come from `companions`.
-    ///
-    /// # Errors
-    /// Those of [`Volume::open_as`], without the file's name.
     pub(crate) fn read(
         format: Format,
         stream: Stream<'_>,

@@ -114,9 +114,6 @@ impl<'a> Stream<'a> {
     }
 
     /// Leaves out a byte order mark, if the stream begins with one.
-    ///
-    /// # Errors
-    /// When the stream cannot be read.
     pub(crate) fn skip_mark(&mut self) -> Result<()> {
         let prefix = self.prefix();
         if self.peek().with_context(|| format!("{prefix}reading"))?.starts_with(&BYTE_ORDER_MARK) {
@@ -178,9 +175,6 @@ impl<'a> Stream<'a> {
     }
 
     /// Skips `count` bytes.
-    ///
-    /// # Errors
-    /// When fewer bytes are left.
     pub(crate) fn skip(&mut self, count: u64) -> Result<()> {
         let prefix = self.prefix();
         let left = match self.remaining {
@@ -225,9 +219,6 @@ impl<'a> Stream<'a> {
 
     /// Returns the rest of the stream, decompressed as zlib, or as gzip if it starts with the magic bytes of
     /// gzip.
-    ///
-    /// # Errors
-    /// When the stream cannot be read.
     pub(crate) fn inflate(mut self) -> Result<Stream<'a>> {
         if self.peek()?.starts_with(&[0x1f, 0x8b]) {
             return Ok(self.gunzip());

@@ -196,9 +196,6 @@ impl Default for Recipe {
 }
 
 /// Reads a loss: `mse`, `huber`, `huber:DELTA`.
-///
-/// # Errors
-/// When the text is no such loss.
 fn parse_loss(text: &str) -> Result<Loss> {
     let (name, value) = match text.split_once(':') {
         Some((name, value)) => {
