@@ -70,6 +70,8 @@ RENAMED = {
     "a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew":
         "a_resumed_database_shows_what_its_files_are_now",
     "the_page_holds_every_chart_and_fetches_nothing": "a_page_fetches_nothing",
+    "broken_values_break_the_line_and_never_reach_the_file": "every_kind_of_chart_is_drawn",
+    "empty_and_constant_data_have_a_span": "every_finite_span_has_few_ticks_and_places_that_fit_a_coordinate",
     "files_round_trip": "parallel_cameras_are_interpolated_in_their_scale_and_switch_to_others",
     "infinities_stay_in_either_direction": "floats_keep_their_sources_range_and_infinities_stay_where_they_are",
     "seconds_that_no_frame_takes_are_refused": "the_writer_refuses_what_could_not_be_read_back",
