@@ -23,17 +23,17 @@ pub struct Page {
 enum Block {
     Heading(String),
     Paragraph(String),
-    Chart { svg: String, caption: String },
-    Table { html: String, caption: String },
-    Pictures(Vec<Picture>),
+    Chart {
+        svg: String,
+        caption: String,
+    },
+    Table {
+        html: String,
+        caption: String,
+    },
+    /// PNG files as base64, with captions.
+    Pictures(Vec<(String, String)>),
     Facts(Vec<(String, String)>),
-}
-
-/// A PNG file as base64.
-#[derive(Clone, Debug)]
-struct Picture {
-    base64: String,
-    caption: String,
 }
 
 impl Page {
@@ -64,10 +64,7 @@ impl Page {
 
     /// Adds pictures side by side. Each is given as the bytes of a PNG file and a caption.
     pub fn pictures<'a>(&mut self, pictures: impl IntoIterator<Item = (&'a [u8], String)>) {
-        let encoded = pictures
-            .into_iter()
-            .map(|(png, caption)| Picture { base64: STANDARD.encode(png), caption })
-            .collect();
+        let encoded = pictures.into_iter().map(|(png, caption)| (STANDARD.encode(png), caption)).collect();
         self.blocks.push(Block::Pictures(encoded));
     }
 
