@@ -18,20 +18,14 @@ pub struct Page {
     blocks: Vec<Block>,
 }
 
-/// A block of a page. Texts are plain; the template escapes them.
+/// A block of a page. Texts are plain; the template escapes them. Pictures are PNG files as base64, with
+/// captions.
 #[derive(Clone, Debug)]
 enum Block {
     Heading(String),
     Paragraph(String),
-    Chart {
-        svg: String,
-        caption: String,
-    },
-    Table {
-        html: String,
-        caption: String,
-    },
-    /// PNG files as base64, with captions.
+    Chart { svg: String, caption: String },
+    Table { html: String, caption: String },
     Pictures(Vec<(String, String)>),
     Facts(Vec<(String, String)>),
 }
