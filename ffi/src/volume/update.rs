@@ -1,6 +1,6 @@
 //! The next time step of a volume.
 
-use super::{Volume, Voxels, entire_volume, entire_volume_desc, log_volume, take_voxels, warn_of_non_finite};
+use super::{Volume, entire_volume, entire_volume_desc, log_volume, take_voxels, warn_of_non_finite};
 use crate::abi::{read_struct, slice};
 use crate::guard::{Outcome, changing};
 use crate::reserve;
@@ -71,7 +71,7 @@ unsafe fn update(
     reserve::check()?;
     // SAFETY: the caller guarantees that `desc` is NULL or valid.
     let mut desc = unsafe { read_struct(desc)? };
-    let &Voxels { shape, range, .. } = volume.voxels()?;
+    let range = volume.voxels()?.range;
     if desc.scalar_type != volume.scalar_type {
         refuse!(
             ENTIRE_INVALID_ARGUMENT,
@@ -86,33 +86,10 @@ unsafe fn update(
     // SAFETY: the caller guarantees that `desc.voxels` is NULL or valid for `voxel_count` elements.
     let voxels = unsafe { take_voxels(&desc)? };
     let next = *voxels.view();
-    if next.shape().spacing != shape.spacing {
-        let [a, b] = [next.shape(), shape].map(|shape| shape.spacing.to_array());
-        refuse!(
-            ENTIRE_INVALID_ARGUMENT,
-            "a time step has the spacing {a:?}, but its volume has {b:?}; give the time step the \
-             spacing of its volume"
-        );
-    }
-    if next.shape().dims != shape.dims {
-        let ([x, y, z], [nx, ny, nz]) = (next.shape().dims, shape.dims);
-        refuse!(
-            ENTIRE_SIZE_MISMATCH,
-            "a time step has {x} x {y} x {z} voxels, but its volume has {nx} x {ny} x {nz}; \
-             make a new volume for this time step"
-        );
-    }
-    if next.range() != range {
-        let ((low, high), (was_low, was_high)) = (next.range(), range);
-        refuse!(
-            ENTIRE_INVALID_ARGUMENT,
-            "a time step has the scalar range {low} to {high}, but its volume has {was_low} to {was_high}; \
-             give every step the range of the whole series"
-        );
-    }
     let (mut series, first) = match volume.series.take() {
         Some(series) => (series, false),
-        None => (Box::new(SummarySeries::new(&next)?), true),
+        // The series refuses a time step of other sizes, spacing or range than the volume's.
+        None => (Box::new(SummarySeries::new(volume.view()?)?), true),
     };
     match series.update(&next, changed, Executor::Serial) {
         Ok(summary) if first => warn_of_non_finite(summary),

@@ -112,7 +112,7 @@ impl SummarySeries {
             bail!(
                 SizeMismatch,
                 "a time step has {x} x {y} x {z} voxels, but its series has {nx} x {ny} x {nz}; make a new \
-                 series for this size"
+                 volume or series for this size"
             );
         }
         self.check(volume)?;
