@@ -92,8 +92,7 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
         entire_transfer_function_free(transfer);
         for i in 0..frames {
             frame.arcball[1] = 40.0 * i as f32;
-            let mut plan =
-                entire_plan { struct_size: size_of::<entire_plan>(), ..crate::abi::ByValue::defaults() };
+            let mut plan: entire_plan = crate::abi::ByValue::defaults();
             let mut index = 99;
             if i % 3 == 2 {
                 let (settings, count) = (SETTINGS.as_ptr(), SETTINGS.len());
@@ -302,8 +301,7 @@ fn a_plan_that_is_refused_uses_no_id() {
         entire_transfer_function_free(transfer);
         let mut frame = init(entire_frame_init);
         (frame.width, frame.height) = (32, 32);
-        let mut plan =
-            entire_plan { struct_size: size_of::<entire_plan>(), ..crate::abi::ByValue::defaults() };
+        let mut plan: entire_plan = crate::abi::ByValue::defaults();
         let finest = entire_setting { step: 1.0 / 64.0, ..SETTINGS[0] };
         let mut index = 99;
         ok(entire_session_set_limits(session, finest.step, finest.step));

@@ -10,7 +10,7 @@ use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, copied, frame_time, refuse};
+use crate::result::{Failure, collected, copied, frame_time, refuse};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Executor, Level};
@@ -176,9 +176,7 @@ impl Loaded {
             }
             return Ok(Some(copied(ready)?));
         }
-        let mut features = Vec::new();
-        features.try_reserve_exact(size)?;
-        features.resize(size, 0.0);
+        let mut features = collected(std::iter::repeat_n(0.0, size))?;
         self.encode(volume, &mut features)?;
         Ok(Some(features))
     }
@@ -594,9 +592,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             let scratch = || net.scratch(ROWS_AT_ONCE);
             // Predictions are written to separate memory first: a failed call leaves the caller's array
             // unchanged.
-            let mut predicted = Vec::new();
-            predicted.try_reserve_exact(rows)?;
-            predicted.resize(rows, 0.0f32);
+            let mut predicted = collected(std::iter::repeat_n(0.0f32, rows))?;
             loaded.rows.with(scratch, |scratch| {
                 net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))
             })??;

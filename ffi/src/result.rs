@@ -153,10 +153,7 @@ impl From<TryReserveError> for Failure {
 
 /// A copy of a caller's array, in memory whose allocation may fail.
 pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>, Failure> {
-    let mut out = Vec::new();
-    out.try_reserve_exact(slice.len())?;
-    out.extend_from_slice(slice);
-    Ok(out)
+    collected(slice.iter().copied())
 }
 
 /// The elements of an iterator of known length, in memory whose allocation may fail.
