@@ -122,61 +122,25 @@ pub enum Line {
     },
 }
 
-/// A line of the journal.
+/// A line of the journal. The fields `at` and `ends` are in seconds since 1970.
+/// - `Run`: a run has started; `date` is UTC, ISO 8601.
+/// - `Inputs`: identities of the files of all volumes, by path, until the next line of this kind.
+/// - `Done`: a task is finished, and its image is complete. `predicted_s`: rendering seconds that were expected
+///   when the task was sent.
+/// - `Failed`, `Lost`: a task failed, or was lost with its worker.
+/// - `Quarantined`: a task was given up. `log`: path of the task's log, relative to the database.
+/// - `Eta`: estimated end of the job, for the report. `share`: share of finished tasks; `ends`: quantiles 0.05,
+///   0.5 and 0.95 of the end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Entry {
-    /// A run has started.
-    Run {
-        format: String,
-        /// The job's name.
-        job: String,
-        /// Date and time of the start, UTC, ISO 8601.
-        date: String,
-        engine: String,
-        slots: usize,
-        /// Time of the start, seconds since 1970.
-        at: f64,
-    },
-    /// Identities of the files of all volumes, by path. They are valid until the next line of this kind.
+    Run { format: String, job: String, date: String, engine: String, slots: usize, at: f64 },
     Inputs { files: BTreeMap<String, Vec<Identity>> },
-    /// A task is finished, and its image is complete.
-    Done {
-        /// Measured times and result.
-        answer: Answer,
-        /// Rendering seconds that were expected when the task was sent.
-        predicted_s: f64,
-    },
-    /// A task failed.
-    Failed {
-        /// Its id.
-        task: String,
-        error: String,
-    },
-    /// A task was lost with its worker.
-    Lost {
-        /// Its id.
-        task: String,
-        why: String,
-    },
-    /// A task was given up.
-    Quarantined {
-        /// Its id.
-        task: String,
-        /// Reason, such as the last failure of the task.
-        error: String,
-        /// Path of the task's log, relative to the database.
-        log: String,
-    },
-    /// Estimated end of the job, for the report.
-    Eta {
-        /// Time, seconds since 1970.
-        at: f64,
-        /// Share of finished tasks.
-        share: f64,
-        /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds since 1970.
-        ends: [f64; 3],
-    },
+    Done { answer: Answer, predicted_s: f64 },
+    Failed { task: String, error: String },
+    Lost { task: String, why: String },
+    Quarantined { task: String, error: String, log: String },
+    Eta { at: f64, share: f64, ends: [f64; 3] },
 }
 
 pub(crate) const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
