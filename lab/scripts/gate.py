@@ -97,6 +97,8 @@ RENAMED = {
         "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
     "sizes_are_checked_in_wide_arithmetic": "lies_are_named_with_what_was_expected_and_found",
     "likeness_is_one_for_equal_pictures_and_falls": "sizes_and_likeness_are_those_of_the_image_crates",
+    "below_a_file": "files_that_cannot_be_written_are_named",
+    "in_a_read_only_folder": "a_file_is_written_whole_and_nothing_is_left_beside_it",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

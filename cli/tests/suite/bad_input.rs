@@ -315,3 +315,19 @@ fn a_picture_of_nothing_is_no_silence() {
     let output = entire(folder.path(), &arguments);
     assert!(output.status.success() && stderr(&output).contains("nothing is visible"), "{output:?}");
 }
+
+#[test]
+fn files_that_cannot_be_written_are_named() {
+    let folder = workshop();
+    let at = folder.path();
+    std::fs::write(at.join("file"), "x").unwrap();
+    let refused = "cannot make the folder file:";
+    for (arguments, expected) in [
+        (words("collect ball.nrrd --frames 4 --device cpu --out file/u.csv"), "cannot write file/u.csv"),
+        (render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "file/o.png"]), refused),
+        (words("train --data t.csv --out file/m.safetensors"), refused),
+    ] {
+        refuses(at, &arguments, &[expected]);
+    }
+    assert_eq!(std::fs::read(at.join("file")).unwrap(), b"x");
+}
