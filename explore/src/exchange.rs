@@ -129,7 +129,7 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
     let ends = |list: &[[f64; 4]]| (list[0][0], list[list.len() - 1][0]);
     let unit = ends(&colors) == (0.0, 1.0) && opacity.as_ref().is_none_or(|o| ends(o) == (0.0, 1.0));
     let (low, high) = if unit { (0.0, 1.0) } else { (low, high) };
-    let normal = |x: f64| (((x - low) / (high - low).max(f64::MIN_POSITIVE)) as f32).clamp(0.0, 1.0);
+    let normal = |x: f64| ((x - low) / (high - low).max(f64::MIN_POSITIVE)) as f32;
     let color_nodes: Vec<Node<[f64; 3]>> = colors
         .iter()
         .map(|c| Node { position: c[0], value: [c[1], c[2], c[3]], midpoint: 0.5, sharpness: 0.0 })
@@ -157,21 +157,33 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
         let (a, b) = (table.rgba()[i][3], table.rgba()[i + 1][3]);
         a + (x - i as f32) * (b - a)
     };
-    let mut points: Vec<[f32; 2]> = Vec::new();
+    let mut points: Vec<(f32, f32)> = Vec::new();
     for (i, node) in opacity_nodes.iter().enumerate() {
         let s = normal(node.position);
-        points.push([s, node.value as f32]);
+        points.push((s, node.value as f32));
         let bent = node.midpoint != 0.5 || node.sharpness != 0.0;
         if let (Some(next), true) = (opacity_nodes.get(i + 1), bent) {
-            let end = normal(next.position);
-            for k in 1..BENT {
+            let (s, end) = (s.clamp(0.0, 1.0), normal(next.position).clamp(0.0, 1.0));
+            for k in (1..BENT).filter(|_| s < end) {
                 let s = s + (end - s) * k as f32 / BENT as f32;
-                points.push([s, at(s)]);
+                points.push((s, at(s)));
             }
         }
     }
     let colors = colors.iter().map(|c| (normal(c[0]), [c[1] as f32, c[2] as f32, c[3] as f32])).collect();
-    Ok(Curve { opacity: Opacity::Points(points), colors })
+    let [first, .., last] = table.rgba();
+    let points = within(points, [first[3], last[3]]);
+    let colors = within(colors, [first, last].map(|&[r, g, b, _]| [r, g, b]));
+    Ok(Curve { opacity: Opacity::Points(points.into_iter().map(|(s, a)| [s, a]).collect()), colors })
+}
+
+/// Returns the nodes (scalar, value) in [0, 1]. An end of this range that has nodes beyond it gets a node with
+/// the function's value there, from `ends`.
+fn within<V: Copy>(nodes: Vec<(f32, V)>, ends: [V; 2]) -> Vec<(f32, V)> {
+    let below = nodes.first().is_some_and(|n| n.0 < 0.0).then_some((0.0, ends[0]));
+    let above = nodes.last().is_some_and(|n| n.0 > 1.0).then_some((1.0, ends[1]));
+    let inside = nodes.into_iter().filter(|n| (0.0..=1.0).contains(&n.0));
+    below.into_iter().chain(inside).chain(above).collect()
 }
 
 #[cfg(test)]
@@ -179,6 +191,10 @@ mod tests {
     use super::*;
     use crate::histogram::Histogram;
     use crate::transfer::PRESETS;
+
+    /// Largest difference between opacities of one bent segment that is replaced by linear pieces of two
+    /// lengths.
+    const BEND_ERROR: f32 = 0.01;
 
     #[test]
     fn both_kinds_of_file_come_back() {
@@ -208,6 +224,31 @@ mod tests {
         // With sharpness 1, the segment is nearly a step at its middle.
         assert!(curve.opacity_at(0.65) < 0.55 && curve.opacity_at(0.85) > 0.95);
         assert_eq!(curve.color_at(0.5), [0.5, 0.0, 0.5]);
+    }
+
+    #[test]
+    fn nodes_outside_of_the_datas_range_keep_the_function() {
+        let text = r#"[{"ColorSpace": "RGB", "Name": "x", "RGBPoints": [0, 1, 0, 0, 100, 0, 0, 1],
+            "Points": [0, 0, 0.5, 0, 60, 0.6, 0.5, 0, 100, 1, 0.5, 0]}]"#;
+        let curve = parse(text, (25.0, 75.0)).unwrap();
+        for s in [0.0, 0.2, 0.7, 1.0] {
+            let value = 0.25 + 0.5 * s;
+            assert!((curve.opacity_at(s) - value).abs() < 1e-6, "{s}: {}", curve.opacity_at(s));
+            let [r, g, b] = curve.color_at(s);
+            assert!(
+                (r - 1.0 + value).abs() < 1e-6 && g == 0.0 && (b - value).abs() < 1e-6,
+                "{s}: {r} {g} {b}"
+            );
+        }
+        // Only a part of the bent segment lies in the range.
+        let bent = text.replace("[0, 0, 0.5, 0,", "[0, 0, 0.5, 0.5,");
+        let (whole, part) = (parse(&bent, (0.0, 100.0)).unwrap(), parse(&bent, (15.0, 40.0)).unwrap());
+        for s in [0.0, 0.3, 0.8, 1.0] {
+            let (a, b) = (part.opacity_at(s), whole.opacity_at(0.15 + 0.25 * s));
+            assert!((a - b).abs() < BEND_ERROR, "{s}: {a} {b}");
+        }
+        let beyond = parse(text, (200.0, 300.0)).unwrap();
+        assert_eq!([0.0, 0.5, 1.0].map(|s| beyond.opacity_at(s)), [1.0; 3]);
     }
 
     #[test]
