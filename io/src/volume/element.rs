@@ -21,12 +21,13 @@ pub(crate) enum Element {
 }
 
 impl Element {
-    /// Returns the type with this name. `names` has the names of every type, in the order of this enum.
-    pub(super) fn named(names: [&[&str]; 10], name: &str) -> Option<Self> {
+    /// Returns the type with this name. `names` has the names of every type, in the order of this enum: a semicolon
+    /// after each type, commas between the names of one type.
+    pub(super) fn named(names: &str, name: &str) -> Option<Self> {
         use Element::*;
         let types = [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64];
-        let (found, _) = types.into_iter().zip(names).find(|(_, known)| known.contains(&name))?;
-        Some(found)
+        let known = |names: &str| names.split(',').any(|known| known.trim() == name);
+        types.into_iter().zip(names.split(';')).find(|(_, names)| known(names)).map(|(found, _)| found)
     }
 
     /// Returns the number of bytes per element in the file.
