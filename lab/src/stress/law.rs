@@ -73,15 +73,12 @@ const STEADY: Changes =
 const TRANSFER: Changes = Changes { transfer: true, ..STEADY };
 const MODE: Changes = Changes { mode: true, ..STEADY };
 
-/// A script: a function of frame number and noise, the number of frames, the standard deviation of the noise
-/// in ln(seconds), and the probability that a frame takes three times as long (`None`: no number is drawn for
-/// it).
-struct Script<'a> {
-    shot: &'a mut dyn FnMut(usize, &mut Noise) -> Shot,
-    frames: usize,
-    sigma: f64,
-    spikes: Option<f64>,
-}
+/// A script: a function of frame number and noise.
+type Script<'a> = &'a mut dyn FnMut(usize, &mut Noise) -> Shot;
+
+/// Length and noise of a scene: the number of frames, the standard deviation of the noise in ln(seconds), and the
+/// probability that a frame takes three times as long (`None`: no number is drawn for it).
+type Course = (usize, f64, Option<f64>);
 
 fn response() -> StepResponse {
     let samples: Vec<(f32, f32)> = (0..12)
@@ -98,8 +95,9 @@ fn new(method: ControllerKind) -> Box<dyn Controller + Send> {
 /// Plays a script. `each` gets the number of every frame, the reason for the decision, and the frame.
 fn play_script(
     controller: &mut dyn Controller,
-    script: &mut Script<'_>,
     seed: u64,
+    (frames, sigma, spikes): Course,
+    script: Script<'_>,
     mut each: impl FnMut(usize, Reason, &Seen),
 ) {
     let mut noise = Noise::new(seed);
@@ -107,8 +105,8 @@ fn play_script(
     let mut waiting: Vec<(usize, Observed)> = Vec::new();
     let (finest, coarsest) = (f64::from(FINEST), f64::from(COARSEST));
     let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
-    for i in 0..script.frames {
-        let shot = (script.shot)(i, &mut noise);
+    for i in 0..frames {
+        let shot = script(i, &mut noise);
         let mut cost = |step: f32| {
             let scaled = f64::from(step).powf(-EXPONENT);
             if shot.whole {
@@ -129,8 +127,8 @@ fn play_script(
         });
         let clean = |step: f64| shot.speed * (shot.fixed + shot.work * step.powf(-EXPONENT));
         let step = f64::from(decision.step);
-        let spike = if script.spikes.is_some_and(|share| noise.uniform() < share) { 3.0 } else { 1.0 };
-        let seconds = clean(step) * (script.sigma * noise.normal()).exp() * spike;
+        let spike = if spikes.is_some_and(|share| noise.uniform() < share) { 3.0 } else { 1.0 };
+        let seconds = clean(step) * (sigma * noise.normal()).exp() * spike;
         let room = shot.target / shot.speed - shot.fixed;
         let oracle = if room > 0.0 { (shot.work / room).powf(1.0 / EXPONENT) } else { coarsest };
         let seen = Seen {
@@ -178,9 +176,9 @@ fn play_script(
     }
 }
 
-fn seen_of(method: ControllerKind, script: &mut Script<'_>, seed: u64) -> Vec<Seen> {
-    let mut out = Vec::with_capacity(script.frames);
-    play_script(&mut *new(method), script, seed, |_, _, seen| out.push(*seen));
+fn seen_of(method: ControllerKind, seed: u64, course: Course, script: Script<'_>) -> Vec<Seen> {
+    let mut out = Vec::with_capacity(course.0);
+    play_script(&mut *new(method), seed, course, script, |_, _, seen| out.push(*seen));
     out
 }
 
@@ -204,9 +202,8 @@ impl Wrong {
 /// Plays a scene of this file; `None` for other scenes. `soak` is the number of frames of the long run.
 pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
-    let (frames, spikes) = (400, Some(0.005));
-    let go = |limits: Limits, shot: &mut dyn FnMut(usize, &mut Noise) -> Shot| {
-        let seen = seen_of(method, &mut Script { shot, frames, sigma: 0.03, spikes }, scene as u64);
+    let go = |limits: Limits, script: Script<'_>| {
+        let seen = seen_of(method, scene as u64, (400, 0.03, Some(0.005)), script);
         Some(judge(scene, method, &seen, limits, None))
     };
     let strict = |missed, run, quality| Limits { missed, run, quality, inside: 0.9 };
@@ -275,9 +272,9 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
                 excused: i < 10,
                 ..Shot::PLAIN
             };
-            let mut script = Script { shot: &mut shot, frames, sigma: 0.03, spikes: None };
             let limits = Limits { quality: 0.35, ..Limits::missed(0.05) };
-            Some(judge(20, method, &seen_of(method, &mut script, 20), limits, None))
+            let seen = seen_of(method, 20, (400, 0.03, None), &mut shot);
+            Some(judge(20, method, &seen, limits, None))
         }
         21 => go(strict(0.05, 2, 0.0), &mut |i, n| {
             let new = i > 0 && i % 50 == 0;
@@ -320,7 +317,6 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
 /// again, then a target that every step meets.
 fn clamps(method: ControllerKind) -> Verdict {
     let mut seen = Vec::new();
-    let mut c = new(method);
     let mut shot = |i: usize, _: &mut Noise| {
         let (target, part) = match i {
             0..60 => (25e-3, 0),
@@ -330,9 +326,8 @@ fn clamps(method: ControllerKind) -> Verdict {
         };
         Shot { target, part, ..Shot::PLAIN }
     };
-    let mut script = Script { shot: &mut shot, frames: 400, sigma: 0.01, spikes: Some(0.0) };
     let mut unsaid = 0;
-    play_script(&mut *c, &mut script, 22, |_, reason, s| {
+    play_script(&mut *new(method), 22, (400, 0.01, Some(0.0)), &mut shot, |_, reason, s| {
         unsaid += usize::from(s.part == 1 && reason != Reason::TargetUnreachable);
         seen.push(*s);
     });
@@ -361,8 +356,7 @@ fn resonance(method: ControllerKind) -> Verdict {
     for period in [2usize, 3, 4, 6, 10] {
         let factor = |i: usize| 1.0 + 0.15 * (std::f64::consts::TAU * i as f64 / period as f64 + 0.4).sin();
         let mut shot = |i: usize, _: &mut Noise| Shot { speed: factor(i), ..Shot::PLAIN };
-        let mut script = Script { shot: &mut shot, frames: 300, sigma: 0.01, spikes: Some(0.0) };
-        let seen = seen_of(method, &mut script, 24 + period as u64);
+        let seen = seen_of(method, 24 + period as u64, (300, 0.01, Some(0.0)), &mut shot);
         let spread = |values: Vec<f64>| {
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
@@ -384,8 +378,7 @@ fn paging(method: ControllerKind) -> Verdict {
         let slow = burst && n.uniform() < 0.33;
         Shot { speed: if slow { 4.0 } else { 1.0 }, part: usize::from(burst), ..Shot::PLAIN }
     };
-    let mut script = Script { shot: &mut shot, frames: 500, sigma: 0.03, spikes: Some(0.0) };
-    let seen = seen_of(method, &mut script, 26);
+    let seen = seen_of(method, 26, (500, 0.03, Some(0.0)), &mut shot);
     let mut broken = Vec::new();
     let share = |part: usize, skip: usize, f: &dyn Fn(&Seen) -> bool| {
         let frames: Vec<&Seen> =
@@ -438,8 +431,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     let mut broken = Vec::new();
     let mut seen = Vec::new();
     let mut strange = 0u64;
-    let mut script = Script { shot: &mut shot, frames: total, sigma: 0.03, spikes: Some(0.005) };
-    play_script(&mut *c, &mut script, 27, |i, _, s| {
+    play_script(&mut *c, 27, (total, 0.03, Some(0.005)), &mut shot, |i, _, s| {
         let expects = !s.upper.is_nan();
         let sound = (f64::from(FINEST)..=f64::from(COARSEST)).contains(&s.step)
             && (!expects || (s.predicted.is_finite() && s.predicted > 0.0 && s.upper.is_finite()));
@@ -474,8 +466,7 @@ fn bursts(method: ControllerKind) -> Verdict {
         slow.extend(std::iter::repeat_n(false, 4 * burst));
     }
     let mut shot = |i: usize, _: &mut Noise| Shot { speed: if slow[i] { 2.0 } else { 1.0 }, ..Shot::PLAIN };
-    let mut script = Script { shot: &mut shot, frames: slow.len(), sigma: 0.03, spikes: Some(0.0) };
-    let seen = seen_of(method, &mut script, 29);
+    let seen = seen_of(method, 29, (slow.len(), 0.03, Some(0.0)), &mut shot);
     let ends: Vec<usize> = (1..seen.len() - 2).filter(|&i| slow[i - 1] && !slow[i]).collect();
     let begun = |end: usize| (0..end).rev().take_while(|&i| slow[i]).last().unwrap_or(end);
     // The time of the first frame after a burst shows that the burst has ended, so the step is checked two
@@ -489,9 +480,7 @@ fn bursts(method: ControllerKind) -> Verdict {
 
 /// Scene 30: single slow frames.
 fn stalls(method: ControllerKind) -> Verdict {
-    let mut shot = |_: usize, _: &mut Noise| Shot::PLAIN;
-    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.03, spikes: Some(0.01) };
-    let seen = seen_of(method, &mut script, 30);
+    let seen = seen_of(method, 30, (600, 0.03, Some(0.01)), &mut |_, _| Shot::PLAIN);
     let coarser = (30..seen.len() - 5)
         .filter(|&i| seen[i].seconds > 2.0 * seen[i].clean)
         .filter(|&i| seen[i + 1..=i + 5].iter().any(|s| s.step > 1.1 * seen[i].step))
@@ -512,8 +501,7 @@ fn halved(method: ControllerKind) -> Verdict {
             ..Shot::PLAIN
         }
     };
-    let mut script = Script { shot: &mut shot, frames: 600, sigma: 0.02, spikes: Some(0.0) };
-    let seen = seen_of(method, &mut script, 31);
+    let seen = seen_of(method, 31, (600, 0.02, Some(0.0)), &mut shot);
     let late = seen[103..130].iter().filter(|s| s.seconds > 1.1 * s.target).count();
     let broken = (late > 0).then(|| format!("{late} frames over 1.1 T from the 4th slow frame on"));
     judge(31, method, &seen, Limits { inside: 0.9, ..Limits::missed(0.03) }, broken)
