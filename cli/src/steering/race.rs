@@ -37,7 +37,7 @@ pub(crate) struct Race<'a> {
     /// Number of random scenes, and of their renderings at each step.
     pub(crate) scenes: (usize, usize),
     pub(crate) controllers: &'a [ControllerKind],
-    /// Target, seconds; `None` to choose it by [`sane_target`].
+    /// Target, seconds; `None` for [`TARGET_SHARE`] of the median time of the random scenes.
     pub(crate) target: Option<f64>,
     /// The predictor, for controllers that use one.
     pub(crate) model: &'a SteeringModel,
@@ -148,23 +148,9 @@ impl Prepared {
     }
 }
 
-/// Returns the seconds of the random scenes at a step, ascending.
-fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
-    let mut times: Vec<f64> = samples.iter().filter(|s| s.setting.step == step).map(|s| s.seconds).collect();
-    times.sort_by(f64::total_cmp);
-    times
-}
-
 /// Default target as a share of the median time of the random scenes at the reference step. At this target
 /// most scenes must be drawn at coarser steps, and few at the coarsest step.
 pub(crate) const TARGET_SHARE: f64 = 0.5;
-
-/// Returns the default target, in seconds: [`TARGET_SHARE`] of the random scenes' median time at the
-/// reference step, rounded to a tenth of a millisecond if it is over a millisecond. `None` without samples.
-pub(crate) fn sane_target(samples: &[Sample]) -> Option<f64> {
-    let target = TARGET_SHARE * median(&mut times_at(samples, 1.0))?;
-    Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
-}
 
 /// Returns the distribution of random scenes: as in collections, but with one to three lobes, so that some
 /// scenes show a nearly empty volume.
@@ -204,22 +190,26 @@ pub(crate) fn prepare(
             .quality(&samples)
             .context("the model cannot predict frames of the volume")?,
     };
+    let at_reference = samples.iter().filter(|s| s.setting.step == 1.0).map(|s| s.seconds);
+    let full_quality = median(&mut at_reference.collect::<Vec<_>>()).context("no scene was timed")?;
     let (target, target_reason) = match race.target {
         Some(target) => (target, String::new()),
-        None => (
-            sane_target(&samples).context("no scene was timed")?,
-            format!("{:.0} % of the median random scene's time at the reference step", 100.0 * TARGET_SHARE),
-        ),
+        None => {
+            let target = TARGET_SHARE * full_quality;
+            // Over a millisecond, the target is rounded to a tenth of a millisecond.
+            let target = if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target };
+            let share = 100.0 * TARGET_SHARE;
+            (target, format!("{share:.0} % of the median random scene's time at the reference step"))
+        }
     };
-    let typical = median(&mut times_at(&samples, 1.0)).unwrap_or(target);
-    let fixed_step = race.course.limits.clamp(response.step_ratio((target / typical) as f32));
+    let fixed_step = race.course.limits.clamp(response.step_ratio((target / full_quality) as f32));
     Ok(Some(Prepared {
         summary,
         samples,
         response,
         predictor,
         target,
-        full_quality: typical,
+        full_quality,
         target_reason,
         fixed_step,
     }))
