@@ -1,7 +1,7 @@
 //! Ships the models of a study: writes model files with their cards. The models are evaluated with the weights as stored.
 
 use crate::study::{
-    Findings, Fit, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, SplitResult, Study,
+    Findings, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, SplitResult, Study,
     judge as judge_split, shipped,
 };
 use anyhow::{Context, Result, ensure};
@@ -17,6 +17,18 @@ use entire_train::split::TimedFrames;
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+/// A predictor to ship, with the errors of its stored weights.
+struct Shipping<'a> {
+    study: &'a Study,
+    found: &'a Findings,
+    set: &'a Set,
+    /// Name of the predictor in the study.
+    predictor: &'a str,
+    ship: &'a Ship,
+    training: &'a [Table],
+    figures: Vec<SplitResult>,
+}
 
 fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
@@ -54,30 +66,19 @@ pub(crate) fn ship(
             let paths: Vec<PathBuf> =
                 set.training.iter().chain(set.splits.iter().flat_map(|s| &s.tables)).cloned().collect();
             let tables = read_tables(&paths)?;
-            let fit = found.fit(&set.name, predictor);
-            let crossed = fit.is_some_and(|fit| fit.crossed.is_some());
+            let crossed = found.fit(&set.name, predictor).is_some_and(|fit| fit.crossed.is_some());
             let figures = judge(&file, study, set, &tables, runner, crossed)?;
+            let training = &tables[..set.training.len()];
+            let shipping = Shipping { study, found, set, predictor, ship, training, figures };
             let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
             let as_it_is = study
                 .predictors
                 .iter()
                 .any(|p| p.name == predictor && p.recipe_for(&set.name).file.is_some());
-            provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit, as_it_is)?;
+            provenance(&mut file, &shipping, as_it_is)?;
             let path = folder.join(format!("{name}.safetensors"));
             write_whole(&path, &file.to_bytes()?)?;
-            let latency = found.latency(&set.name, predictor);
-            let text = card(
-                &name,
-                &file,
-                (predictor, ship),
-                study,
-                set,
-                &tables[..set.training.len()],
-                &figures,
-                (latency, judged_as),
-                found,
-            )?;
-            write_whole(&path.with_extension("md"), text.as_bytes())?;
+            write_whole(&path.with_extension("md"), card(&name, &file, &shipping, judged_as)?.as_bytes())?;
             out.push(path);
         }
     }
@@ -123,15 +124,8 @@ fn judge(
     Ok(out)
 }
 
-fn provenance(
-    file: &mut ModelFile,
-    study: &Study,
-    set: &Set,
-    training: &[Table],
-    figures: &[SplitResult],
-    fit: Option<&Fit>,
-    as_it_is: bool,
-) -> Result<()> {
+fn provenance(file: &mut ModelFile, of: &Shipping<'_>, as_it_is: bool) -> Result<()> {
+    let Shipping { study, found, set, predictor, training, figures, .. } = of;
     let mut stored: serde_json::Value = match file.metadata.get(Key::Provenance.name()) {
         Some(text) => serde_json::from_str(text)?,
         None => json!({}),
@@ -149,7 +143,7 @@ fn provenance(
             })
             .collect();
     }
-    let crossed = fit.and_then(|f| f.crossed.as_ref());
+    let crossed = found.fit(&set.name, predictor).and_then(|f| f.crossed.as_ref());
     stored["bounds_from"] = match crossed {
         Some(_) => json!("cross-validation"),
         None => set.bounds.iter().map(|p| json!(file_name(p))).collect(),
@@ -177,18 +171,9 @@ fn provenance(
     Ok(())
 }
 
-#[allow(clippy::too_many_arguments, reason = "one call site")]
-fn card(
-    name: &str,
-    file: &ModelFile,
-    (predictor, ship): (&str, &Ship),
-    study: &Study,
-    set: &Set,
-    training: &[Table],
-    figures: &[SplitResult],
-    (latency, judged_as): (Option<crate::latency::Latency>, &str),
-    found: &Findings,
-) -> Result<String> {
+/// Returns the card of a model. `judged_as`: storage format of the weights whose latency was measured.
+fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Result<String> {
+    let Shipping { study, found, set, predictor, ship, training, figures } = of;
     let model = file.to_model()?;
     let stored: serde_json::Value =
         serde_json::from_str(model.metadata.get(Key::Provenance.name()).map_or("{}", String::as_str))
@@ -349,7 +334,7 @@ fn card(
         let numbers = fit.map_or(0, |f| f.numbers);
         let _ = writeln!(md, "\nThe rule selects `{predictor}` ({numbers} fitted parameters). {SENTENCE}");
     }
-    if let Some(l) = latency {
+    if let Some(l) = found.latency(&set.name, predictor) {
         let _ = writeln!(
             md,
             "\nTime of one prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with \
