@@ -140,6 +140,13 @@ pub struct Decision {
     pub reason: Reason,
 }
 
+impl Decision {
+    /// A plan of a step with this prediction.
+    pub(crate) fn of(step: f32, p: Prediction, reason: Reason) -> Self {
+        Self { step, seconds: p.seconds, upper: p.upper, out_of_range: p.out_of_range, reason }
+    }
+}
+
 /// Observation of a drawn frame. The time has been checked: finite and positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observed {

@@ -9,9 +9,7 @@ mod state;
 mod unrecorded;
 
 use super::coarsening::Coarsening;
-use super::{
-    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepLimits,
-};
+use super::{Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, StepLimits};
 use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Quality, Source, TERMS};
@@ -55,13 +53,8 @@ pub struct Plan {
 #[derive(Clone, Copy)]
 struct Pending {
     id: u64,
-    step: f32,
-    target: f32,
-    changes: Changes,
-    terms: CostTerms,
-    /// Expected seconds of the plan; NaN where unknown.
-    expected: f32,
-    scene: SceneMark,
+    /// The planned frame; its seconds are the expected ones, NaN where unknown.
+    frame: Observed,
     observed: bool,
 }
 
@@ -322,36 +315,23 @@ impl Session {
         check_target(target)?;
         self.measure_for(frame, target)?;
         let changes = self.changes_for(frame);
-        let setting = Setting::from(frame);
-        if !self.enabled {
+        let (setting, level) = (Setting::from(frame), self.coarsening.last);
+        let (terms, decision, (step, distance), drawn) = if self.enabled {
+            let limits = self.coarsening.limits();
+            let (controller, mut cost) = self.costing(changes, setting)?;
+            let mut at = |step| cost.at(step);
+            let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
+            let terms = cost.at(decision.step);
+            let drawn = self.coarsening.setting(setting, decision.step);
+            (terms, decision, self.coarsening.take(decision.step), drawn)
+        } else {
             self.begin(changes, setting)?;
             let own = self.terms_at(changes, &setting).inspect_err(|_| self.controller.withdraw())?;
             let p = self.controller.correct(&own, Changes::default());
-            let decision = Decision {
-                step: frame.step,
-                seconds: p.seconds,
-                upper: p.upper,
-                out_of_range: p.out_of_range,
-                reason: Reason::Off,
-            };
-            let drawn = (frame.step, 1.0, self.coarsening.last);
-            let plan = self.note(frame, target, changes, own, decision, drawn);
-            self.record_plan(plan.id, changes, setting);
-            return Ok(plan);
-        }
-        let limits = self.coarsening.limits();
-        let (controller, mut cost) = self.costing(changes, setting)?;
-        let mut at = |step| cost.at(step);
-        let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
-        let terms = cost.at(decision.step);
-        let recorded = self.recording.is_some().then(|| self.coarsening.setting(setting, decision.step));
-        let level = self.coarsening.last;
-        let (step, distance) = self.coarsening.take(decision.step);
-        let drawn = (step, distance, level);
-        let plan = self.note(frame, target, changes, terms, decision, drawn);
-        if let Some(setting) = recorded {
-            self.record_plan(plan.id, changes, setting);
-        }
+            (own, Decision::of(frame.step, p, Reason::Off), (frame.step, 1.0), setting)
+        };
+        let plan = self.note(frame, target, changes, terms, decision, (step, distance, level));
+        self.record_plan(plan.id, changes, drawn);
         Ok(plan)
     }
 
@@ -374,14 +354,12 @@ impl Session {
             }
         }
         // One probe serves all settings. It casts shadow rays only if a setting has single scattering.
-        let scatters = settings.iter().any(|s| s.shading.scatters());
-        let distance = settings.iter().any(|s| s.skipping == Skipping::Distance);
         let mut widest = *frame;
-        if scatters && !frame.shading.scatters() {
-            widest = Frame { shading: Shading::Scatter, ..widest };
+        if settings.iter().any(|s| s.shading.scatters()) && !frame.shading.scatters() {
+            widest.shading = Shading::Scatter;
         }
-        if distance {
-            widest = Frame { skipping: Skipping::Distance, ..widest };
+        if settings.iter().any(|s| s.skipping == Skipping::Distance) {
+            widest.skipping = Skipping::Distance;
         }
         self.measure(&widest)?;
         let changes = self.changes_for(frame);
@@ -402,13 +380,7 @@ impl Session {
         let Some((index, terms, p)) = best else {
             bail!(InvalidArgument, "no setting could be predicted");
         };
-        let decision = Decision {
-            step: settings[index].step,
-            seconds: p.seconds,
-            upper: p.upper,
-            out_of_range: p.out_of_range,
-            reason,
-        };
+        let decision = Decision::of(settings[index].step, p, reason);
         let drawn = (decision.step, 1.0, self.coarsening.last);
         let plan = self.note(frame, target, changes, terms, decision, drawn);
         self.record_plan(plan.id, changes, settings[index]);
@@ -445,7 +417,7 @@ impl Session {
         }
         check_seconds(seconds)?;
         pending.observed = true;
-        let over = seconds > pending.expected;
+        let over = seconds > pending.frame.seconds;
         if let Some(recording) = self.recording.as_mut().filter(|_| !flags.cancelled && !flags.unusual) {
             recording.observe(id, seconds);
         }
@@ -454,15 +426,7 @@ impl Session {
             // expected, or if no time was expected.
             return Ok(Verdict::Ignored);
         }
-        let observed = Observed {
-            seconds,
-            step: pending.step,
-            target: pending.target,
-            changes: pending.changes,
-            terms: pending.terms,
-            scene: pending.scene,
-            unusual: flags.unusual,
-        };
+        let observed = Observed { seconds, unusual: flags.unusual, ..pending.frame };
         Ok(self.controller.observe(&observed))
     }
 
@@ -560,16 +524,10 @@ impl Session {
     ) -> Plan {
         let id = self.next_id;
         self.next_id += 1;
-        self.pending[(id % PENDING_PLANS as u64) as usize] = Some(Pending {
-            id,
-            step: decision.step,
-            target,
-            changes,
-            terms,
-            expected: decision.seconds,
-            scene: self.controller.scene(),
-            observed: false,
-        });
+        let (scene, Decision { step: chosen, seconds, .. }) = (self.controller.scene(), decision);
+        let planned = Observed { seconds, step: chosen, target, changes, terms, scene, unusual: false };
+        self.pending[(id % PENDING_PLANS as u64) as usize] =
+            Some(Pending { id, frame: planned, observed: false });
         let before =
             Before { level, changes: self.changes, last: self.last, last_termination: self.last_termination };
         self.newest = Some((id, before));
