@@ -174,29 +174,8 @@ pub(crate) const CLIP: f64 = 3.0;
 impl Correction {
     /// Returns a correction without observations.
     pub(crate) fn new(prior: Prior, constants: CorrectionConstants) -> Self {
-        let mut out = Self {
-            state: [0.0; STATES],
-            covariance: [[0.0; STATES]; STATES],
-            spread: 0.0,
-            spread_of_all: 0.0,
-            change: 0.0,
-            load: 0.0,
-            loaded: 0,
-            off: 0,
-            jumped: false,
-            observations: 0,
-            age: 0,
-            prior,
-            constants,
-        };
-        out.reset();
-        out
-    }
-
-    /// Forgets all observations.
-    pub(crate) fn reset(&mut self) {
-        let c = self.constants;
-        let (common, single, change) = match self.prior {
+        let c = constants;
+        let (common, single, change) = match prior {
             Prior::Unknown => (OPEN, c.unit_cost_sd * c.unit_cost_sd, c.scene_sd * c.scene_sd),
             Prior::Converted { log_sd } | Prior::Fitted { log_sd } => {
                 let sd = if log_sd.is_finite() {
@@ -206,27 +185,34 @@ impl Correction {
                 };
                 // A model fitted on this machine has the right speed; its errors are those of single scenes.
                 let single = FITTED_SHARE * sd * sd;
-                let common = if matches!(self.prior, Prior::Converted { .. }) { OPEN } else { single };
+                let common = if matches!(prior, Prior::Converted { .. }) { OPEN } else { single };
                 (common, single, sd * sd)
             }
         };
-        self.state = [0.0; STATES];
-        self.covariance = [[0.0; STATES]; STATES];
-        for i in 0..TERMS {
-            for j in 0..TERMS {
-                self.covariance[i][j] = common + if i == j { single } else { 0.0 };
-            }
-        }
-        self.spread = (c.spread_start * c.spread_start).clamp(SPREAD.0, SPREAD.1);
-        self.spread_of_all = self.spread;
-        self.change = change.clamp(CHANGE.0, CHANGE.1);
-        self.covariance[LOCAL][LOCAL] = self.change;
-        self.load = 0.0;
-        self.loaded = 0;
-        self.off = 0;
-        self.jumped = false;
-        self.observations = 0;
-        self.age = 0;
+        let spread = (c.spread_start * c.spread_start).clamp(SPREAD.0, SPREAD.1);
+        let mut out = Self {
+            state: [0.0; STATES],
+            covariance: [[0.0; STATES]; STATES],
+            spread,
+            spread_of_all: spread,
+            change: change.clamp(CHANGE.0, CHANGE.1),
+            load: 0.0,
+            loaded: 0,
+            off: 0,
+            jumped: false,
+            observations: 0,
+            age: 0,
+            prior,
+            constants,
+        };
+        out.widen(common, single);
+        out.covariance[LOCAL][LOCAL] = out.change;
+        out
+    }
+
+    /// Forgets all observations.
+    pub(crate) fn reset(&mut self) {
+        *self = Self::new(self.prior, self.constants);
     }
 
     /// Correction factor of each term, common to all scenes.
