@@ -382,24 +382,20 @@ impl Hybrid {
             let off = libm::log(choice / target);
             let near = libm::fabs(delta) < DEAD_BAND
                 || (off > -DEAD_BAND && choice_upper <= ceiling * (1.0 + DEAD_BAND));
-            if near && off <= DEAD_BAND && reason != Reason::FinestAllowed {
-                step = last.step;
-                if reason == Reason::Fits {
-                    reason = Reason::Held;
-                }
-            } else if delta > c.damping
-                && self.correction.settled()
-                && judge(limits.clamp(last.step * libm::exp(c.damping) as f32)).choice <= target
-            {
-                step = limits.clamp(last.step * libm::exp(c.damping) as f32);
-                if reason == Reason::Fits {
-                    reason = Reason::Damped;
-                }
-            } else if delta < -c.damping && reason != Reason::FinestAllowed && self.correction.settled() {
-                step = limits.clamp(last.step * libm::exp(-c.damping) as f32);
-                if reason == Reason::Fits {
-                    reason = Reason::Damped;
-                }
+            let damped = |sign: f64| limits.clamp(last.step * libm::exp(sign * c.damping) as f32);
+            let (finest, settled) = (reason == Reason::FinestAllowed, self.correction.settled());
+            let other = if near && off <= DEAD_BAND && !finest {
+                Some((last.step, Reason::Held))
+            } else if delta > c.damping && settled && judge(damped(1.0)).choice <= target {
+                Some((damped(1.0), Reason::Damped))
+            } else if delta < -c.damping && !finest && settled {
+                Some((damped(-1.0), Reason::Damped))
+            } else {
+                None
+            };
+            if let Some((other, why)) = other {
+                step = other;
+                reason = if reason == Reason::Fits { why } else { reason };
             }
         }
         (step, reason)
