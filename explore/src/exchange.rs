@@ -177,8 +177,8 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
     Ok(Curve { opacity: Opacity::Points(points.into_iter().map(|(s, a)| [s, a]).collect()), colors })
 }
 
-/// Returns the nodes (scalar, value) in [0, 1]. An end of this range that has nodes beyond it gets a node with
-/// the function's value there, from `ends`.
+/// Returns the nodes (scalar, value) in [0, 1]. An end of this range that has nodes beyond it gets a node
+/// with the function's value there, from `ends`.
 fn within<V: Copy>(nodes: Vec<(f32, V)>, ends: [V; 2]) -> Vec<(f32, V)> {
     let below = nodes.first().is_some_and(|n| n.0 < 0.0).then_some((0.0, ends[0]));
     let above = nodes.last().is_some_and(|n| n.0 > 1.0).then_some((1.0, ends[1]));
