@@ -15,7 +15,7 @@ use entire_farm::quoted;
 use entire_io::dataset::Clock;
 use entire_io::files::{write_json, write_whole};
 use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
-use entire_io::volume::{Reading, Volume, Watcher};
+use entire_io::volume::{Fill, Range, Reading, Volume, Watcher};
 use entire_report::encode_png;
 use entire_steer::Session;
 use entire_steer::control::Prior;
@@ -187,9 +187,19 @@ impl Host for ExplorerHost {
     }
 
     fn calibration(&self, volume: &Path, shading: Shading) -> String {
+        let mut opens = format!("entire explore {} --shade {shading}", quoted(&volume.to_string_lossy()));
+        let Reading { array, fill, range } = &self.reading;
+        if let Some(array) = array {
+            opens += &format!(" --array={}", quoted(array));
+        }
+        if *fill != Fill::default() {
+            opens += &format!(" --fill={fill}");
+        }
+        if *range != Range::default() {
+            opens += &format!(" --range={range}");
+        }
         // The window's frames are timed on the host, by wall time.
-        let volume = quoted(&volume.to_string_lossy());
-        format!("entire calibrate --shade {shading} --clock wall && entire explore {volume}")
+        format!("entire calibrate --shade {shading} --clock wall && {opens}")
     }
 }
 
@@ -254,6 +264,8 @@ fn transfer(recorded: &RecordedTransfer) -> Transfer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    #[cfg(unix)]
+    use clap::FromArgMatches;
     use entire_core::GaussianLobe;
     use entire_core::model::Key;
     use entire_core::scene::Scalars;
@@ -336,6 +348,34 @@ mod tests {
         assert_eq!(note("llvmpipe (LLVM 19)"), None);
         let told = note("NVIDIA H100").unwrap();
         assert!(told.contains("calibrated on llvmpipe") && told.contains("drawn by NVIDIA H100"), "{told}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_calibration_command_opens_the_volume_as_the_window_did() {
+        let reading = Reading {
+            array: Some("the ion's dose".into()),
+            fill: Fill::Values(vec![0.0, -1.0]),
+            range: Range::Given(-5.0, 5.0),
+        };
+        let host = ExplorerHost { model: None, reading: reading.clone() };
+        let line = host.calibration(Path::new("a volume.nrrd"), Shading::Local);
+        let (calibrates, opens) = line.split_once(" && ").unwrap();
+        let parsed = |command: &str| {
+            let script = format!("printf '%s\\n' {command}");
+            let words = std::process::Command::new("sh").args(["-c", &script]).output().unwrap().stdout;
+            crate::command().try_get_matches_from(String::from_utf8(words).unwrap().lines()).unwrap()
+        };
+        let matches = parsed(calibrates);
+        let (name, calibration) = matches.subcommand().unwrap();
+        let shade = calibration.get_one::<String>("shade").unwrap();
+        assert_eq!((name, shade.as_str()), ("calibrate", "local"));
+        let matches = parsed(opens);
+        let (name, window) = matches.subcommand().unwrap();
+        assert_eq!(name, "explore");
+        let options = crate::commands::explore::Options::from_arg_matches(window).unwrap();
+        assert_eq!(options.volumes, [Path::new("a volume.nrrd")]);
+        assert_eq!((options.shade, options.reading), (Shading::Local, reading));
     }
 
     #[test]
