@@ -144,8 +144,6 @@ impl App {
             state.selected = None;
         }
         state.steer.set_volume(summary, steering);
-        state.predictor = state.steer.predictor(state.shading);
-        state.calibration = self.host.calibration(&scene.path, state.shading);
         state.bricks = match scene.raycaster.bricks() {
             1 => "in one texture".to_owned(),
             n => format!("in {n} bricks: larger than the device's textures"),
@@ -167,11 +165,21 @@ impl App {
         self.warm.extend(modes);
         self.refinement = None;
         self.scene = Some(scene);
+        self.name_predictor();
         self.swapped = Instant::now();
         if self.waiting == Waiting::Volume {
             self.waiting = Waiting::Nothing;
         }
         Ok(())
+    }
+
+    /// Sets the shown name of the predictor and the command that calibrates it, both for the current shading
+    /// mode.
+    fn name_predictor(&mut self) {
+        let Some(scene) = &self.scene else { return };
+        let state = &mut self.state;
+        state.predictor = state.steer.predictor(state.shading);
+        state.calibration = self.host.calibration(&scene.path, state.shading);
     }
 
     /// Makes pictures of the view's size, unless they exist. Returns true if they are new.
@@ -227,11 +235,10 @@ impl App {
         if self.warm.insert(modes) {
             warm(&mut scene.raycaster, modes.0, modes.1)?;
         }
-        if changed.settings {
-            state.predictor = state.steer.predictor(state.shading);
-            state.calibration = self.host.calibration(&scene.path, state.shading);
-        }
         let size = pictures.size;
+        if changed.settings {
+            self.name_predictor();
+        }
         let frame = self.full_frame(size)?;
         let (Some(scene), Some(pictures)) = (&mut self.scene, &mut self.pictures) else { return Ok(None) };
         let state = &mut self.state;
