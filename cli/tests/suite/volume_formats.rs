@@ -90,6 +90,14 @@ fn refused(name: &str, bytes: &[u8]) -> String {
     message
 }
 
+/// Opens bytes under a file name.
+fn opened(name: &str, bytes: impl AsRef<[u8]>) -> Volume {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).unwrap();
+    Volume::open(&path).unwrap_or_else(|error| panic!("{error:#}"))
+}
+
 fn check(name: &str, bytes: &[u8], expected: &str) {
     let message = refused(name, bytes);
     assert!(message.contains(expected), "{name}: {message:?} should contain {expected:?}");
@@ -463,11 +471,8 @@ fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
             "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1 1 3\nencoding: raw\nbyte skip: {skip}\n\n1234567"
         )
     };
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.nrrd");
     for (skip, right) in [(-1, b"567"), (-3, b"345"), (-5, b"123")] {
-        std::fs::write(&path, header(skip)).unwrap();
-        let volume = Volume::open(&path).unwrap();
+        let volume = opened("a.nrrd", header(skip));
         assert_eq!(volume.data(), &VolumeData::U8(right.to_vec()));
         assert!(!volume.notes().iter().any(|n| n.contains("bytes after")), "{:?}", volume.notes());
     }
@@ -490,16 +495,13 @@ fn spacings_count_where_directions_say_nothing() {
     let header = |fields: &str| {
         format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1 1 3\nencoding: raw\n{fields}\n\n123")
     };
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("a.nrrd");
     for (fields, spacing) in [
         ("space directions: none none none\nspacings: 2 2 5", [2.0, 2.0, 5.0]),
         ("space directions: (nan,nan,nan) (nan,nan,nan) (nan,nan,nan)\nspacings: 2 2 5", [2.0, 2.0, 5.0]),
         ("space directions: (0,0,3) (4,0,0) (0,3,4)\nspacings: nan nan nan", [3.0, 4.0, 5.0]),
         ("spacings: nan 2 NaN", [1.0, 2.0, 1.0]),
     ] {
-        std::fs::write(&path, header(fields)).unwrap();
-        assert_eq!(Volume::open(&path).unwrap().spacing(), spacing, "{fields}");
+        assert_eq!(opened("a.nrrd", header(fields)).spacing(), spacing, "{fields}");
     }
     let vectors = header("space directions: (1,0,0) (0,1,0) none");
     check("a.nrrd", vectors.as_bytes(), "axis 2 holds 3 components or time steps");
@@ -563,7 +565,6 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
     for name in ["behind-second.nrrd", "behind-second.mha"] {
         refused_report(name, "need 1920 bytes, the data has 3840; check sizes and type in the header");
     }
-    let folder = tempfile::tempdir().unwrap();
     let gz = entire_io::files::gzip;
     let raw = b"123456".to_vec();
     let nii = |behind: usize| {
@@ -580,9 +581,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
         ("a.nii", nii(1), nii(770)),
         ("a.nii.gz", gz(&nii(769)).unwrap(), gz(&nii(2000)).unwrap()),
     ] {
-        let path = folder.path().join(name);
-        std::fs::write(&path, right).unwrap();
-        let volume = Volume::open(&path).unwrap();
+        let volume = opened(name, right);
         assert!(volume.notes()[0].contains("bytes after the"), "{name}: {:?}", volume.notes());
         check(name, &behind, "check sizes and type in the header");
     }
@@ -591,8 +590,8 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
 /// Programs that write blocks of a fixed size fill the last one with zeros.
 #[test]
 fn bytes_after_the_last_gzip_member_are_ignored() {
-    let folder = tempfile::tempdir().unwrap();
-    let whole = std::fs::read(fixture("nibabel_one_int16_big.nii")).unwrap();
+    let right = Volume::open(fixture("nibabel_one_int16_big.nii")).unwrap();
+    let whole = std::fs::read(right.source()).unwrap();
     let (head, tail) = whole.split_at(400);
     let gz = |part: &[u8]| entire_io::files::gzip(part).unwrap();
     for (name, bytes) in [
@@ -600,20 +599,13 @@ fn bytes_after_the_last_gzip_member_are_ignored() {
         ("members.nii.gz", [gz(head), gz(tail), vec![0; 3]].concat()),
         ("text.nii.gz", [gz(&whole), b"end".to_vec()].concat()),
     ] {
-        let path = folder.path().join(name);
-        std::fs::write(&path, bytes).unwrap();
-        let (read, right) = (Volume::open(&path), Volume::open(fixture("nibabel_one_int16_big.nii")));
-        let (read, right) = (read.unwrap_or_else(|e| panic!("{name}: {e:#}")), right.unwrap());
-        assert_eq!(read.data(), right.data(), "{name}");
+        assert_eq!(opened(name, bytes).data(), right.data(), "{name}");
     }
-    let path = folder.path().join("cut.nii.gz");
-    std::fs::write(&path, &gz(&whole)[..300]).unwrap();
-    assert!(Volume::open(&path).is_err());
+    refused("cut.nii.gz", &gz(&whole)[..300]);
 }
 
 #[test]
 fn names_in_capitals_are_known() {
-    let folder = tempfile::tempdir().unwrap();
     let raw = b"123456";
     let gz = entire_io::files::gzip(raw).unwrap();
     for (name, bytes) in [
@@ -622,11 +614,10 @@ fn names_in_capitals_are_known() {
         ("c_1x2x3_uint8.raw.GZ", &gz),
         ("d_1x2x3_uint8.RAW.GZ", &gz),
     ] {
-        let path = folder.path().join(name);
-        std::fs::write(&path, bytes).unwrap();
-        let volume = Volume::open(&path).unwrap_or_else(|error| panic!("{error:#}"));
+        let volume = opened(name, bytes);
         assert_eq!((volume.dims(), volume.data()), ([1, 2, 3], &VolumeData::U8(raw.to_vec())), "{name}");
     }
+    let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("E.JSON"), "{\"size\": [1, 2, 3], \"type\": \"uint8\"}").unwrap();
     std::fs::write(folder.path().join("E.RAW"), raw).unwrap();
     for name in ["E.JSON", "E.RAW"] {
