@@ -10,22 +10,19 @@ use std::collections::BTreeMap;
 
 fn scene() -> Scene {
     Scene {
-        volume: "data/a, \"b\".nrrd".into(),
-        member: "m01".into(),
         time_step: Some(3),
         dims: [96, 64, 1],
         camera: Arcball { rx: -12.345_678, ry: 170.0, dz: 1.75 },
-        fov_y_degrees: 45.0,
         width: 320,
         height: 200,
         step: 1.5,
         shading: Shading::Local,
         skipping: Skipping::Distance,
-        termination: 0.99,
         lobes: vec![
             GaussianLobe { center: 0.1, width: 0.003, height: 0.9 },
             GaussianLobe { center: 1.0 / 3.0, width: 1e-5, height: 0.0 },
         ],
+        ..TimedFrame::of_no_volume("data/a, \"b\".nrrd", "m01").scene
     }
 }
 
@@ -312,18 +309,12 @@ fn manifests_keep_unknown_keys_and_refuse_other_formats() {
     assert_eq!(Manifest::read(&table).unwrap(), None);
     let mut manifest = Manifest {
         format: MANIFEST_FORMAT.into(),
-        created: "2020-01-02T03:04:05Z".into(),
-        machine: "host".into(),
-        renderer: "cpu".into(),
         device: "twin".into(),
-        driver: String::new(),
-        commit: "0.1.0".into(),
         seed: u64::MAX,
         repeats: 3,
-        step_reference: STEP_REFERENCE.into(),
         settings: serde_json::json!({"frames": 10}),
-        files: BTreeMap::new(),
         other: BTreeMap::from([("weather".to_owned(), serde_json::json!("fine"))]),
+        ..Manifest::default()
     };
     manifest.write(&table).unwrap();
     assert_eq!(Manifest::read(&table).unwrap(), Some(manifest.clone()));
