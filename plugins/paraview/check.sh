@@ -10,11 +10,15 @@ rm -rf "$results" && mkdir -p "$results"
 script=plugins/paraview/python/check.py
 failed=0
 
-# run NAME COMMAND...: runs a check, which must write "passed: NAME" to its file of results.
+# Error of a process that was told to save a state but does not draw.
+unlearned="nothing was learned yet"
+
+# run NAME COMMAND...: runs a check, which must write "passed: NAME" to its file of results, and must not print $unlearned.
 run() {
     local name=$1
     shift
-    if timeout 300 "$@" >"$results/$name.log" 2>&1 && grep -qs "^passed: $name" "$results/$name.txt"; then
+    if timeout 300 "$@" >"$results/$name.log" 2>&1 && grep -qs "^passed: $name" "$results/$name.txt" &&
+        ! grep -n "$unlearned" "$results/$name.log"; then
         echo "ok    $name ($(grep -c "^ok: " "$results/$name.txt") checks)"
     else
         echo "FAILED $name:"
@@ -35,16 +39,20 @@ fi
 if command -v mpirun >/dev/null; then
     run two-ranks mpirun -n 2 --oversubscribe pvbatch "$script" "$ENTIRE_PLUGIN" "$results" --name two-ranks
     if [[ $pvpython ]]; then
-        mpirun -n 2 --oversubscribe pvserver --server-port=11711 >"$results/pvserver.log" 2>&1 &
+        mpirun -n 2 --oversubscribe pvserver --server-port=11711 >"$results/server.log" 2>&1 &
         server=$!
         for _ in $(seq 60); do
-            grep -q "Accepting connection" "$results/pvserver.log" && break
+            grep -q "Accepting connection" "$results/server.log" && break
             sleep 1
         done
         run pvserver "$pvpython" "$script" "$ENTIRE_PLUGIN" "$results" --name pvserver --server localhost:11711
         for _ in $(seq 20); do kill -0 $server 2>/dev/null || break; sleep 0.5; done
         kill $server 2>/dev/null || true
         wait $server 2>/dev/null || true
+        if grep -n "$unlearned" "$results/server.log"; then
+            echo "FAILED pvserver: a rank of the server that does not save reports an error"
+            failed=1
+        fi
     fi
 else
     skip "test-paraview, two ranks and pvserver" "the program mpirun is not installed (it is in openmpi-bin)"

@@ -5,6 +5,7 @@
 #include "vtkEntireSteering.h"
 #include "vtkObjectFactory.h"
 #include "vtkPVRenderView.h"
+#include "vtkProcessModule.h"
 #include "vtkPropCollection.h"
 #include "vtkRenderer.h"
 #include "vtkSmartPointer.h"
@@ -93,7 +94,7 @@ public:
       auto steering = vtkSmartPointer<vtkEntireSteering>::New();
       // Set before Attach(), which reads the volume: a later change of clock, model or state would read it again.
       this->Configure(steering);
-      if (owner->StateFileName && *owner->StateFileName)
+      if (owner->StateFileName && *owner->StateFileName && this->Draws())
       {
         // The steering reports an error in the file.
         static_cast<void>(steering->LoadState(owner->StateFileName));
@@ -124,6 +125,25 @@ public:
     const char* model = this->Owner->ModelFileName;
     steering->SetModelFileName(model && *model ? model : nullptr);
   }
+
+  // True if this process draws the view's volumes, by the rule of vtkPVRenderView: with distributed rendering the
+  // servers and all ranks draw, else the client or the first rank.
+  bool Draws() const
+  {
+    if (!this->View)
+    {
+      return true;
+    }
+    const auto process = vtkProcessModule::GetProcessType();
+    if (this->View->GetUseDistributedRenderingForRender())
+    {
+      return process != vtkProcessModule::PROCESS_CLIENT;
+    }
+    return process == vtkProcessModule::PROCESS_CLIENT ||
+      (process == vtkProcessModule::PROCESS_BATCH && IsFirstRank());
+  }
+
+  static bool IsFirstRank() { return vtkProcessModule::GetProcessModule()->GetPartitionId() == 0; }
 
   // Returns the internals whose values the getters return: those of the source if it is set, else this object.
   vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
@@ -156,6 +176,7 @@ public:
 
   vtkEntireViewSteering* Owner;
   vtkWeakPointer<vtkEntireViewSteering> Source;
+  vtkWeakPointer<vtkPVRenderView> View;
   vtkWeakPointer<vtkRenderer> Renderer;
   unsigned long Tag = 0;
   std::vector<vtkSmartPointer<vtkEntireSteering>> Volumes;
@@ -178,6 +199,7 @@ vtkEntireViewSteering::~vtkEntireViewSteering()
 //------------------------------------------------------------------------------
 void vtkEntireViewSteering::SetView(vtkPVRenderView* view)
 {
+  this->Internals->View = view;
   vtkRenderer* renderer = view ? view->GetRenderer() : nullptr;
   if (renderer != this->Internals->Renderer)
   {
@@ -209,11 +231,15 @@ void vtkEntireViewSteering::SetStateFileName(const char* fileName)
     this->StateFileName = new char[std::string(fileName).size() + 1];
     std::copy(fileName, fileName + std::string(fileName).size() + 1, this->StateFileName);
     const std::string name = this->StateFileName;
-    const auto volumes = this->Internals->Volumes;
-    for (const auto& each : volumes)
+    // Every process gets the name, but the file is on the disk of the process that draws.
+    if (this->Internals->Draws())
     {
-      // The steering reports an error in the file.
-      static_cast<void>(each->LoadState(name.c_str()));
+      const auto volumes = this->Internals->Volumes;
+      for (const auto& each : volumes)
+      {
+        // The steering reports an error in the file.
+        static_cast<void>(each->LoadState(name.c_str()));
+      }
     }
   }
   this->Modified();
@@ -225,6 +251,11 @@ bool vtkEntireViewSteering::SaveState(const char* fileName)
   if (!fileName || !*fileName)
   {
     return false;
+  }
+  // Every process gets the name, but one writes the file.
+  if (!this->Internals->Draws() || !vtkInternals::IsFirstRank())
+  {
+    return true;
   }
   const vtkSmartPointer<vtkEntireSteering> last(this->Internals->Last());
   if (!last)

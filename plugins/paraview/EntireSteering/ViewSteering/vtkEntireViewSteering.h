@@ -56,14 +56,15 @@ public:
   ///@{
   /**
    * A file with a learned state from which steering starts; nullptr or an empty name for none. It is read when it is
-   * set, and for each volume that is attached later.
+   * set, and for each volume that is attached later, in the processes that draw the view.
    */
   void SetStateFileName(VTK_FILEPATH const char* fileName);
   vtkGetFilePathMacro(StateFileName);
   ///@}
 
   /**
-   * Writes the learned state of the volume that took longest in the last frame. Returns false on failure.
+   * Writes the learned state of the volume that took longest in the last frame. Returns false on failure. Of the
+   * processes that draw the view, the first rank writes; the others, and a client whose server draws, return true.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
 
