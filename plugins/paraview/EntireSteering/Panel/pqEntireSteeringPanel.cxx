@@ -3,9 +3,11 @@
 
 #include "pqActiveObjects.h"
 #include "pqApplicationCore.h"
+#include "pqFileDialog.h"
 #include "pqRenderView.h"
 #include "pqServerManagerModel.h"
 #include "vtkNew.h"
+#include "vtkPVRenderView.h"
 #include "vtkSMPropertyHelper.h"
 #include "vtkSMProxy.h"
 #include "vtkSMSessionProxyManager.h"
@@ -15,7 +17,6 @@
 #include <QCheckBox>
 #include <QComboBox>
 #include <QDoubleSpinBox>
-#include <QFileDialog>
 #include <QFormLayout>
 #include <QHBoxLayout>
 #include <QLabel>
@@ -59,6 +60,14 @@ struct pqEntireSteeringPanel::pqInternals
   QLabel* Frames = nullptr;
 
   vtkSMProxy* Proxy() const { return this->Proxies.value(this->View.data()); }
+
+  // The server whose disk has the view's files; nullptr if the client draws. The process that draws reads and writes the
+  // files.
+  pqServer* FileServer() const
+  {
+    auto* drawn = this->View ? vtkPVRenderView::SafeDownCast(this->View->getProxy()->GetClientSideObject()) : nullptr;
+    return drawn && drawn->GetUseDistributedRenderingForRender() ? this->View->getServer() : nullptr;
+  }
 };
 
 namespace
@@ -278,10 +287,14 @@ void pqEntireSteeringPanel::apply()
 //-----------------------------------------------------------------------------
 void pqEntireSteeringPanel::browse()
 {
-  const QString name = QFileDialog::getOpenFileName(this, "Model file", QString(), "Models (*.safetensors)");
-  if (!name.isEmpty())
+  // The last argument keeps files with numbered names apart.
+  pqFileDialog dialog(
+    this->Internals->FileServer(), this, "Model file", QString(), "Models (*.safetensors)", false);
+  dialog.setObjectName("ModelFileDialog");
+  dialog.setFileMode(pqFileDialog::ExistingFile);
+  if (dialog.exec() == QDialog::Accepted && !dialog.getSelectedFiles().isEmpty())
   {
-    this->Internals->Model->setText(name);
+    this->Internals->Model->setText(dialog.getSelectedFiles().first());
     this->apply();
   }
 }
@@ -290,7 +303,8 @@ void pqEntireSteeringPanel::browse()
 void pqEntireSteeringPanel::save()
 {
   vtkSMProxy* proxy = this->Internals->Proxy();
-  const QString name = proxy ? QFileDialog::getSaveFileName(this, "Save learned state") : QString();
+  const QString name =
+    proxy ? pqFileDialog::getSaveFileName(this->Internals->FileServer(), this, "Save learned state") : QString();
   if (!name.isEmpty())
   {
     vtkSMPropertyHelper(proxy, "Save").Set(name.toUtf8().data());
