@@ -1,6 +1,5 @@
 //! Tables, manifests and noise floors, written and read again.
 
-use super::table::parse;
 use super::*;
 use crate::metrics::median;
 use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
