@@ -4,7 +4,7 @@ use crate::calibrate::{can_be_prior, report::law_text};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_io::dataset::{
-    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, open_tables, read_pictures, timed,
+    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, open_tables, read_pictures, shaded, timed,
 };
 use entire_io::device::names_software;
 use entire_io::files::{check_model_out, ensure_not_input, note, open_model, write_whole};
@@ -330,11 +330,6 @@ struct Trained {
 /// of a GPU and processor time for others, as [`entire_io::clock::for_training`] chooses.
 fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>, Model)>) -> Result<Clock> {
     let base = base.and_then(|(name, model)| Some((name.to_string(), entire_io::clock::of(model)?)));
-    let frames: Vec<&TimedFrame> = tables
-        .iter()
-        .flat_map(|t| &t.frames)
-        .filter(|f| options.shade.is_none_or(|s| f.scene.shading == s))
-        .collect();
     let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
     // On a GPU, processor time is only that of the thread that waits.
     let on_gpu = tables
@@ -342,7 +337,7 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
         .filter_map(|t| t.manifest.as_ref())
         .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
     let asked = options.clock.or((base.is_none() && on_gpu).then_some(Clock::Auto));
-    entire_io::clock::for_training(asked, base, frames.iter().copied())
+    entire_io::clock::for_training(asked, base, shaded(tables, options.shade))
 }
 
 impl Options {

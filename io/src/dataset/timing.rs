@@ -161,20 +161,22 @@ pub struct Timed<'a> {
     pub seconds: &'a [f64],
 }
 
+/// Returns the frames of all tables with the requested shading; all frames if it is `None`.
+pub fn shaded(tables: &[Table], shading: Option<Shading>) -> impl Iterator<Item = &TimedFrame> + Clone {
+    tables.iter().flat_map(|t| &t.frames).filter(move |f| shading.is_none_or(|s| f.scene.shading == s))
+}
+
 /// Returns the frames with a time by the clock and the requested shading (if any), each with its seconds.
 ///
 /// # Errors
 /// When there are no such frames.
 pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result<Vec<(&TimedFrame, f64)>> {
-    let all = || tables.iter().flat_map(|t| &t.frames);
-    let frames: Vec<(&TimedFrame, f64)> = all()
-        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
-        .filter_map(|f| Some((f, f.seconds(clock)?)))
-        .collect();
+    let frames: Vec<(&TimedFrame, f64)> =
+        shaded(tables, shading).filter_map(|f| Some((f, f.seconds(clock)?))).collect();
     ensure!(
         !frames.is_empty(),
         "none of {} frames has {}a time by the clock {:?}; choose another --clock{}",
-        all().count(),
+        shaded(tables, None).count(),
         shading.map_or(String::new(), |s| format!("shading {s} and ")),
         clock.name(),
         if shading.is_some() { " or --shade" } else { "" },
@@ -185,11 +187,7 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
 /// Returns a note about the frames that [`timed`] leaves out for lack of a time by the clock; `None` if no
 /// frame or every frame is left out.
 pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Option<String> {
-    let frames: Vec<&TimedFrame> = tables
-        .iter()
-        .flat_map(|t| &t.frames)
-        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
-        .collect();
+    let frames: Vec<&TimedFrame> = shaded(tables, shading).collect();
     let without = |clock: Clock| frames.iter().filter(|f| f.seconds(clock).is_none()).count();
     let missing = without(clock);
     if missing == 0 || missing == frames.len() {

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Storage;
 use entire_core::model::Model;
 use entire_io::clock::{agreed, concrete, unstated};
-use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, open_tables, timed};
+use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, open_tables, shaded, timed};
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
 use entire_io::metrics::{Metrics, bootstrap_by_group};
@@ -124,9 +124,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     let tables = open_tables(&options.data, options.root.as_deref())?;
     let named = || models.iter().map(|m| (m.name.as_str(), &m.model));
-    let judged = |f: &&TimedFrame| options.shade.is_none_or(|s| f.scene.shading == s);
-    let judged = tables.iter().flat_map(|t| &t.frames).filter(judged);
-    let clock = concrete(agreed(options.clock, named())?, judged)?;
+    let clock = concrete(agreed(options.clock, named())?, shaded(&tables, options.shade))?;
     let mut frames = timed(&tables, clock, options.shade)?;
     let said = [unstated(clock, named()), left_out(&tables, clock, options.shade)];
     said.into_iter().flatten().for_each(|text| note(&text));
