@@ -49,7 +49,7 @@ STILL = 7
 class Person:
     """A window with a simulated user."""
 
-    def __init__(self, command, display, folder, volume):
+    def __init__(self, command, display, folder, *volumes):
         self.display, self.folder = display, folder
         self.log = folder / "frames.csv"
         environment = {**display.environment, "XDG_STATE_HOME": str(folder / "state")}
@@ -57,7 +57,7 @@ class Person:
             environment["ENTIRE_VALIDATION"] = "1"
         arguments = ["--target", "60ms", "--size", "1000x760", "--log", self.log]
         self.program = subprocess.Popen(
-            list(map(str, [command, "explore", volume, *arguments])),
+            list(map(str, [command, "explore", *volumes, *arguments])),
             env=environment,
             cwd=folder,
             stderr=subprocess.PIPE,
@@ -315,6 +315,22 @@ def a_series_plays_in_the_background(command, display, folder):
     assert len(log["open"]) == 3 and len(log["frame"]) >= 15
 
 
+def a_screenshot_is_written_while_the_next_volume_loads(command, display, folder):
+    """A volume that is loaded during a screenshot is shown after the picture is written."""
+    ball, shot = folder / "ball.nrrd", folder / "screenshot.png"
+    tools.write_volume(ball, 320)
+    person = Person(command, display, folder, BANANA, ball)
+    person.key("space")
+    person.key("ctrl+p")
+    end = time.monotonic() + 120
+    while not shot.exists() and time.monotonic() < end:
+        time.sleep(0.2)
+    assert tools.read_png(shot)[:2] == (1280, 720)
+    while len(tools.read_log(person.log)["open"]) < 2 and time.monotonic() < end:
+        time.sleep(0.2)
+    assert len(person.close()["open"]) >= 2, "the series does not play on"
+
+
 def a_minimized_window_rests(command, display, folder):
     """A minimized window draws nothing and keeps no processor busy; shown again, it continues."""
     script, log = folder / "events.jsonl", folder / "frames.csv"
@@ -389,6 +405,7 @@ TESTS = [
     a_script_switches_everything,
     a_device_lost_in_the_first_load_is_opened_again,
     a_series_plays_in_the_background,
+    a_screenshot_is_written_while_the_next_volume_loads,
     a_minimized_window_rests,
     a_person_explores,
 ]

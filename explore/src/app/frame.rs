@@ -95,8 +95,11 @@ impl App {
         Ok(())
     }
 
-    /// Takes over a loaded volume.
+    /// Takes over a loaded volume, but not before a screenshot of the present volume is written.
     fn take_loaded(&mut self) -> Result<()> {
+        if self.screenshot.is_some() && self.scene.is_some() {
+            return Ok(());
+        }
         let Some(result) = self.loading.as_ref().and_then(crate::loading::Loading::poll) else {
             return Ok(());
         };

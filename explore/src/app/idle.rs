@@ -35,15 +35,16 @@ impl App {
             return Ok(ControlFlow::Poll);
         }
         let now = Instant::now();
+        // After the loss of the device, a screenshot waits until its volume is loaded again.
+        if self.screenshot.is_some() && (self.scene.is_some() || self.loading.is_none()) {
+            self.go_on_with_screenshot()?;
+            return Ok(ControlFlow::Poll);
+        }
         if self.loading.is_some() {
             if self.last_paint.elapsed() > SHOW_EVERY / 2 {
                 self.redraw();
             }
             return Ok(ControlFlow::WaitUntil(now + SHOW_EVERY / 2));
-        }
-        if self.screenshot.is_some() {
-            self.go_on_with_screenshot()?;
-            return Ok(ControlFlow::Poll);
         }
         self.play_series()?;
         let ready = self.scene.is_some() && self.pictures.is_some() && self.number > 0;
