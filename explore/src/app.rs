@@ -90,7 +90,7 @@ struct App {
     last_change: Instant,
     last_paint: Instant,
     repaint_at: Option<Instant>,
-    /// Time of the request for the volume that is loading.
+    /// Time of the request for the present volume, until its first frame is drawn.
     asked: Option<Instant>,
     swapped: Instant,
     /// Shading and skipping modes whose shaders are compiled.
@@ -264,7 +264,6 @@ impl App {
         if let Some(before) = self.loading.take() {
             before.cancel();
         }
-        self.asked = Some(Instant::now());
         self.loading = Some(Loading::start(job, &self.host, device, &self.vulkan, self.proxy.clone())?);
         self.redraw();
         Ok(())

@@ -54,6 +54,8 @@ const STAGES: [&str; 4] = ["reading", "summarizing", "uploading to the device", 
 /// A running load.
 pub(crate) struct Loading {
     pub(crate) job: Job,
+    /// Time of the request.
+    pub(crate) asked: Instant,
     progress: Arc<Progress>,
     stage: Arc<AtomicU32>,
     result: Receiver<Result<Box<Loaded>>>,
@@ -90,7 +92,7 @@ impl Loading {
                 let _ = wake.send_event(Wake);
             })
             .context("cannot start a thread")?;
-        Ok(Self { job: started, progress, stage, result })
+        Ok(Self { job: started, asked: begin, progress, stage, result })
     }
 
     pub(crate) fn cancel(&self) {

@@ -107,6 +107,7 @@ impl App {
         let job = self.loading.as_ref().map(|loading| &loading.job);
         let keeps_curve = job.is_some_and(|job| job.curve.is_some());
         let modes = job.map(|job| (job.shading, job.skipping));
+        let asked = self.loading.as_ref().map(|loading| loading.asked);
         if !is_lost {
             self.loading = None;
         }
@@ -169,6 +170,7 @@ impl App {
         self.refinement = None;
         self.scene = Some(scene);
         self.name_predictor();
+        self.asked = asked;
         self.swapped = Instant::now();
         if self.waiting == Waiting::Volume {
             self.waiting = Waiting::Nothing;
