@@ -4,7 +4,8 @@ use crate::calibrate::{can_be_prior, report::law_text};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_io::dataset::{
-    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, open_tables, read_pictures, shaded, timed,
+    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, open_tables, read_pictures, shaded,
+    timed,
 };
 use entire_io::device::names_software;
 use entire_io::files::{check_model_out, ensure_not_input, note, open_model, write_whole};
