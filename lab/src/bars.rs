@@ -3,14 +3,12 @@
 use anyhow::{Result, ensure};
 use entire_report::Table;
 
-/// A goal with its measured value.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Bar {
     /// Name of the bar, without blanks.
     pub(crate) name: String,
     /// Measured value; `None` where it could not be measured.
     pub(crate) value: Option<f64>,
-    /// Limit of the value.
     pub(crate) limit: f64,
     /// True if the limit is met; false without a value.
     pub(crate) ok: bool,

@@ -16,7 +16,6 @@ use std::path::Path;
 /// Number of scenes of which one is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
 
-/// True for a held-out sample.
 fn held_out(sample: &Sample) -> bool {
     sample.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
 }
@@ -29,11 +28,9 @@ pub(crate) fn no_volume() -> Result<VolumeView<'static>> {
 /// A predictor with its errors on held-out calibration frames.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Calibrated {
-    /// Name of the predictor.
     pub(crate) title: String,
     /// Errors of the predictor on the held-out calibration frames.
     pub(crate) held_out: Quality,
-    /// The predictor.
     #[serde(skip)]
     pub(crate) model: SteeringModel,
 }

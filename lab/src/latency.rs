@@ -49,7 +49,6 @@ impl Latency {
         self.cold + self.transfer / FRAMES_PER_TRANSFER
     }
 
-    /// The smaller value of each figure.
     fn min(self, other: Self) -> Self {
         Self {
             cold: self.cold.min(other.cold),

@@ -70,7 +70,6 @@ impl Trees {
         Ok(Self { layout, analytic, booster })
     }
 
-    /// Predicted seconds of frames.
     pub(crate) fn predict(
         &self,
         context: &FitContext<'_>,

@@ -15,13 +15,11 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum State {
-    /// Completed.
     Done,
     /// Ended at its time limit; its partial result is used.
     CutShort,
     /// Cut off when the run ended; its partial result is used, and the next run continues it.
     Unfinished,
-    /// The step failed, with a message.
     Failed,
     /// The step was skipped for lack of time.
     LeftOut,
@@ -42,11 +40,9 @@ impl State {
     }
 }
 
-/// Outcome of a step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Outcome {
     pub(crate) step: String,
-    /// The step's arguments.
     #[serde(default)]
     pub(crate) arguments: Vec<String>,
     pub(crate) state: State,

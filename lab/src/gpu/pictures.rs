@@ -18,11 +18,8 @@ const CAMERAS: [(f32, f32, f32); 4] =
 /// Difference between a picture of the device and the picture of the CPU version.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Difference {
-    /// The volume file's name.
     pub(crate) volume: String,
-    /// Shading mode.
     pub(crate) shading: String,
-    /// The camera's number.
     pub(crate) camera: usize,
     /// Largest difference of a channel, on a scale of 0 to 255.
     pub(crate) largest: u8,

@@ -17,7 +17,6 @@ pub(crate) struct Found {
     pub(crate) outcomes: Outcomes,
     /// Output of `entire probe --json`.
     pub(crate) probe: Option<Value>,
-    /// Comparison of pictures with the CPU version.
     pub(crate) pictures: Vec<Difference>,
     /// Tables: kind (`frames`, `large`), mode, frames.
     pub(crate) tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
@@ -25,7 +24,6 @@ pub(crate) struct Found {
     pub(crate) evaluations: Vec<(&'static str, &'static str, Value)>,
     /// Output of `entire steer`.
     pub(crate) switches: Option<Value>,
-    /// The clock of the reported times.
     pub(crate) clock: Clock,
 }
 
@@ -43,7 +41,6 @@ fn shown(value: Option<f64>, factor: f64, digits: usize) -> Cell {
 }
 
 impl Found {
-    /// Outcomes of the steps, as a table.
     pub(crate) fn steps(&self) -> Table {
         let mut table = Table::headed("step | state | #s | last line of output");
         for o in &self.outcomes.0 {

@@ -83,7 +83,6 @@ impl Extent {
 pub(crate) struct Step {
     /// Name of the step and of its log.
     pub(crate) name: String,
-    /// Arguments of the command.
     pub(crate) arguments: Vec<String>,
     /// Time limit, wall seconds.
     pub(crate) seconds: f64,

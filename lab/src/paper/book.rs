@@ -13,7 +13,6 @@ use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// The page's file name.
 pub(crate) const PAGE: &str = "paper-tables.md";
 
 /// Folder of the page's charts and pictures, relative to the page.

@@ -10,7 +10,6 @@ use entire_steer::schedule::assign_longest_first;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Numbers of nodes.
 pub(crate) const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
 /// Name of the assignment by equal times, as without any prediction.
 const UNIFORM: &str = "uniform";

@@ -25,7 +25,6 @@ pub(crate) struct Paper {
     /// study, and are not printed.
     #[serde(default)]
     pub(crate) partial: bool,
-    /// Clock of the frame times.
     pub(crate) clock: String,
     /// Seed of the scenes.
     pub(crate) seed: u64,
@@ -47,9 +46,7 @@ pub(crate) struct Paper {
     pub(crate) encoders: Encoders,
     /// Number of training runs of each network, with different seeds.
     pub(crate) runs: usize,
-    /// Recipe of the paper's network.
     pub(crate) network: Recipe,
-    /// Recipe of our predictor, by mode.
     pub(crate) ours: BTreeMap<String, Recipe>,
     /// Fractions of the training frames, for the study of the number of training frames.
     pub(crate) shares: Vec<f64>,
@@ -99,7 +96,6 @@ impl FrameCounts {
     }
 }
 
-/// A data set.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct DataSet {
@@ -171,7 +167,6 @@ pub(crate) struct MemberSplit {
     pub(crate) test: BTreeSet<String>,
 }
 
-/// Collection of frames that yt draws.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct YtFrames {
@@ -189,7 +184,6 @@ pub(crate) struct YtFrames {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Encoders {
-    /// The training script.
     pub(crate) script: PathBuf,
     /// Sides of the input, voxels.
     pub(crate) sizes: Vec<usize>,
@@ -227,7 +221,6 @@ pub(crate) struct Tuning {
     pub(crate) mode: String,
     /// Numbers of frames for fine-tuning.
     pub(crate) frames: Vec<usize>,
-    /// Epochs of fine-tuning.
     pub(crate) epochs: usize,
     /// Tables of other renderers: name, training table, test table. If both are the same table, random halves
     /// of its frames are used for training and for testing.
@@ -303,7 +296,6 @@ pub(crate) struct Change {
     pub(crate) target: Option<TargetChoice>,
     /// Frames per optimizer step; `None` for the recipe's number.
     pub(crate) batch: Option<usize>,
-    /// True to leave gradients unclipped.
     pub(crate) no_clipping: bool,
     /// Frames whose error decides from which epoch the weights are taken.
     pub(crate) validation: Validation,
@@ -369,9 +361,7 @@ impl Panel {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Label {
-    /// The paper's label.
     pub(crate) label: String,
-    /// Title of the table or figure.
     pub(crate) title: String,
     /// Part of the study that contains our counterpart of the table or figure.
     pub(crate) panel: Panel,
@@ -431,7 +421,6 @@ pub(crate) struct Limits {
     pub(crate) report_seconds: f64,
 }
 
-/// Modes of our raycaster.
 pub(crate) const RAYCASTER_MODES: [&str; 3] = ["none", "local", "scatter"];
 /// The base mode: the paper's raycaster shades by local lighting.
 pub(crate) const BASE_MODE: &str = "local";

@@ -57,7 +57,6 @@ impl Encoder {
         Ok(self.record(out)?.is_some_and(|r| r.complete()))
     }
 
-    /// Path of the model file.
     pub(crate) fn path(&self, out: &Path) -> PathBuf {
         let Self { set, size, features, channels } = self;
         let widths: Vec<String> = channels.iter().map(ToString::to_string).collect();
@@ -80,7 +79,6 @@ impl Encoder {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Record {
     pub(crate) provenance: Provenance,
-    /// Seconds of the training.
     pub(crate) seconds: f64,
 }
 
@@ -95,7 +93,6 @@ pub(crate) struct Provenance {
 }
 
 impl Record {
-    /// True if the training was completed.
     pub(crate) fn complete(&self) -> bool {
         !self.provenance.stopped.starts_with("interrupted")
     }

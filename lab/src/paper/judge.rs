@@ -19,9 +19,7 @@ use entire_train::evaluation::PROBE_SHARE;
 use entire_train::fit::{FitContext, Recipe, predict};
 use entire_train::split::TimedFrames;
 
-/// Name of the paper's network in tables.
 pub(super) const NETWORK: &str = "the paper's network";
-/// Name of our predictor in tables.
 pub(super) const OURS: &str = "ours: analytic × factor";
 
 /// Context of a data set and mode.
@@ -30,9 +28,7 @@ pub(super) struct At<'a> {
     pub(super) place: &'a Place,
     pub(super) mode: &'a str,
     pub(super) loaded: &'a Loaded,
-    /// Clock of the frame times.
     pub(super) clock: Clock,
-    /// Trains models and stores them.
     pub(super) runner: &'a Runner<'a>,
     pub(super) context: FitContext<'a>,
 }
@@ -75,7 +71,6 @@ impl At<'_> {
         self.runs(name, key, recipe, |_| (frames.training.clone(), frames.validation.clone()))
     }
 
-    /// Predictions of every model for some frames.
     pub(super) fn predictions(&self, models: &[Model], frames: &[&TimedFrame]) -> Result<Vec<Vec<f64>>> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }

@@ -43,9 +43,7 @@ pub(crate) struct Work<'a> {
     pub(crate) out: &'a std::path::Path,
     /// The Python interpreter for VolumeNet and yt.
     pub(crate) python: &'a std::path::Path,
-    /// Threads for training and prediction.
     pub(crate) pool: &'a rayon::ThreadPool,
-    /// Deadline, if there is one.
     pub(crate) deadline: Option<Instant>,
     /// Returns true if the user asked to stop.
     pub(crate) interrupted: &'a (dyn Fn() -> bool + Sync),

@@ -111,7 +111,6 @@ pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     }
 }
 
-/// Table with a row per label.
 fn rows_table(sections: &[(&Label, Section)]) -> Table {
     let mut table = Table::headed("label | title | ours | command");
     for (label, s) in sections {

@@ -56,7 +56,6 @@ pub(crate) struct Row {
 /// A line of a chart.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Curve {
-    /// Name of the curve's chart.
     pub(crate) chart: String,
     pub(crate) name: String,
     /// Quantity along x.
@@ -80,7 +79,6 @@ impl Curve {
 pub(super) const ORBIT_CHART: &str = "orbit";
 /// Name of the chart of the orbit with random transfer functions, with a curve per volume.
 pub(super) const DRAWN_CHART: &str = "orbit, drawn transfer functions";
-/// Name of the curve of measured times.
 pub(super) const MEASURED: &str = "measured";
 /// Quantity along x of curves with a point per frame.
 pub(super) const SORTED: &str = "frames, by their measured time";
@@ -102,7 +100,6 @@ pub(super) fn box_of(values: &BTreeMap<String, f64>) -> [f64; 5] {
 /// Named numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Fact {
-    /// Name of the group of numbers.
     pub(crate) name: String,
     pub(crate) values: BTreeMap<String, f64>,
 }
@@ -143,7 +140,6 @@ impl Results {
         }
     }
 
-    /// A group of numbers.
     pub(super) fn fact(&self, name: &str) -> Option<&BTreeMap<String, f64>> {
         self.facts.iter().find(|f| f.name == name).map(|f| &f.values)
     }
@@ -167,7 +163,6 @@ impl Results {
     }
 }
 
-/// Path of the results of a part.
 pub(super) fn path(out: &Path, panel: Panel, set: &str, mode: &str) -> PathBuf {
     out.join("results").join(format!("{}-{set}-{mode}.json", panel.name()))
 }

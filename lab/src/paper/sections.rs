@@ -465,13 +465,10 @@ fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
 
 /// A part of the study that has no counterpart in the paper.
 pub(super) struct Trial {
-    /// Heading of the part.
     pub(super) title: &'static str,
-    /// Command that computes the part.
     pub(super) command: &'static str,
     /// First part of the names of the part's files.
     pub(super) stem: &'static str,
-    /// Tables and charts of the part.
     pub(super) section: Section,
 }
 

@@ -65,14 +65,11 @@ impl Rows {
     }
 }
 
-/// Result of a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Done {
     /// Predicted seconds of the test frames.
     predicted: Vec<f64>,
-    /// Epoch of the chosen weights.
     best_epoch: usize,
-    /// Duration of the training, seconds.
     seconds: f64,
 }
 

@@ -50,7 +50,6 @@ struct Pretrained<'a> {
     work: &'a Work<'a>,
     runner: &'a Runner<'a>,
     context: &'a FitContext<'a>,
-    /// Recipe of the network.
     recipe: &'a Recipe,
     /// The network's file.
     network: PathBuf,

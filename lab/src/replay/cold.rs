@@ -19,7 +19,6 @@ pub(crate) fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usiz
     (0..(n + 1).saturating_sub(frames)).step_by(EVERY).map(move |start| start..start + frames)
 }
 
-/// The hybrid controller with a predictor.
 pub(crate) fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {
     Contender {
         name: "hybrid".into(),
@@ -29,7 +28,6 @@ pub(crate) fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOption
     }
 }
 
-/// The hybrid controller without a model.
 pub(crate) fn without_model(options: HybridOptions) -> Contender {
     hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
 }

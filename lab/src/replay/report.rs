@@ -118,7 +118,6 @@ impl Results<'_> {
         table
     }
 
-    /// Writes every frame as CSV.
     pub(crate) fn write_csv(&self, path: &Path) -> Result<()> {
         let mut out = csv::Writer::from_writer(Vec::new());
         let header = "trace,target,controller,frame,target_s,seconds,predicted_s,upper_s,step_ref,image_scale,\
@@ -155,7 +154,6 @@ impl Results<'_> {
         write_whole(path, &out.into_inner()?)
     }
 
-    /// Writes scores as JSON.
     pub(crate) fn write_json(&self, path: &Path, calibrated: &Calibrated) -> Result<()> {
         let by_name = |scores: Vec<Score>| -> serde_json::Map<String, serde_json::Value> {
             self.players.iter().zip(scores).map(|(p, s)| (p.kind.name().to_owned(), json!(s))).collect()

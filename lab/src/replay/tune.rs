@@ -146,7 +146,6 @@ pub(crate) struct Course<'a> {
     trials: [Vec<Trial>; 3],
 }
 
-/// Cost of a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(crate) struct Cost {
     /// Scores with a fitted predictor.
@@ -208,7 +207,6 @@ impl<'a> Course<'a> {
         self.trials[0].is_empty()
     }
 
-    /// Cost of the path with these constants.
     pub(crate) fn cost(&self, constants: Constants) -> Result<Cost> {
         let model = &self.calibrated.model;
         let Constants { hybrid: constants, correction } = constants;
@@ -251,7 +249,6 @@ impl<'a> Course<'a> {
     }
 }
 
-/// Cost of every path with these constants.
 pub(crate) fn costs(courses: &[Course<'_>], constants: Constants) -> Result<Vec<Cost>> {
     courses.par_iter().map(|c| c.cost(constants)).collect()
 }

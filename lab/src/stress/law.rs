@@ -67,7 +67,6 @@ impl Shot {
     };
 }
 
-/// No change.
 const STEADY: Changes =
     Changes { first: false, transfer: false, volume: false, size: false, mode: false, camera: false };
 const TRANSFER: Changes = Changes { transfer: true, ..STEADY };

@@ -85,7 +85,6 @@ pub(crate) struct Seen {
     pub(crate) part: usize,
 }
 
-/// Limits of a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Limits {
     /// Upper limit of the share of feasible frames that take longer than 1.1 times the target.
@@ -109,7 +108,6 @@ impl Limits {
 /// Result of a method in a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Verdict {
-    /// The scene's number.
     pub(crate) scene: usize,
     pub(crate) method: &'static str,
     /// Failures, in words; empty if the method passed.

@@ -40,7 +40,6 @@ impl Line {
         Self { middle: (mx, my), slope: if xx > 0.0 { xy / xx } else { 0.0 } }
     }
 
-    /// Value of the line at `x`.
     pub(crate) fn at(&self, x: f64) -> f64 {
         self.middle.1 + self.slope * (x - self.middle.0)
     }

@@ -13,7 +13,6 @@ use std::path::{Path, PathBuf};
 #[serde(deny_unknown_fields)]
 pub(crate) struct Study {
     pub(crate) title: String,
-    /// Clock of the frame times.
     #[serde(default = "cpu")]
     pub(crate) clock: String,
     /// Data sets, each of one shading mode or renderer.
@@ -45,11 +44,9 @@ pub(crate) struct Ship {
     pub(crate) dtype: DtypeChoice,
 }
 
-/// A data set.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Set {
-    /// Name of the data set.
     pub(crate) name: String,
     /// Training tables. A tenth of their ensemble members decides when training stops; a tenth of their volumes if
     /// there are fewer than ten members.
@@ -93,7 +90,6 @@ impl Set {
     }
 }
 
-/// Tables of a split.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SplitTables {
@@ -122,13 +118,11 @@ pub(crate) struct Limits {
     pub(crate) latency: bool,
 }
 
-/// A predictor.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Named {
     /// Name in every table. Some bars apply to the predictor that is named `paper`.
     pub(crate) name: String,
-    /// Recipe of the predictor.
     #[serde(default)]
     pub(crate) recipe: Recipe,
     /// True for boosted trees on the recipe's inputs: a reference that no model file can hold.

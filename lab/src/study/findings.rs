@@ -21,7 +21,6 @@ pub(crate) const LEVEL: f64 = 0.9;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Intervals {
     pub(crate) rmse_over_sd: (f64, f64),
-    /// Interval of the median error.
     pub(crate) mdape: (f64, f64),
 }
 
@@ -70,7 +69,6 @@ pub(crate) struct Fit {
     /// Median error and RMSE/SD of a perfect predictor on the frames of the cross-validation, due to the noise of
     /// the measured times.
     pub(crate) noise: [f64; 2],
-    /// Number of folds of the cross-validation.
     pub(crate) folds: usize,
     /// Number of fitted parameters: weights, biases, and unit costs.
     pub(crate) numbers: usize,
@@ -107,7 +105,6 @@ pub(crate) struct CalibratedResult {
 /// All results of a study.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct Findings {
-    /// Errors by set, split and predictor.
     pub(crate) results: Vec<SplitResult>,
     /// Errors on the training tables.
     pub(crate) fits: Vec<Fit>,
@@ -187,9 +184,7 @@ pub(super) fn noise_of(
 /// Number of frames to which predictors are calibrated.
 pub(crate) const CALIBRATION_FRAMES: usize = 100;
 
-/// The name of the constant baseline.
 pub(crate) const CONSTANT: &str = "constant (mean of 15 % probes)";
-/// The name of the low-resolution proxy.
 pub(crate) const PROXY: &str = "LVRP (64³ render, linear fit)";
 
 /// Measures the errors of predictions on a split; `None` if the split has no frames.

@@ -42,7 +42,6 @@ pub(crate) struct Crossed {
     pub(super) measured: Vec<f64>,
     /// Group of each frame.
     pub(super) groups: Vec<String>,
-    /// Volume of each frame.
     pub(super) volumes: Vec<String>,
     pub(super) folds: usize,
 }
@@ -100,9 +99,7 @@ impl StudyPredictor {
 
 /// Context of a study besides its description.
 pub(crate) struct Runner<'a> {
-    /// Threads for training and prediction.
     pub(crate) pool: &'a rayon::ThreadPool,
-    /// Folder of stored models.
     pub(crate) models: PathBuf,
     /// Progress over all trainings.
     pub(crate) bar: &'a ProgressBar,
@@ -208,7 +205,6 @@ impl Runner<'_> {
         Ok((folds > 0).then_some(Crossed { predicted, measured, groups, volumes, folds }))
     }
 
-    /// Runs a whole study.
     pub(crate) fn run(&self, study: &Study) -> Result<Findings> {
         let clock: Clock = study.clock.parse()?;
         let mut out = Findings::default();

@@ -30,7 +30,6 @@ fn law(pixels: f64, counts: &WorkCounts) -> f64 {
     5e-5 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
 }
 
-/// Renderer and clock.
 pub(crate) struct Machine<'a> {
     /// The renderer; the CPU version on the scripted clock.
     pub(crate) renderer: &'a mut dyn Renderer,

@@ -4,7 +4,6 @@ use super::super::{Limits, Noise};
 use anyhow::Result;
 use entire_core::scene::{Arcball, GaussianLobe, Scalars, VolumeOptions, VolumeView};
 
-/// A volume of a scene.
 #[derive(Clone)]
 pub(super) struct Block {
     pub(super) dims: [usize; 3],
@@ -61,7 +60,6 @@ pub(super) fn haze() -> Vec<GaussianLobe> {
     lobes(0.5, 0.5, 0.004)
 }
 
-/// A frame of a scene.
 #[derive(Clone)]
 pub(super) struct Shot {
     pub(super) volume: usize,
