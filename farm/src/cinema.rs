@@ -7,7 +7,6 @@ use anyhow::Result;
 use entire_io::files::write_whole_with;
 use std::collections::HashMap;
 
-/// The columns of the table.
 const COLUMNS: &str = "volume time rx_deg ry_deg dz_radii transfer width height step predicted_s measured_s \
                        load_s node task FILE";
 

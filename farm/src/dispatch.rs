@@ -24,7 +24,6 @@ pub(crate) struct Ask<'a> {
     pub(crate) load: &'a dyn Fn(usize) -> f64,
     /// Overhead of a bundle, seconds.
     pub(crate) overhead: f64,
-    /// Number of slots that share the work.
     pub(crate) slots: usize,
     /// Time limit of a bundle, seconds. A bundle of several tasks is expected to take at most half of it without
     /// overhead and loading, and at most all of it with them. A bundle of a single task may exceed it.
@@ -117,7 +116,6 @@ impl Dispatcher {
         }
     }
 
-    /// Number of tasks that wait.
     pub(crate) fn pending(&self) -> usize {
         self.pending
     }

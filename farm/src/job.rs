@@ -17,10 +17,8 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-/// Largest job file, in bytes.
 const MAX_JOB_BYTES: u64 = 16 << 20;
 
-/// Maximum number of tasks of a job.
 const MAX_TASKS: usize = 20_000_000;
 
 /// A volume file of a job.

@@ -218,7 +218,6 @@ pub(crate) struct Draw {
 }
 
 impl Learner {
-    /// A model without observations.
     pub(crate) fn new(shape: Shape) -> Self {
         let d = FIXED + shape.transfers;
         let mean_base = shape.base.iter().map(|b| f64::from(*b)).sum::<f64>() / shape.len().max(1) as f64;
@@ -251,7 +250,6 @@ impl Learner {
         &self.shape
     }
 
-    /// Number of observed times.
     pub(crate) fn observed(&self) -> usize {
         self.seen.len()
     }
@@ -325,7 +323,6 @@ impl Learner {
         self.fitted == self.seen.len()
     }
 
-    /// Fits the model to all observations.
     pub(crate) fn refit(&mut self) {
         let d = self.beta.len();
         let nodes = self.seen.iter().map(|s| s.node as usize + 1).max().unwrap_or(0);
@@ -520,7 +517,6 @@ impl Learner {
         (self.beta.iter().zip(&shift).map(|(a, b)| a + b).collect(), shift)
     }
 
-    /// Draws the uncertain quantities.
     pub(crate) fn draw(&self, rng: &mut ChaCha8Rng) -> Draw {
         let (beta, shift) = self.draw_beta(rng);
         let effects = (0..self.shape.volumes)

@@ -195,7 +195,6 @@ impl Planner {
         (self.done, self.wanted)
     }
 
-    /// Number of waiting tasks.
     pub(crate) fn pending(&self) -> usize {
         self.dispatcher.pending() + self.stages.iter().map(Vec::len).sum::<usize>()
     }
@@ -292,14 +291,12 @@ impl Planner {
         self.bundles = self.bundles.max(bundle);
     }
 
-    /// Records the start of a bundle.
     pub(crate) fn begun(&mut self, bundle: u64, at: f64) {
         if let Some(r) = self.running.get_mut(&bundle) {
             r.begun.get_or_insert(at);
         }
     }
 
-    /// Records a finished task.
     pub(crate) fn done(&mut self, bundle: u64, task: u32, node: usize, seconds: f64, load: f64) {
         if let Some(r) = self.close(bundle, task) {
             r.busy += seconds + load;
@@ -314,7 +311,6 @@ impl Planner {
         }
     }
 
-    /// Queues a task again.
     pub(crate) fn again(&mut self, bundle: u64, task: u32) {
         self.fail(bundle, task);
         if self.states[task as usize] == State::Sent {

@@ -17,7 +17,6 @@ const LANES: usize = 48;
 /// Maximum number of points of the chart of predictions.
 const POINTS: usize = 3000;
 
-/// A run, as recorded in the journal.
 struct Run {
     at: f64,
     engine: String,

@@ -19,7 +19,6 @@ const LAST_LINES: Duration = Duration::from_secs(1);
 /// The line that answers a task.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Reply {
-    /// The task's id.
     pub(super) task: String,
     /// Seconds of the frame, if the renderer measures them.
     pub(super) seconds: Option<f64>,
@@ -171,7 +170,6 @@ mod tests {
     use super::*;
     use crate::{command::wait_for_end, record::an_order};
 
-    /// A session of a shell script.
     fn shell(script: &str) -> Session {
         Session::new(["sh", "-c", script].map(str::to_owned).to_vec(), None)
     }

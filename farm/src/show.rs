@@ -14,9 +14,7 @@ const NODES: usize = 8;
 /// Contents of the display.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct View {
-    /// Number of finished tasks.
     pub(crate) done: usize,
-    /// Number of all tasks.
     pub(crate) all: usize,
     pub(crate) quarantined: usize,
     /// Tasks per second of this run.
@@ -25,7 +23,6 @@ pub(crate) struct View {
     pub(crate) elapsed: f64,
     /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds since the run began.
     pub(crate) eta: [f64; 3],
-    /// Activity of the nodes.
     pub(crate) nodes: Vec<String>,
 }
 

@@ -40,7 +40,6 @@ fn read_json<T: DeserializeOwned>(file: &Path) -> Result<T> {
     serde_json::from_slice(&text).with_context(|| format!("{}", file.display()))
 }
 
-/// The renderer of a worker.
 enum Painter {
     /// The raycaster, with its loaded volume.
     Own(Box<Own>),

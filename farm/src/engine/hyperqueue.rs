@@ -13,7 +13,6 @@ use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
-/// The script that talks to HyperQueue.
 const SCRIPT: &str = include_str!("hyperqueue.py");
 /// Time limit for the start of the server and its workers.
 const START: Duration = Duration::from_secs(60);

@@ -3,7 +3,6 @@
 use anyhow::Result;
 use entire_steer::schedule::Assignment;
 
-/// Maximum number of rounds per node.
 const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the longest load.
 const LEAST_GAIN: f64 = 1.0e-6;
