@@ -97,7 +97,6 @@ fn sheet(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> Drawn) -> String {
     svg[start..end].trim_start().to_owned()
 }
 
-/// Draws the parts of a line.
 fn draw_line(plot: &mut Plot<'_>, parts: &[Vec<(f64, f64)>], style: ShapeStyle) -> Drawn {
     for part in parts {
         plot.draw_series(LineSeries::new(part.iter().copied(), style))?;

@@ -116,7 +116,6 @@ impl Chart {
         self.series[series].color.unwrap_or(series % PALETTE.len())
     }
 
-    /// Returns the ranges of both axes.
     fn spans(&self) -> (Span, Span) {
         let points: Vec<(f64, f64)> = self.series.iter().flat_map(|series| series.mark.points()).collect();
         let vertical =
@@ -130,7 +129,6 @@ impl Chart {
 }
 
 impl Mark {
-    /// Returns all points of the mark.
     fn points(&self) -> Vec<(f64, f64)> {
         match self {
             Self::Line(p) | Self::Steps(p) => p.clone(),

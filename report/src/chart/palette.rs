@@ -38,7 +38,6 @@ pub(super) const DASHES: [&[u32]; 11] = [
 pub(super) const INK: (u32, u32) = (0x1c2024, 0xe8eaed);
 /// Color of texts at ticks, points and lines across the plot.
 pub(super) const DIM: (u32, u32) = (0x555b63, 0xa9b0b8);
-/// Color of the grid.
 pub(super) const GRID: (u32, u32) = (0xe4e7ea, 0x2a2f36);
 /// Color of the plot's frame and of vertical lines across the plot.
 pub(super) const FRAME: (u32, u32) = (0x8a9199, 0x6a727b);
