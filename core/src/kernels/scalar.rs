@@ -55,9 +55,7 @@ impl Simd for Scalar {
         }
         fn sum(v: Self::F) -> f32 { (v.0[0] + v.0[2]) + (v.0[1] + v.0[3]) }
         fn largest(v: Self::F) -> f32 { v.0[0].max(v.0[1]).max(v.0[2].max(v.0[3])) }
-        fn zero_i() -> Self::I { Four([0; 4]) }
         fn to_f(v: Self::I) -> Self::F { map(v, |v| v as f32) }
-        fn splat_bytes(bytes: u32) -> Self::I { Four([bytes as i32; 4]) }
         fn dot4(sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
             let dot = |a: i32, w: i32| {
                 let product = |shift: u32| (a >> shift & 0xff) * i32::from((w >> shift) as i8);

@@ -66,7 +66,7 @@ pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
         // 8·max(pairs).
         unsafe {
             let weights = panel.add(3 * N).cast::<i8>();
-            let zero = simd.zero_i();
+            let zero = simd.splat_i(0);
             let (mut e0, mut e1, mut e2, mut e3) = (zero, zero, zero, zero);
             let (mut o0, mut o1, mut o2, mut o3) = (zero, zero, zero, zero);
             let mut k = 0;
@@ -75,7 +75,7 @@ pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
                     ($j:literal, $even:ident, $odd:ident) => {
                         let at = k + 8 * ($j / vectors);
                         let o = from + $j % vectors * S::LANES;
-                        let four = |at: usize| simd.splat_bytes(q.add(at).cast::<u32>().read_unaligned());
+                        let four = |at: usize| simd.splat_i(q.add(at).cast::<i32>().read_unaligned());
                         $even = simd.dot4($even, four(at), simd.load_bytes(weights.add(at * N + 4 * o)));
                         $odd =
                             simd.dot4($odd, four(at + 4), simd.load_bytes(weights.add((at + 4) * N + 4 * o)));
@@ -198,7 +198,7 @@ unsafe fn tile_int8_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
     // `ROWS`, since `inputs` is a multiple of 4.
     unsafe {
         let weights = panel.add(3 * n).cast::<i8>();
-        let zero = simd.zero_i();
+        let zero = simd.splat_i(0);
         let mut s = [[zero; 4]; 6];
         let mut k = 0;
         while k < inputs {
@@ -213,8 +213,8 @@ unsafe fn tile_int8_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
             macro_rules! step {
                 ($r:literal, $v:literal) => {
                     if $r < ROWS && $v < VECTORS {
-                        let four = q.add($r * bytes + k).cast::<u32>().read_unaligned();
-                        s[$r][$v] = simd.dot4(s[$r][$v], simd.splat_bytes(four), w[$v]);
+                        let four = q.add($r * bytes + k).cast::<i32>().read_unaligned();
+                        s[$r][$v] = simd.dot4(s[$r][$v], simd.splat_i(four), w[$v]);
                     }
                 };
             }

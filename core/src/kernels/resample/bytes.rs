@@ -114,8 +114,8 @@ impl QuadRows<'_> {
     /// Computes eight vectors of outputs, as sums of their input bytes.
     #[inline(always)]
     fn eight<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
-        let ones = simd.splat_bytes(0x0101_0101);
-        let zero = simd.zero_i();
+        let ones = simd.splat_i(0x0101_0101);
+        let zero = simd.splat_i(0);
         let (mut s0, mut s1, mut s2, mut s3) = (zero, zero, zero, zero);
         let (mut s4, mut s5, mut s6, mut s7) = (zero, zero, zero, zero);
         for z in self.z..self.z + self.rz {
@@ -145,8 +145,8 @@ impl QuadRows<'_> {
     /// Computes one vector of outputs, as sums of their input bytes.
     #[inline(always)]
     fn one<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
-        let ones = simd.splat_bytes(0x0101_0101);
-        let mut sum = simd.zero_i();
+        let ones = simd.splat_i(0x0101_0101);
+        let mut sum = simd.splat_i(0);
         for row in self.each() {
             let bytes = &row[4 * x..4 * (x + S::LANES)];
             // SAFETY: `bytes` has the 4·`LANES` bytes that are read.

@@ -54,9 +54,7 @@ impl Simd for Avx2 {
             let v = _mm_max_ps(v, _mm_movehl_ps(v, v));
             _mm_cvtss_f32(_mm_max_ss(v, _mm_movehdup_ps(v)))
         }
-        fn zero_i() -> Self::I { _mm256_setzero_si256() }
         fn to_f(v: Self::I) -> Self::F { _mm256_cvtepi32_ps(v) }
-        fn splat_bytes(bytes: u32) -> Self::I { _mm256_set1_epi32(bytes as i32) }
         fn dot4(sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
             // Even and odd bytes are multiplied separately: the sum of two products of 255·127 would overflow
             // the 16 bits of maddubs, but fits 32 bits.

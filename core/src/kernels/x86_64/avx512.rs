@@ -65,9 +65,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
             let v = _mm_max_ps(v, _mm_movehl_ps(v, v));
             _mm_cvtss_f32(_mm_max_ss(v, _mm_movehdup_ps(v)))
         }
-        fn zero_i() -> Self::I { _mm512_setzero_si512() }
         fn to_f(v: Self::I) -> Self::F { _mm512_cvtepi32_ps(v) }
-        fn splat_bytes(bytes: u32) -> Self::I { _mm512_set1_epi32(bytes as i32) }
         fn add_i(a: Self::I, b: Self::I) -> Self::I { _mm512_add_epi32(a, b) }
         fn div(a: Self::F, b: Self::F) -> Self::F { _mm512_div_ps(a, b) }
         fn sqrt(a: Self::F) -> Self::F { _mm512_sqrt_ps(a) }

@@ -141,8 +141,8 @@ impl<S: Simd> Packet<'_, '_, S> {
             next: [zero; 3],
             delta: [zero; 3],
             last: [zero; 3],
-            stride: [simd.zero_i(); 3],
-            index: simd.zero_i(),
+            stride: [simd.splat_i(0); 3],
+            index: simd.splat_i(0),
         };
         let mut stride = 1i32;
         for k in 0..3 {
