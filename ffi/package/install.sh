@@ -36,11 +36,18 @@ if [[ $destdir ]]; then destdir=$(realpath -m "$destdir"); fi
 cd "$(dirname "$0")/../.."
 here=ffi/package
 cargo=${CARGO:-cargo}
-target=${CARGO_TARGET_DIR:-target}
+# cargo's own configuration may name the target folder, and a target for which it builds in a folder of that name.
+target=$("$cargo" metadata --no-deps --format-version 1 | sed -n 's/.*"target_directory":"\([^"]*\)".*/\1/p')
+if [[ ${CARGO_BUILD_TARGET:-} ]]; then target=$target/$(basename "$CARGO_BUILD_TARGET" .json); fi
 case $profile in dev) built=$target/debug ;; *) built=$target/$profile ;; esac
 arguments=(--package entire-ffi --lib --profile "$profile")
 if [[ $features ]]; then arguments+=(--features "$features"); fi
 if [[ $build ]]; then "$cargo" build --quiet "${arguments[@]}"; fi
+if [[ ! -e $built/libentire.so ]]; then
+    echo "install.sh: cargo built no $built/libentire.so; run without --no-build, or, if build.target is set in cargo's" \
+        "configuration, set CARGO_BUILD_TARGET to the same target" >&2
+    exit 1
+fi
 
 # System libraries that a program with the static library needs: those of Rust's standard library, which rustc lists for
 # any static library. The crates of libentire need no others. The compiler itself links the unwinder: libgcc_s, or

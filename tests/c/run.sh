@@ -88,6 +88,25 @@ else
     skip test-ffi "programs built by pkg-config: it is not installed (apt-get install pkg-config)"
 fi
 
+say "the target folder of cargo's configuration"
+# Empty files in the place where cargo builds with these settings. CARGO_BUILD_TARGET_DIR is build.target-dir.
+host=$("${RUSTC:-rustc}" -vV | sed -n 's/^host: //p')
+elsewhere=$work/elsewhere
+rm -rf "$elsewhere" "$work/from-elsewhere"
+mkdir -p "$elsewhere/$host/debug"
+touch "$elsewhere/$host/debug/libentire."{so,a}
+env -u CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR="$elsewhere" CARGO_BUILD_TARGET="$host" \
+    ffi/package/install.sh --profile dev --no-build --prefix "$work/from-elsewhere" >/dev/null ||
+    fail "install.sh does not find a library that cargo builds in another folder"
+[[ -e $work/from-elsewhere/lib/libentire.so && ! -s $work/from-elsewhere/lib/libentire.so ]] ||
+    fail "install.sh installs another library than the one in cargo's target folder"
+if env -u CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR="$elsewhere/none" ffi/package/install.sh --no-build \
+    --prefix "$work/from-elsewhere" 2>"$work/elsewhere.log"; then
+    fail "install.sh installs a library that does not exist"
+fi
+grep -q "no $elsewhere/none/sdk/libentire.so" "$work/elsewhere.log" || fail "install.sh does not name the missing library"
+ok "install.sh finds the library with build.target-dir and CARGO_BUILD_TARGET"
+
 say "examples as projects of their own"
 for language in c cpp; do
     cmake -S "examples/$language" -B "$work/examples-$language" -DCMAKE_PREFIX_PATH="$stage" >"$work/examples.log" 2>&1 \
