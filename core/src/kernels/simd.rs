@@ -45,12 +45,10 @@ pub trait Simd: Copy + 'static {
     fn splat(self, x: f32) -> Self::F;
     /// Loads `LANES` floats.
     /// # Safety
-    ///
     /// `p` must be valid for reading `LANES` floats.
     unsafe fn load(self, p: *const f32) -> Self::F;
     /// Stores `LANES` floats.
     /// # Safety
-    ///
     /// `p` must be valid for writing `LANES` floats.
     unsafe fn store(self, p: *mut f32, v: Self::F);
     /// Widens `LANES` IEEE half-precision numbers.
@@ -91,12 +89,8 @@ pub trait Simd: Copy + 'static {
         -self.largest(self.sub(self.splat(0.0), v))
     }
 
-    /// Zero in every lane.
-    fn zero_i(self) -> Self::I;
     /// Integers as floats, rounded to nearest.
     fn to_f(self, v: Self::I) -> Self::F;
-    /// The same four bytes in every lane.
-    fn splat_bytes(self, bytes: u32) -> Self::I;
     /// Loads 4·`LANES` bytes, four per lane.
     /// # Safety
     /// `p` must be valid for reading 4·`LANES` bytes.
