@@ -148,15 +148,6 @@ impl Camera {
         self.view
     }
 
-    /// Vertical field of view in radians. A parallel camera has the default one, from which
-    /// [`Camera::to_arcball`] computes its distance.
-    pub(crate) fn fov_y(&self) -> f32 {
-        match self.lens {
-            Lens::Perspective { fov_y } => fov_y,
-            Lens::Parallel { .. } => DEFAULT_FOV_Y_DEGREES.to_radians(),
-        }
-    }
-
     /// Visible height at a depth, both in bounding-sphere radii.
     pub fn height_at(&self, depth: f32) -> f32 {
         match self.lens {
@@ -183,7 +174,7 @@ impl Camera {
                 (eye, eye.length())
             }
             Lens::Parallel { scale } => {
-                let dz = scale / libm::tanf(0.5 * self.fov_y());
+                let dz = scale / libm::tanf(0.5 * DEFAULT_FOV_Y_DEGREES.to_radians());
                 (Mat3::from_mat4(self.view).row(2) * dz, dz)
             }
         };
@@ -206,10 +197,7 @@ impl Camera {
     /// the other directions are 0.
     pub fn ray_basis(&self, width: u32, height: u32) -> ([Vec3; 3], [Vec3; 3]) {
         let r = Mat3::from_mat4(self.view).transpose();
-        let half_height = match self.lens {
-            Lens::Perspective { fov_y } => libm::tanf(0.5 * fov_y),
-            Lens::Parallel { scale } => scale,
-        };
+        let half_height = 0.5 * self.height_at(1.0);
         let half_width = half_height * width as f32 / height as f32;
         let (right, up, forward) = (r.x_axis * half_width, r.y_axis * half_height, -r.z_axis);
         match self.lens {
@@ -322,7 +310,6 @@ mod tests {
         let (a, b) = (lens.to_arcball(), parallel.to_arcball());
         assert!((a.rx - b.rx).abs() < 1e-3 && (a.ry - b.ry).abs() < 1e-3 && (a.dz - b.dz).abs() < 1e-5);
         assert!((lens.height_at(2.5) - parallel.height_at(9.0)).abs() < 1e-5);
-        assert_eq!(lens.fov_y(), parallel.fov_y());
         // A translation in the image plane keeps the direction.
         let across = Mat4::from_translation(Vec3::new(0.3, -0.2, 0.0)) * parallel.view();
         let across =
