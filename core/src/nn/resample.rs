@@ -68,14 +68,11 @@ impl Resampler {
         if n == 0 {
             bail!(InvalidArgument, "resampling to 0 voxels per axis; the size must be at least 1");
         }
-        let dims = view.dims();
-        if dims.iter().any(|&d| d as u64 > MAX_AXIS) || n as u64 > MAX_AXIS {
+        let dims @ [x, y, z] = view.dims();
+        if [x, y, z, n].iter().any(|&d| d as u64 > MAX_AXIS) {
             bail!(
                 InvalidArgument,
-                "resampling {} x {} x {} voxels to {n} per axis; an axis has at most {MAX_AXIS} voxels",
-                dims[0],
-                dims[1],
-                dims[2]
+                "resampling {x} x {y} x {z} voxels to {n} per axis; an axis has at most {MAX_AXIS} voxels"
             );
         }
         let wanted = (n as u64).checked_mul(n as u64).and_then(|p| p.checked_mul(n as u64));

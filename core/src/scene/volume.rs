@@ -214,27 +214,20 @@ impl<'a> VolumeView<'a> {
                 .ok_or_else(|| overflow(dims))?;
         }
         let needed = last.checked_add(1).ok_or_else(|| overflow(dims))?;
-        let found = scalars.len() as u64;
+        let (found, [x, y, z]) = (scalars.len() as u64, dims);
         if needed > found {
             bail!(
                 SizeMismatch,
-                "volume of {} x {} x {} voxels with strides {:?} needs {} elements, the slice has {found}; check sizes and strides",
-                dims[0],
-                dims[1],
-                dims[2],
-                strides,
-                needed
+                "volume of {x} x {y} x {z} voxels with strides {strides:?} needs {needed} elements, the slice \
+                 has {found}; check sizes and strides"
             );
         }
         if voxels > needed && voxels > MAX_REPEATED_VOXELS {
             bail!(
                 SizeMismatch,
-                "volume of {} x {} x {} voxels with strides {strides:?} reads {needed} elements repeatedly, \
+                "volume of {x} x {y} x {z} voxels with strides {strides:?} reads {needed} elements repeatedly, \
                  {voxels} times in total; at most {MAX_REPEATED_VOXELS} voxels are accepted if strides \
-                 repeat elements",
-                dims[0],
-                dims[1],
-                dims[2]
+                 repeat elements"
             );
         }
         Ok(Self { scalars, dims, strides, spacing: Vec3::ONE, range: (0.0, 1.0) })
@@ -334,14 +327,11 @@ fn check_not_empty(dims: [usize; 3]) -> Result<()> {
 }
 
 /// Refuses sizes over [`MAX_VOLUME_EDGE`].
-fn check_edges(dims: [usize; 3]) -> Result<()> {
-    if dims.iter().any(|&n| n > MAX_VOLUME_EDGE) {
+fn check_edges([x, y, z]: [usize; 3]) -> Result<()> {
+    if x.max(y).max(z) > MAX_VOLUME_EDGE {
         bail!(
             SizeMismatch,
-            "volume of {} x {} x {} voxels; an axis has at most {MAX_VOLUME_EDGE} voxels; check the sizes",
-            dims[0],
-            dims[1],
-            dims[2]
+            "volume of {x} x {y} x {z} voxels; an axis has at most {MAX_VOLUME_EDGE} voxels; check the sizes"
         );
     }
     Ok(())
@@ -361,16 +351,9 @@ fn bounding_radius(extent: Vec3) -> f32 {
 }
 
 #[cold]
-fn overflow(dims: [usize; 3]) -> Error {
-    Error::new(
-        ErrorKind::SizeMismatch,
-        alloc::format!(
-            "volume of {} x {} x {} voxels is too large to address; check the sizes",
-            dims[0],
-            dims[1],
-            dims[2]
-        ),
-    )
+fn overflow([x, y, z]: [usize; 3]) -> Error {
+    let message = alloc::format!("volume of {x} x {y} x {z} voxels is too large to address; check the sizes");
+    Error::new(ErrorKind::SizeMismatch, message)
 }
 
 fn check_range((low, high): (f32, f32)) -> Result<(f32, f32)> {
