@@ -104,7 +104,6 @@ impl Level {
     /// `std`.
     ///
     /// # Errors
-    ///
     /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a value that names no level,
     /// [`Unsupported`](crate::ErrorKind::Unsupported) for a level that this CPU does not have.
     pub fn check_override() -> Result<()> {

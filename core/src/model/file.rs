@@ -105,7 +105,6 @@ impl ModelFile {
     /// Reads any safetensors file, even if it is not a model of entire.
     ///
     /// # Errors
-    ///
     /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are not a safetensors file.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
@@ -118,7 +117,6 @@ impl ModelFile {
     /// Inserts a tensor, rounded to `dtype` (to nearest, ties to even).
     ///
     /// # Errors
-    ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the shape and the number of values disagree or
     /// a value is not finite in `dtype`.
     pub fn set_tensor(
@@ -167,7 +165,6 @@ impl ModelFile {
     /// layer's [`dtype`](crate::nn::DenseParts::dtype), every other tensor of PredNet as F32.
     ///
     /// # Errors
-    ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the parts do not fit together or a
     /// weight overflows its format.
     pub fn set_prednet(&mut self, net: &PredNetParts, inputs: &[InputGroup]) -> Result<&mut Self> {
@@ -192,7 +189,6 @@ impl ModelFile {
     /// Returns the file's model; checks the content as [`Model::from_bytes`] does.
     ///
     /// # Errors
-    ///
     /// As [`Model::from_bytes`].
     pub fn to_model(&self) -> Result<Model> {
         let borrow = |(name, t): (&String, &TensorData<'static>)| (name.clone(), t.clone());
@@ -202,7 +198,6 @@ impl ModelFile {
     /// Returns the bytes of the file. Refuses content that could not be read back as a model.
     ///
     /// # Errors
-    ///
     /// As [`Model::from_bytes`].
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         self.to_model()?;

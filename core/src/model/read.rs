@@ -55,7 +55,6 @@ impl Model {
     /// in `Model::metadata`.
     ///
     /// # Errors
-    ///
     /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are not a model file or for invalid
     /// metadata; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) for a tensor that is missing, has a wrong
     /// shape or is not finite; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the weights cannot be

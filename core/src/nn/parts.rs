@@ -65,7 +65,6 @@ impl DenseParts {
     /// Checks sizes, and that every value is finite.
     ///
     /// # Errors
-    ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first invalid index.
     pub(crate) fn check(&self, name: &str) -> Result<()> {
         if self.inputs == 0 || self.outputs == 0 {
@@ -107,7 +106,6 @@ impl Normalization {
     /// not subnormal.
     ///
     /// # Errors
-    ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first invalid index.
     pub(crate) fn check(&self, name: &str, length: usize) -> Result<()> {
         for (part, values) in [("mean", &self.mean), ("std", &self.std)] {
@@ -163,7 +161,6 @@ impl PredNetParts {
     /// Checks that the layers fit together and that every value is valid.
     ///
     /// # Errors
-    ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, the expected and the actual
     /// shape or value.
     pub(crate) fn check(&self) -> Result<()> {

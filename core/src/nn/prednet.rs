@@ -47,7 +47,6 @@ impl PredNet {
     /// have the same one, otherwise as F32, so that no weight is rounded.
     ///
     /// # Errors
-    ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) for parts that do not fit together, values that are
     /// not finite, a standard deviation that is zero, negative or subnormal, or a weight that overflows half
     /// precision; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
@@ -78,7 +77,6 @@ impl PredNet {
     /// takes more memory and changes no result; a narrower storage rounds the weights.
     ///
     /// # Errors
-    ///
     /// As [`PredNet::new`].
     pub fn with(parts: &PredNetParts, level: Level, storage: Storage) -> Result<Self> {
         parts.check()?;
@@ -125,7 +123,6 @@ impl PredNet {
     /// that a batch processes at once, clamped to 1…384; single predictions need 1.
     ///
     /// # Errors
-    ///
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the memory cannot be allocated.
     pub fn scratch(&self, rows: usize) -> Result<PredScratch> {
         Ok(PredScratch { mlp: self.mlp.scratch(rows)? })
@@ -150,7 +147,6 @@ impl PredNet {
     /// rows, the executor or the scratches. Never allocates on success.
     ///
     /// # Errors
-    ///
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) if the lengths disagree or a scratch of another
     /// network is too small; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any scratch.
     pub fn predict_batch(

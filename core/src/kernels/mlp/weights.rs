@@ -8,7 +8,6 @@ pub(super) trait Format {
     /// starting at output `o`.
     ///
     /// # Safety
-    ///
     /// The panel must hold the weights of inputs `k` and `k + 1` from output `o` on.
     unsafe fn pair<S: Simd>(simd: S, panel: *const f32, n: usize, k: usize, o: usize) -> (S::F, S::F);
 }
