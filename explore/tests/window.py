@@ -316,12 +316,15 @@ def a_series_plays_in_the_background(command, display, folder):
 
 
 def a_screenshot_is_written_while_the_next_volume_loads(command, display, folder):
-    """A volume that is loaded during a screenshot is shown after the picture is written."""
+    """A volume that is loaded during a screenshot is shown after the picture is written, and logged with its first
+    frame."""
     ball, shot = folder / "ball.nrrd", folder / "screenshot.png"
     tools.write_volume(ball, 320)
     person = Person(command, display, folder, BANANA, ball)
     person.key("space")
     person.key("ctrl+p")
+    # Frames of the first volume, while the second one loads.
+    person.drag((250, 300), (400, 340))
     end = time.monotonic() + 120
     while not shot.exists() and time.monotonic() < end:
         time.sleep(0.2)
@@ -329,6 +332,10 @@ def a_screenshot_is_written_while_the_next_volume_loads(command, display, folder
     while len(tools.read_log(person.log)["open"]) < 2 and time.monotonic() < end:
         time.sleep(0.2)
     assert len(person.close()["open"]) >= 2, "the series does not play on"
+    rows = list(csv.DictReader(person.log.read_text().splitlines()))
+    # The first frame of a volume counts as a switch.
+    first = [rows[i + 1] for i, row in enumerate(rows) if row["kind"] == "open"]
+    assert all(row["kind"] == "frame" and row["switched"] == "1" for row in first), first
 
 
 def a_minimized_window_rests(command, display, folder):
