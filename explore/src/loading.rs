@@ -27,6 +27,8 @@ pub(crate) struct Job {
     pub(crate) path: PathBuf,
     /// Index in a time series.
     pub(crate) index: usize,
+    /// True if the user opened the file, so that it becomes a recent file.
+    pub(crate) opened: bool,
     /// The volume, if it is in memory.
     pub(crate) source: Option<Arc<dyn VolumeSource>>,
     /// Range of values that maps to [0, 1], if it is not the file's; `source` already has it.

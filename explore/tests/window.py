@@ -333,6 +333,8 @@ def a_screenshot_is_written_while_the_next_volume_loads(command, display, folder
         time.sleep(0.2)
     assert len(person.close()["open"]) >= 2, "the series does not play on"
     rows = list(csv.DictReader(person.log.read_text().splitlines()))
+    recent = json.loads((folder / "state/entire/recent.json").read_text())
+    assert recent == [str(BANANA)], f"not only the opened file is recent: {recent}"
     # The first frame of a volume counts as a switch.
     first = [rows[i + 1] for i, row in enumerate(rows) if row["kind"] == "open"]
     assert all(row["kind"] == "frame" and row["switched"] == "1" for row in first), first

@@ -91,7 +91,7 @@ impl App {
     }
 
     pub(super) fn load(&mut self, path: PathBuf) -> Result<()> {
-        self.start(self.job(path, 0))
+        self.start(Job { opened: true, ..self.job(path, 0) })
     }
 
     fn crop(&mut self, crop: Option<Crop>) -> Result<()> {

@@ -106,6 +106,7 @@ impl App {
         let is_lost = result.is_err() && self.is_lost();
         let job = self.loading.as_ref().map(|loading| &loading.job);
         let keeps_curve = job.is_some_and(|job| job.curve.is_some());
+        let opened = job.is_some_and(|job| job.opened);
         let modes = job.map(|job| (job.shading, job.skipping));
         let asked = self.loading.as_ref().map(|loading| loading.asked);
         if !is_lost {
@@ -139,7 +140,7 @@ impl App {
             state.playing = false;
         }
         state.index = scene.index;
-        if self.scene.as_ref().is_none_or(|s| s.path != scene.path) {
+        if opened {
             state.recent.add(&scene.path, |file, text| self.host.write_whole(file, text));
         }
         // A curve that was given to the load may have been edited since.
