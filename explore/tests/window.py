@@ -331,6 +331,8 @@ def a_screenshot_is_written_while_the_next_volume_loads(command, display, folder
     assert tools.read_png(shot)[:2] == (1280, 720)
     while len(tools.read_log(person.log)["open"]) < 2 and time.monotonic() < end:
         time.sleep(0.2)
+    person.key("space")
+    person.settle()
     assert len(person.close()["open"]) >= 2, "the series does not play on"
     rows = list(csv.DictReader(person.log.read_text().splitlines()))
     recent = json.loads((folder / "state/entire/recent.json").read_text())
