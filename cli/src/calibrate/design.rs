@@ -18,10 +18,8 @@ const COST_EXPONENT: f64 = 0.5;
 /// Diagonal of the initial information matrix, before any frame is chosen; it makes the matrix invertible.
 const RIDGE: f64 = 0.05;
 
-/// Chooses frames one by one.
 pub(crate) struct Design {
     vectors: Vec<Vec<f64>>,
-    /// The inverse of the information matrix.
     inverse: Vec<f64>,
     width: usize,
     taken: Vec<bool>,

@@ -36,14 +36,12 @@ const SWITCH: f64 = 0.15;
 /// Maximum number of bytes of the volumes that stay in memory.
 const KEPT_BYTES: usize = 512 << 20;
 
-/// Renderings of a frame in one pass.
 #[derive(Clone, Debug)]
 struct Visit {
     repeats: Vec<Timing>,
     disturbed: bool,
 }
 
-/// A running measurement.
 pub(crate) struct Measuring<'a> {
     settings: &'a Settings,
     pool: &'a Pool,
@@ -59,14 +57,12 @@ pub(crate) struct Measuring<'a> {
     switch: f64,
     /// Load of the machine by other programs.
     pub(crate) others: BackgroundLoad,
-    /// Number of measured batches of frames.
     pub(crate) rounds: usize,
     /// Number of renderings that were discarded as warm-up.
     pub(crate) warm_ups: usize,
 }
 
 impl<'a> Measuring<'a> {
-    /// Returns a measurement in which nothing is rendered yet.
     pub(crate) fn new(
         settings: &'a Settings,
         pool: &'a Pool,
@@ -206,7 +202,6 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// Passes a volume to the renderer.
     fn show(&mut self, volume: usize, factor: usize) -> Result<()> {
         let key = (volume, factor);
         let path = &self.pool.volumes[volume];

@@ -44,30 +44,22 @@ const PICTURES_SHARE: f64 = 0.08;
 /// Seconds of measurement in which most machines draw more than [`FEWEST_FRAMES`].
 const MEASUREMENT_SECONDS: f64 = 10.0;
 
-/// Settings and time limit of a calibration.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings {
-    /// Volumes whose frames are rendered.
     pub(crate) volumes: Vec<PathBuf>,
-    /// Options for reading the volumes.
     pub(crate) reading: Reading,
-    /// Shading of each sample.
     pub(crate) shading: Shading,
-    /// Skipping of empty space.
     pub(crate) skipping: Skipping,
-    /// Accumulated opacity at which rays stop.
     pub(crate) termination: f32,
     /// Clock whose seconds the model predicts.
     pub(crate) clock: Clock,
     /// Time limit of the whole calibration, wall seconds.
     pub(crate) seconds: f64,
-    /// Maximum number of frames.
     pub(crate) frames: usize,
     /// Shortest and longest image side, pixels.
     pub(crate) sizes: (u32, u32),
     /// Ray steps, reference steps.
     pub(crate) steps: Vec<f32>,
-    /// Seed of every random choice.
     pub(crate) seed: u64,
     /// Error measure between a picture and the picture at full quality.
     pub(crate) picture_error: PictureError,
@@ -75,7 +67,6 @@ pub(crate) struct Settings {
 
 #[cfg(test)]
 impl Settings {
-    /// Settings of a short calibration, for tests.
     pub(crate) fn brief(volumes: Vec<PathBuf>) -> Self {
         Self {
             volumes,
@@ -104,7 +95,6 @@ impl Settings {
     }
 }
 
-/// Result of a calibration.
 pub(crate) struct Calibrated {
     pub(crate) file: ModelFile,
     /// Inputs of the fit, and its error on held-out volumes.

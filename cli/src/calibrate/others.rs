@@ -17,7 +17,6 @@ pub(crate) struct CpuSnapshot {
 const TICKS: f64 = 100.0;
 
 impl CpuSnapshot {
-    /// Reads the counters now.
     pub(crate) fn now() -> Self {
         Self {
             at: Instant::now(),

@@ -48,10 +48,8 @@ fn factors(index: usize, voxels: u64) -> Vec<usize> {
     out
 }
 
-/// A candidate frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidate {
-    /// The volume's index.
     pub(crate) volume: usize,
     /// Enlargement factor of the volume along every axis.
     pub(crate) factor: usize,
@@ -73,12 +71,9 @@ impl Candidate {
     }
 }
 
-/// All candidates, and the prior.
 pub(crate) struct Pool {
     pub(crate) volumes: Vec<PathBuf>,
-    /// Identities of each volume's files.
     pub(crate) files: Vec<Vec<Identity>>,
-    /// Options for reading the volumes.
     pub(crate) reading: Reading,
     /// The candidates; a frame's number is its index.
     pub(crate) candidates: Vec<Candidate>,

@@ -145,7 +145,6 @@ impl Report {
         out
     }
 
-    /// The report as a few lines of text.
     pub(crate) fn text(&self) -> String {
         let rendered = match self.rounds {
             0 => String::new(),

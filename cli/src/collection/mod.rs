@@ -23,16 +23,13 @@ use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::path::Path;
 
-/// Result of a collection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Outcome {
     /// Number of frames in the table; with several passes, the sum over the tables of all passes.
     pub(crate) done: u64,
-    /// Number of frames to collect.
     pub(crate) total: u64,
     /// Warm-up renderings that were discarded in this run.
     pub(crate) discarded: u64,
-    /// True if the collection was stopped before the end.
     pub(crate) interrupted: bool,
 }
 

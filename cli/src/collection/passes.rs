@@ -75,7 +75,6 @@ pub(crate) fn collect_passes(
     Ok(outcome)
 }
 
-/// Removes the files that exist.
 pub(crate) fn remove(files: &[PathBuf]) -> Result<()> {
     for file in files.iter().filter(|f| f.exists()) {
         std::fs::remove_file(file).with_context(|| format!("cannot remove {}", file.display()))?;

@@ -250,7 +250,6 @@ impl Protocol {
         Ok(manifest_of(renderer, self.seed, repeats, self.settings(jobs)))
     }
 
-    /// The settings of these jobs for the manifest.
     pub(crate) fn settings(&self, jobs: &[Job]) -> Value {
         let mut settings = json!({
             "frames_per_volume": self.frames,

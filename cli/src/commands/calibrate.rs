@@ -128,11 +128,9 @@ fn shades_or_all() -> PossibleValuesParser {
     values.into()
 }
 
-/// Value of --shade for several modes.
 const ALL: &str = "all";
 
 impl Options {
-    /// Returns the shading modes to calibrate.
     fn modes(&self) -> Result<Vec<Shading>> {
         Ok(match self.shade.as_str() {
             ALL => vec![Shading::None, Shading::Local, Shading::Scatter],
@@ -148,7 +146,6 @@ pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Returns the path of the model file of a shading mode.
 fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
     match &options.out {
         None => file_of(shading).context(
@@ -246,7 +243,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Returns the manifest of the table of measured frames.
 fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
     let settings = json!({ "calibration": true, "reading": options.reading });
     // The number of repeats differs between frames, so the manifest states 0.
@@ -272,7 +268,6 @@ fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
     Ok(())
 }
 
-/// Fits models to logged frames.
 fn from_tables(options: &Options) -> Result<()> {
     let modes = options.modes()?;
     let outs = outs_of(options, &modes)?;

@@ -34,7 +34,6 @@ const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 /// Time limit of each program that this command runs.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Python packages, with their use.
 const PACKAGES: [(&str, &str); 5] = [
     ("vtk", "steering of VTK in Python"),
     ("pyvista", "steering of PyVista by pl.entire.hold(fps=15)"),

@@ -69,7 +69,6 @@ pub(crate) struct Options {
     pub(crate) json: bool,
 }
 
-/// The lobes of `--tf`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Lobes(Vec<GaussianLobe>);
 

@@ -138,7 +138,6 @@ pub(crate) struct Options {
 /// Default of `--max-image-sample-distance`, in pixels between rays.
 const MAX_IMAGE_SAMPLE_DISTANCE: f32 = 4.0;
 
-/// Message after Ctrl-C.
 pub(super) const INTERRUPTED: &str = "interrupted; no report was written";
 
 fn parse_retarget(text: &str) -> Result<(u32, f64)> {
@@ -369,7 +368,6 @@ fn write_table(
     Ok(number)
 }
 
-/// Returns the description of a volume: file, size in voxels, enlargement.
 pub(super) fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
     let [x, y, z] = volume.dims();
     let enlarged =

@@ -315,12 +315,10 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Fits the quality law to compared pictures.
 fn fitted_pictures(path: &Path) -> Result<FittedQuality> {
     fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string())
 }
 
-/// A predictor with its input layout.
 struct Trained {
     layout: Layout,
     fitted: FittedModel,

@@ -7,7 +7,6 @@ use serde::Serialize;
 /// taken.
 pub(crate) const SWITCH_FRAMES: usize = 3;
 
-/// One frame under one controller, for the metrics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Played {
     /// Measured seconds.
@@ -17,9 +16,7 @@ pub(crate) struct Played {
     /// Ray step, reference steps; for a controller that acts on image resolution, pixels of the full image
     /// per pixel drawn.
     pub(crate) step: f64,
-    /// Finest allowed value of `step`.
     pub(crate) finest: f64,
-    /// Coarsest allowed value of `step`.
     pub(crate) coarsest: f64,
     /// PSNR against the picture at the reference step, decibels.
     pub(crate) psnr: f64,
@@ -66,7 +63,6 @@ pub(crate) struct Metrics {
     pub(crate) worst_seconds: f64,
     /// Mean PSNR against the reference step's pictures, decibels, each at most [`BEST_PSNR`].
     pub(crate) mean_psnr: f64,
-    /// Mean of [`Played::step`].
     pub(crate) mean_step: f64,
 }
 

@@ -92,17 +92,14 @@ impl SteeringModel {
     }
 }
 
-/// The predictor of a comparison, for output.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Steers {
-    /// Name of the predictor.
     pub(crate) title: String,
     /// Errors of the predictor on random frames of the played volume, to which it was not fitted.
     pub(crate) on_this_volume: Quality,
 }
 
 impl Steers {
-    /// Returns a sentence with the predictor's name and errors.
     pub(crate) fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         format!(

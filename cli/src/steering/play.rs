@@ -65,7 +65,6 @@ pub struct Contender {
     pub acts_on: ActsOn,
 }
 
-/// One frame under one controller.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Record {
     /// Ray step, reference steps.
@@ -81,7 +80,6 @@ pub(crate) struct Record {
     /// Out-of-range score: 0 inside the predictor's training range; outside, it grows with the distance from
     /// that range. NaN where unknown.
     pub(crate) out_of_range: f32,
-    /// Reason for which the controller chose this step.
     pub(crate) reason: Reason,
     /// Seconds by all clocks.
     pub(crate) measured: Timing,
@@ -93,7 +91,6 @@ pub(crate) struct Record {
     pub(crate) image: Option<Image>,
 }
 
-/// The reference rendering of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Reference {
     /// Seconds at the reference step by the chosen clock.
@@ -102,15 +99,11 @@ pub(crate) struct Reference {
     pub(crate) image: Option<Image>,
 }
 
-/// Results of a played path.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Playback {
     pub(crate) names: Vec<String>,
-    /// Quantity that each controller sets.
     pub(crate) acts_on: Vec<ActsOn>,
-    /// Records by controller and frame.
     pub(crate) records: Vec<Vec<Record>>,
-    /// Reference rendering of each frame.
     pub(crate) references: Vec<Reference>,
     /// Frames at which the path switches abruptly, or the volume or the image size changes.
     pub(crate) switches: Vec<usize>,
@@ -118,7 +111,6 @@ pub(crate) struct Playback {
     pub(crate) targets: Vec<f64>,
     /// Full image size (width, height) of each frame, pixels.
     pub(crate) sizes: Vec<(u32, u32)>,
-    /// Index of each frame's volume.
     pub(crate) volumes: Vec<usize>,
     pub(crate) limits: StepLimits,
 }
@@ -149,16 +141,13 @@ impl Playback {
             .collect()
     }
 
-    /// Returns every controller's metrics, in the order of the names.
     pub(crate) fn metrics(&self) -> Vec<Metrics> {
         (0..self.names.len()).filter_map(|c| Metrics::of(&self.played(c))).collect()
     }
 }
 
-/// A volume of the path.
 #[derive(Clone, Debug)]
 pub(crate) struct Shown<'a> {
-    /// Voxels of the volume.
     pub(crate) view: &'a VolumeView<'a>,
     pub(crate) summary: VolumeSummary,
     /// VolumeNet's output for the volume, if a model uses it.
@@ -180,22 +169,17 @@ pub(crate) struct Course<'a> {
     pub(crate) limits: StepLimits,
 }
 
-/// A path to play, with its volumes and target.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Task<'a> {
-    /// The volume, or the volumes of a series in order.
     pub(crate) volumes: &'a [Shown<'a>],
     pub(crate) path: &'a FlightPath,
     /// Target at the first frame, seconds.
     pub(crate) target: f64,
-    /// Changes and limits.
     pub(crate) course: Course<'a>,
-    /// Frames whose pictures are kept.
     pub(crate) keep: &'a [usize],
 }
 
 impl Course<'_> {
-    /// A course without changes, with the default limits.
     pub(crate) fn steady(max_image_sample_distance: f32) -> Self {
         let limits = StepLimits::default();
         Self { hold: 0, retargets: &[], scales: &[], max_image_sample_distance, limits }

@@ -21,17 +21,13 @@ use entire_steer::control::Prior;
 use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::Renderer;
 
-/// Settings of a comparison of controllers.
 #[derive(Clone, Debug)]
 pub(crate) struct Race<'a> {
     pub(crate) volume: &'a VolumeView<'a>,
     /// The further volumes of a series; random scenes are of the first volume only.
     pub(crate) series: &'a [VolumeView<'a>],
-    /// Changes and limits.
     pub(crate) course: Course<'a>,
-    /// The name that seeds random scenes.
     pub(crate) seed_name: &'a str,
-    /// Seed of the random scenes.
     pub(crate) seed: u64,
     pub(crate) draw: DrawSettings,
     /// Number of random scenes, and of their renderings at each step.
@@ -39,7 +35,6 @@ pub(crate) struct Race<'a> {
     pub(crate) controllers: &'a [ControllerKind],
     /// Target, seconds; `None` for [`TARGET_SHARE`] of the median time of the random scenes.
     pub(crate) target: Option<f64>,
-    /// The predictor, for controllers that use one.
     pub(crate) model: &'a SteeringModel,
     /// Prior knowledge of the predictor's errors, for controllers that correct the predictor.
     pub(crate) prior: Prior,
@@ -121,7 +116,6 @@ fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
     }
 }
 
-/// Results of the random scenes.
 #[derive(Clone, Debug)]
 pub(crate) struct Prepared {
     pub(crate) summary: VolumeSummary,
@@ -129,7 +123,6 @@ pub(crate) struct Prepared {
     pub(crate) samples: Vec<Sample>,
     /// G: relative frame time over ray step.
     pub(crate) response: StepResponse,
-    /// The predictor and its errors.
     pub(crate) predictor: Steers,
     /// Target, seconds.
     pub(crate) target: f64,
@@ -137,12 +130,10 @@ pub(crate) struct Prepared {
     pub(crate) full_quality: f64,
     /// Origin of the target; empty where it was given.
     pub(crate) target_reason: String,
-    /// The fixed controller's step.
     pub(crate) fixed_step: f32,
 }
 
 impl Prepared {
-    /// Returns G and its samples, for the report.
     pub(crate) fn response_curve(&self) -> ResponseCurve {
         ResponseCurve::new(&self.samples, &self.response)
     }

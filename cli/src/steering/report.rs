@@ -47,17 +47,13 @@ impl ResponseCurve {
     }
 }
 
-/// Contents of a report besides the playback.
 #[derive(Clone, Debug)]
 pub(crate) struct Story {
     pub(crate) title: String,
-    /// The sentence below the title.
     pub(crate) lead: String,
     /// Origin of the target.
     pub(crate) target: String,
-    /// Description of the volume.
     pub(crate) volume: String,
-    /// Description of the path.
     pub(crate) path: String,
     pub(crate) predictor: Steers,
     /// G: relative frame time over ray step.
@@ -139,7 +135,6 @@ fn setting(r: &Record) -> String {
     }
 }
 
-/// Legend of the table's columns.
 fn table_caption() -> String {
     format!(
         "T is the target, t is the time of a frame. A switch is a frame at which the camera or the transfer \
@@ -252,7 +247,6 @@ fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) ->
     chart
 }
 
-/// Returns the HTML report.
 fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Result<Page> {
     let frames = playback.references.len();
     let numbered = |c: usize, f: &dyn Fn(&Record) -> f64| -> Vec<(f64, f64)> {

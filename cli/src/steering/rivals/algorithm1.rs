@@ -34,7 +34,6 @@ impl Controller for Fixed {
 /// response curve G, the target t_target, and the prediction at the reference step t_predict.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Algorithm1 {
-    /// The measured response curve.
     pub(crate) response: StepResponse,
 }
 
@@ -81,7 +80,6 @@ pub(crate) struct Olp {
 }
 
 impl Olp {
-    /// Returns the controller of a rule with a measured response curve.
     pub(crate) fn new(recent: Recent, response: StepResponse) -> Self {
         Self { recent, response, window: [0.0; 3], seen: 0 }
     }
@@ -143,7 +141,6 @@ impl Pid {
     /// Proportional, integral and differential gain of the paper.
     const GAINS: [f32; 3] = [0.3, 0.05, 0.1];
 
-    /// Returns a controller that starts at the reference step.
     pub(crate) fn new() -> Self {
         Self { step: 1.0, integral: 0.0, last: None }
     }

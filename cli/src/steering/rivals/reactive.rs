@@ -38,7 +38,6 @@ pub(crate) struct VtkGpu {
 }
 
 impl VtkGpu {
-    /// The rule before the first frame, at full quality.
     pub(crate) fn new() -> Self {
         Self { factor: 1.0, last: 0.0 }
     }
@@ -118,7 +117,6 @@ pub(crate) struct VtkJs {
 }
 
 impl VtkJs {
-    /// The rule before the first frame, at full resolution.
     pub(crate) fn new() -> Self {
         Self { scale: 1.0, elapsed: 0.0, frames: 0.0 }
     }
@@ -161,7 +159,6 @@ const WINDOW: usize = 16;
 /// threshold, and drops the history. The caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unreal {
-    /// Fraction of each image side.
     side: f32,
     /// Seconds of past frames, converted to full resolution, newest last.
     times: [f32; WINDOW],
@@ -172,7 +169,6 @@ pub(crate) struct Unreal {
 }
 
 impl Unreal {
-    /// The rule before the first frame, at full resolution.
     pub(crate) fn new() -> Self {
         Self { side: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 }
     }
@@ -255,7 +251,6 @@ pub(crate) struct Filament {
 }
 
 impl Filament {
-    /// The rule before the first frame, at full resolution.
     pub(crate) fn new() -> Self {
         Self { work: 1.0, times: [0.0; 15], len: 0, integral: 0.0, clamped: false }
     }

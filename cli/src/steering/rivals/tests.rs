@@ -7,7 +7,6 @@ use entire_steer::control::{Controller, HybridOptions, Observed, PlanRequest, St
 use entire_steer::features::Changes;
 use entire_steer::predict::{CostTerms, Source};
 
-/// A deterministic source of noise.
 struct Noise(u64);
 
 impl Noise {
