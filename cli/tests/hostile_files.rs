@@ -25,7 +25,6 @@ static MEMORY: PeakAlloc = PeakAlloc;
 /// Default number of mutations in one run; `PROPTEST_CASES` sets another. The fuzz targets try many more.
 const CASES: u32 = 3_000;
 
-/// Reads an input and checks the result.
 type Check = fn(&[u8]);
 
 const TARGETS: [(&str, Check); 12] = [
@@ -85,7 +84,6 @@ fn bound(input: &[u8]) -> usize {
         + blocks * (3 * 46_000_000 + (8 << 20))
 }
 
-/// One change to an input.
 #[derive(Clone, Debug)]
 enum Change {
     Flip(prop::sample::Index, u8),

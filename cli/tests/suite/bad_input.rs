@@ -65,7 +65,6 @@ fn tables_with_wrong_cells() {
     refuses(at, &predict, &["row 1, column 3", "not a number"]);
 }
 
-/// A model with one tensor changed.
 fn changed(
     tensors: Vec<Tensor<'static>>,
     name: &str,

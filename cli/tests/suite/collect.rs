@@ -12,7 +12,6 @@ fn collect(volume: &Path, out: &Path, more: &[&str]) -> Command {
     command
 }
 
-/// Runs a command that must succeed.
 #[track_caller]
 fn works(command: &mut Command) -> Output {
     let output = command.output().unwrap();

@@ -5,7 +5,6 @@ use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// SELU in double precision.
 fn selu(x: f64) -> f64 {
     let (scale, alpha) = (1.0507009873554805, 1.6732632423543772);
     if x > 0.0 { scale * x } else { scale * alpha * x.exp_m1() }

@@ -90,7 +90,6 @@ fn refused(name: &str, bytes: &[u8]) -> String {
     message
 }
 
-/// Opens bytes under a file name.
 fn opened(name: &str, bytes: impl AsRef<[u8]>) -> Volume {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);

@@ -68,7 +68,6 @@ pub(crate) fn refuses_in(folder: &Path, environment: &[(&str, &str)], arguments:
     }
 }
 
-/// A tensor for [`safetensors`].
 pub(crate) type Tensor<'a> = (&'a str, Vec<usize>, Vec<f32>);
 
 /// Returns a safetensors file, valid or not.
@@ -93,7 +92,6 @@ pub(crate) fn safetensors(metadata: &[(&str, &str)], tensors: &[Tensor<'_>]) -> 
     file
 }
 
-/// Metadata of [`prednet`].
 pub(crate) const PREDNET_METADATA: [(&str, &str); 3] = [
     ("entire.format", "1"),
     ("entire.inputs", r#"[{"name":"camera","size":3},{"name":"resolution","size":2}]"#),
@@ -113,7 +111,6 @@ pub(crate) fn prednet() -> Vec<Tensor<'static>> {
     ]
 }
 
-/// Metadata of [`volumenet`].
 pub(crate) const VOLUMENET_METADATA: [(&str, &str); 2] =
     [("entire.format", "1"), ("entire.volumenet", r#"{"input":4,"blocks":[{"stride":2,"padding":0}]}"#)];
 
@@ -132,7 +129,6 @@ pub(crate) fn volumenet() -> Vec<Tensor<'static>> {
     ]
 }
 
-/// A NRRD file of plain floats.
 pub(crate) fn float_nrrd(dims: [usize; 3], values: impl Iterator<Item = f32>) -> Vec<u8> {
     let [x, y, z] = dims;
     let mut file =
@@ -142,7 +138,6 @@ pub(crate) fn float_nrrd(dims: [usize; 3], values: impl Iterator<Item = f32>) ->
     file
 }
 
-/// A NRRD file of unsigned bytes.
 pub(crate) fn byte_nrrd(dims: [usize; 3], values: impl Iterator<Item = u8>) -> Vec<u8> {
     let [x, y, z] = dims;
     let mut file =
@@ -178,7 +173,6 @@ pub(crate) fn model_of(path: &Path) -> Model {
     Model::from_bytes(&std::fs::read(path).unwrap()).unwrap()
 }
 
-/// The parsed JSON of a file.
 pub(crate) fn json(path: &Path) -> serde_json::Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
