@@ -21,7 +21,6 @@ const PART: u64 = 1 << 20;
 /// Number of bytes at the beginning of a volume file in which names of data files are looked for.
 const HEADER: u64 = 1 << 20;
 
-/// Nanoseconds per second.
 const SECOND: u64 = 1_000_000_000;
 
 /// Identity of a file.

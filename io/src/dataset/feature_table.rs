@@ -22,7 +22,6 @@ use std::path::{Path, PathBuf};
 /// older tables are refused.
 pub const VERSION: u32 = 7;
 
-/// Start of the first line.
 const MARK: &str = "# entire-features 1";
 
 /// Features of frames, by frame number.

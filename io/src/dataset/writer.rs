@@ -207,7 +207,6 @@ fn lock(file: &File, path: &Path) -> Result<()> {
     )
 }
 
-/// The first line of a table.
 fn header() -> String {
     COLUMNS.join(",") + "\n"
 }

@@ -5,7 +5,6 @@ use super::stream::{Remaining, Stream};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use std::io::{self, Read};
 
-/// The scalar types that files hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Element {
     I8,
@@ -30,7 +29,6 @@ impl Element {
         types.into_iter().zip(names.split(';')).find(|(_, names)| known(names)).map(|(found, _)| found)
     }
 
-    /// Returns the number of bytes per element in the file.
     pub(crate) const fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -41,7 +39,6 @@ impl Element {
     }
 }
 
-/// Byte order of stored numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Endian {
     Little,

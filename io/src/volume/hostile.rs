@@ -7,7 +7,6 @@ use anyhow::Result;
 /// Separator between a header and the content of its data file, in one input.
 const SEPARATOR: &[u8] = b"\n--data--\n";
 
-/// Data files: every name has the same content.
 struct AnyName<'a>(&'a [u8]);
 
 impl Companions for AnyName<'_> {

@@ -32,7 +32,6 @@ struct Header {
     big_endian: [Option<bool>; 2],
     compressed: bool,
     header_size: i64,
-    /// Bytes of the header itself.
     length: u64,
     data_file: String,
     several: Option<Several>,

@@ -127,7 +127,6 @@ pub enum Format {
 impl Format {
     const ALL: [Self; 6] = [Self::Nrrd, Self::MetaImage, Self::VtkImage, Self::Nifti, Self::Json, Self::Raw];
 
-    /// Returns the endings of file names in this format.
     const fn endings(self) -> &'static [&'static str] {
         match self {
             Self::Nrrd => &[".nrrd", ".nhdr"],
@@ -139,7 +138,6 @@ impl Format {
         }
     }
 
-    /// Returns the format that the ending of a file name denotes.
     pub(crate) fn of_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
         Self::ALL.into_iter().find(|format| format.endings().iter().any(|ending| name.ends_with(ending)))
@@ -174,7 +172,6 @@ pub(crate) struct Parts {
     pub(crate) dims: [usize; 3],
     pub(crate) spacing: [f64; 3],
     pub(crate) name: Option<String>,
-    /// Notes to the user about the reading.
     pub(crate) notes: Vec<String>,
 }
 
@@ -410,7 +407,6 @@ pub(crate) fn three_axes<T: Copy>(
     Ok(([0, 1, 2].map(|i| sizes[keep[i]]), [0, 1, 2].map(|i| values[keep[i]])))
 }
 
-/// Parses the number of a header's field.
 pub(crate) fn number<T: FromStr>(field: &str, value: &str) -> Result<T> {
     value.parse().ok().with_context(|| format!("{field:?} has {value:?} where a number is expected"))
 }

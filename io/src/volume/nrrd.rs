@@ -205,7 +205,6 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
 }
 
 impl Header {
-    /// Stores one field.
     fn set(&mut self, field: &str, value: &str) -> Result<()> {
         match field {
             "type" => self.element = Some(element(value)?),

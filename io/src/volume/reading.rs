@@ -238,7 +238,6 @@ pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     })
 }
 
-/// Returns a note about voxels that are not finite.
 pub(super) fn non_finite(view: &VolumeView<'_>) -> Option<String> {
     let (broken, all) = (view.non_finite(), view.shape().voxels);
     (broken > 0).then(|| {

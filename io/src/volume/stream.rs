@@ -108,7 +108,6 @@ impl<'a> Stream<'a> {
         Ok(Stream { reader, remaining: Remaining::Exact(length), read: 0, label: String::new() })
     }
 
-    /// Returns a stream that reads from memory.
     pub(crate) fn from_bytes(bytes: &'a [u8]) -> Self {
         Self::new(bytes, Remaining::Exact(bytes.len() as u64), String::new())
     }
@@ -122,7 +121,6 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// Returns the stream's name with a colon, or an empty text.
     pub(crate) fn prefix(&self) -> String {
         if self.label.is_empty() { String::new() } else { format!("{}: ", self.label) }
     }
@@ -131,7 +129,6 @@ impl<'a> Stream<'a> {
         self.remaining
     }
 
-    /// Returns the number of bytes read so far.
     pub(crate) fn position(&self) -> u64 {
         self.read
     }
@@ -174,7 +171,6 @@ impl<'a> Stream<'a> {
         Ok(Some(line))
     }
 
-    /// Skips `count` bytes.
     pub(crate) fn skip(&mut self, count: u64) -> Result<()> {
         let prefix = self.prefix();
         let left = match self.remaining {
@@ -332,7 +328,6 @@ impl<R: BufRead> Read for Members<R> {
     }
 }
 
-/// Bytes from pairs of hexadecimal digits.
 struct Hexadecimal<R> {
     inner: R,
 }
@@ -438,7 +433,6 @@ pub(crate) trait Companions {
     fn ending_in(&self, suffix: &str) -> Vec<String>;
 }
 
-/// Files in the folder of a header.
 pub(crate) struct Folder {
     path: PathBuf,
     watcher: Option<Arc<dyn Watcher>>,

@@ -22,7 +22,6 @@ use std::borrow::Cow;
 use std::io::Read;
 use std::ops::Range;
 
-/// One `DataArray`.
 struct Array {
     name: Option<String>,
     element: Option<Element>,
@@ -51,7 +50,6 @@ enum Compressor {
     Lz4,
 }
 
-/// The arrays of the point or cell data.
 #[derive(Default)]
 struct Section {
     active: Option<String>,
