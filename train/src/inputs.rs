@@ -112,7 +112,6 @@ impl Layout {
         self.encoder.as_ref().filter(|_| self.groups.iter().any(|g| g.0 == GroupKind::VolumeFeatures))
     }
 
-    /// True if the model takes scene features.
     pub(crate) fn needs_summary(&self) -> bool {
         self.groups.iter().any(|g| g.0 == GroupKind::SceneFeatures)
     }

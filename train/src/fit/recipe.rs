@@ -231,7 +231,6 @@ fn samples<'a>(inputs: &'a [Vec<f32>; 2], seconds: [&'a [f64]; 2]) -> (Samples<'
     (of(0), of(1))
 }
 
-/// Returns numbers joined by hyphens.
 fn joined(widths: &[usize]) -> String {
     widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
 }

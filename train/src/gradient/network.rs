@@ -182,12 +182,10 @@ impl<T: Real> Pass<T> {
         }
     }
 
-    /// Number of rows that the buffers were made for.
     pub(crate) fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Outputs of the last forward pass.
     pub(crate) fn output(&self) -> &[T] {
         match self.activations.last() {
             Some(last) => &last[..self.rows * (last.len() / self.rows.max(1))],

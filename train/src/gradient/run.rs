@@ -335,7 +335,6 @@ impl Trained {
     }
 }
 
-/// Standardized frames.
 struct Prepared {
     inputs: Vec<f32>,
     targets: Vec<f32>,
@@ -463,7 +462,6 @@ fn validate(pool: &ThreadPool, trainer: &Trainer<f32>, judged: &Prepared) -> Opt
     (!judged.targets.is_empty()).then(|| trainer.validate(pool, &judged.inputs, &judged.targets))
 }
 
-/// Shuffles by the Fisher–Yates algorithm.
 fn shuffle(order: &mut [usize], rng: &mut ChaCha8Rng) {
     for i in (1..order.len()).rev() {
         // The bias of the remainder is below 2^-32 for any number of frames that fits in memory.
