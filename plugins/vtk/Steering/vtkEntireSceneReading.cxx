@@ -2,6 +2,9 @@
 #include "vtkEntireSceneReading.h"
 
 #include "vtkAbstractMapper.h"
+#include "vtkAssembly.h"
+#include "vtkAssemblyNode.h"
+#include "vtkAssemblyPath.h"
 #include "vtkCamera.h"
 #include "vtkColorTransferFunction.h"
 #include "vtkDataArray.h"
@@ -295,13 +298,41 @@ double PlacedSpacing(vtkImageData* image, vtkVolume* volume)
 }
 
 //------------------------------------------------------------------------------
+vtkMatrix4x4* DrawnMatrix(vtkRenderer* renderer, vtkVolume* volume)
+{
+  if (!renderer->HasViewProp(volume))
+  {
+    vtkPropCollection* props = renderer->GetViewProps();
+    vtkCollectionSimpleIterator at;
+    props->InitTraversal(at);
+    while (vtkProp* prop = props->GetNextProp(at))
+    {
+      vtkAssembly* const assembly = vtkAssembly::SafeDownCast(prop);
+      if (!assembly)
+      {
+        continue;
+      }
+      assembly->InitPathTraversal();
+      while (vtkAssemblyPath* path = assembly->GetNextPath())
+      {
+        vtkAssemblyNode* const node = path->GetLastNode();
+        if (node->GetViewProp() == volume && node->GetMatrix())
+        {
+          return node->GetMatrix();
+        }
+      }
+    }
+  }
+  return volume->GetMatrix();
+}
+
+//------------------------------------------------------------------------------
 std::string ReadCamera(
-  vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame)
+  vtkRenderer* renderer, vtkMatrix4x4* placed, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame)
 {
   vtkCamera* camera = renderer->GetActiveCamera();
   double toEye[16];
-  vtkMatrix4x4::Multiply4x4(
-    camera->GetViewTransformMatrix()->GetData(), volume->GetMatrix()->GetData(), toEye);
+  vtkMatrix4x4::Multiply4x4(camera->GetViewTransformMatrix()->GetData(), placed->GetData(), toEye);
   const int* extent = image->GetExtent();
   double world[3];
   vtkImageData::TransformContinuousIndexToPhysicalPoint(grid.Center[0] + extent[0],

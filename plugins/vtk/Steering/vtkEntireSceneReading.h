@@ -18,6 +18,7 @@
 
 class vtkDataArray;
 class vtkImageData;
+class vtkMatrix4x4;
 class vtkRenderer;
 class vtkVolume;
 class vtkVolumeMapper;
@@ -112,9 +113,15 @@ std::string MakeTransferFunction(
 // AutoAdjustSampleDistances.
 double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
 
-// Reads the camera into `frame`, relative to the volume's axes, with lengths in the unit of the volume's spacing.
+// The matrix with which the renderer will draw the volume: in an assembly, a product with the assembly's matrices. While
+// the assembly draws, the volume's own matrix is this product; do not call this function then, since it may build the
+// assembly's paths again.
+vtkMatrix4x4* DrawnMatrix(vtkRenderer* renderer, vtkVolume* volume);
+
+// Reads the camera into `frame`, relative to the axes of a volume with the matrix `placed`, with lengths in the unit of
+// the volume's spacing.
 std::string ReadCamera(
-  vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
+  vtkRenderer* renderer, vtkMatrix4x4* placed, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
 
 // True if the camera changed abruptly between two frames: it turned by about 30 degrees or more, its distance (with a
 // parallel projection, its scale) changed by a factor of 1.5 or more, or its projection changed. Camera.jumps_from() of

@@ -349,7 +349,10 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     return static_cast<std::uint32_t>(std::min(16384.0, std::max(1.0, std::floor(side / by))));
   };
   entire::frame frame(shrunk(size[0], ownImage), shrunk(size[1], ownImage));
-  failure = vtkEntire::ReadCamera(renderer, volume, image, grid, frame);
+  // A mapper that is set early is planned before the renderer draws its props.
+  vtkMatrix4x4* const placed =
+    this->SetEarly() ? vtkEntire::DrawnMatrix(renderer, volume) : volume->GetMatrix();
+  failure = vtkEntire::ReadCamera(renderer, placed, image, grid, frame);
   if (!failure.empty())
   {
     return failure;

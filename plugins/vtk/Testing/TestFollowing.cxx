@@ -2,6 +2,7 @@
 // Tests of how vtkEntireSteering detects changes, frames and frame times: TestFollowing NAME MAPPER.
 #include "Scene.h"
 
+#include "vtkAssembly.h"
 #include "vtkDataArray.h"
 #include "vtkDataObject.h"
 #include "vtkDoubleArray.h"
@@ -198,6 +199,41 @@ void WaitsForTheDevice(Kind kind)
   scene.Window->AddRenderer(scene.Renderer);
 }
 
+// A volume in an assembly is planned where the assembly's matrix places it, like a volume with this matrix of its own.
+void FollowsAssemblies(Kind kind)
+{
+  const char* const model = std::getenv("ENTIRE_TEST_MODEL");
+  CHECK(model);
+  const auto predicted = [&](bool assembled, double scale) {
+    Scene scene(kind);
+    vtkNew<vtkAssembly> assembly;
+    vtkProp3D* moved = scene.Volume;
+    if (assembled)
+    {
+      scene.Renderer->RemoveVolume(scene.Volume);
+      assembly->AddPart(scene.Volume);
+      scene.Renderer->AddViewProp(assembly);
+      moved = assembly;
+    }
+    moved->SetScale(scale);
+    moved->SetPosition(3, 2, 1);
+    scene.Renderer->ResetCameraClippingRange();
+    vtkNew<vtkEntireSteering> steering;
+    steering->SetTargetFrameTime(1e-6);
+    steering->SetModelFileName(model);
+    CHECK(steering->Attach(scene.Renderer, scene.Volume));
+    scene.Interactive();
+    for (int i = 0; i < 3 && steering->GetNumberOfSteeredFrames() == 0; ++i)
+    {
+      scene.Draw();
+    }
+    CHECK(steering->GetNumberOfSteeredFrames() == 1 && Empty(steering->GetStatus()));
+    return steering->GetPredictedTime();
+  };
+  const double small = predicted(true, 0.5);
+  CHECK(small > 0 && small == predicted(false, 0.5) && small != predicted(false, 1.0));
+}
+
 // The library gets the quality law that was set for the class of the drawing mapper, and checks it. A law for another
 // class has no effect.
 void KnowsItsPictures(Kind kind)
@@ -358,6 +394,7 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "LeavesPickingAlone", LeavesPickingAlone },
   { "LeavesModifiedTimesAlone", LeavesModifiedTimesAlone },
   { "WaitsForTheDevice", WaitsForTheDevice },
+  { "FollowsAssemblies", FollowsAssemblies },
   { "KnowsItsPictures", KnowsItsPictures },
   { "ReadsRefusedVoxelsOnce", ReadsRefusedVoxelsOnce },
   { "ReadsRefusedModelsOnce", ReadsRefusedModelsOnce },
