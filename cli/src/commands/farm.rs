@@ -241,6 +241,8 @@ fn check_engine(options: &Options) -> Result<()> {
     }
     for (name, given) in [
         ("--verify", options.verify),
+        // A dry run always counts finished tasks as done; only --retry-quarantined needs --resume.
+        ("--resume", options.resume && !options.retry_quarantined),
         ("--python", options.python.is_some()),
         ("--cpus", options.cpus.is_some()),
         ("--server-dir", options.server_dir.is_some()),

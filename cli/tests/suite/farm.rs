@@ -224,6 +224,11 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     // Each task has three attempts: the journal records two of them as failed, and the third one gives the
     // task up.
     assert_eq!(journal(dir.path()).matches("\"failed\"").count(), 8);
+    // A dry run knows the database; it plans quarantined tasks if they are to be tried again.
+    let said = succeeds(dir.path(), &words("farm job.toml --dry-run --slots 2"));
+    assert!(said.contains("4 given up"), "{said}");
+    let said = succeeds(dir.path(), &words("farm job.toml --dry-run --slots 2 --resume --retry-quarantined"));
+    assert!(!said.contains("given up"), "{said}");
     // After the repair, failed tasks are rendered; the others are not rendered again.
     std::fs::write(dir.path().join("draw.sh"), script.replace("= 36", "= 999")).unwrap();
     let again = words("farm job.toml --slots 2 --resume --retry-quarantined --quiet");
@@ -304,6 +309,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
             ["--sbatch has no effect with --dry-run", "leave"],
         ),
         (&["--resume", "--verify", "--dry-run"], ["--verify has no effect with --dry-run", "leave"]),
+        (&["--resume", "--dry-run"], ["--resume has no effect with --dry-run", "leave"]),
         (&["--time-limit", "1h"], ["--time-limit has no effect", "--engine hyperqueue or slurm"]),
         (&["--dry-run", "--save-tasks", "job.toml"], ["--save-tasks: job.toml", "would be replaced"]),
         (&["--report", "second.nrrd"], ["--report: second.nrrd", "would be replaced"]),
