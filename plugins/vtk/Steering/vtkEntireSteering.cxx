@@ -84,9 +84,9 @@ bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
     return this->Fail(refusal);
   }
   this->Internals->Volume = volume;
+  this->Internals->LastClock = this->Clock;
   this->Internals->Observe(renderer);
   this->Internals->FindMappers();
-  this->Internals->LastClock = this->Clock;
   const vtkInternals::Leaves leaves = this->Internals->Drawing;
   for (const auto& leaf : leaves)
   {

@@ -116,7 +116,7 @@ vtkEntireSteering::vtkInternals::~vtkInternals()
 //------------------------------------------------------------------------------
 double vtkEntireSteering::vtkInternals::Now() const
 {
-  if (this->Owner->Clock == PROCESS_CPU)
+  if (this->LastClock == PROCESS_CPU)
   {
     return ProcessSeconds();
   }
@@ -270,7 +270,7 @@ void vtkEntireSteering::vtkInternals::Share(vtkRenderWindow* window)
     std::vector<vtkInternals*>& all = this->Shared->Steerings;
     all.erase(std::remove(all.begin(), all.end(), this), all.end());
   }
-  this->Shared = WindowFrame::Of(window, this->Owner->Clock);
+  this->Shared = WindowFrame::Of(window, this->LastClock);
   if (this->Shared)
   {
     this->Shared->Steerings.push_back(this);

@@ -291,7 +291,7 @@ public:
   }
   ~vtkInternals();
 
-  // Seconds by the owner's clock.
+  // Seconds by LastClock.
   double Now() const;
 
   // Names of the owner's clock and of the model's clock; nullptr if the model states none.
@@ -381,6 +381,7 @@ public:
   // Predicted seconds of these mappers; NaN if the time of one of them is unknown.
   double PredictedSeconds = 0;
   int Drawn = 0;
+  // The owner's clock at the start of the window's last frame, or at Attach(). The owner's clock may change in a frame.
   int LastClock = -1;
   std::weak_ptr<Leaf> LastLeaf;
 };

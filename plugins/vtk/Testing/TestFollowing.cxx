@@ -388,6 +388,31 @@ void SaysItsClocks(Kind kind)
   CHECK(!steering->GetModelClock());
 }
 
+// A clock that is set during a frame times the next frame: no time is a difference of two clocks.
+void KeepsTheClockOfAFrame(Kind kind)
+{
+  Work scene(kind);
+  // A mapper that contains others does not forward their events.
+  const bool inside = kind == FIXED || kind == GPU;
+  vtkObject* const subject = inside ? static_cast<vtkObject*>(scene.Mapper) : scene.Renderer;
+  const auto event = inside ? vtkCommand::VolumeMapperRenderStartEvent : vtkCommand::StartEvent;
+  const auto timed = [&] {
+    const double mapper = scene.Steering->GetMeasuredTime(), frame = scene.Steering->GetFrameTime();
+    return mapper >= 0 && frame >= mapper && frame < 300;
+  };
+  for (const int clock : { vtkEntireSteering::PROCESS_CPU, vtkEntireSteering::WALL })
+  {
+    {
+      const After start(subject, event, [&] { scene.Steering->SetClock(clock); });
+      scene.Draw();
+    }
+    CHECK(scene.Steering->GetClock() == clock && timed());
+    const vtkIdType steered = scene.Steering->GetNumberOfSteeredFrames();
+    scene.Draw();
+    CHECK(scene.Steering->GetNumberOfSteeredFrames() == steered + 1 && timed());
+  }
+}
+
 const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "NoticesChangedVoxels", NoticesChangedVoxels },
   { "NoticesNewFunctionsOnly", NoticesNewFunctionsOnly },
@@ -399,6 +424,7 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "ReadsRefusedVoxelsOnce", ReadsRefusedVoxelsOnce },
   { "ReadsRefusedModelsOnce", ReadsRefusedModelsOnce },
   { "SaysItsClocks", SaysItsClocks },
+  { "KeepsTheClockOfAFrame", KeepsTheClockOfAFrame },
 };
 }
 
