@@ -191,8 +191,7 @@ impl Drive<'_, '_> {
                 "{} tasks wait and no slot takes one; please report this with the job file",
                 self.planner.pending()
             );
-            let events = self.engine.poll(Duration::from_millis(100))?;
-            self.take(events)?;
+            self.take()?;
             let reordered = self.planner.refresh();
             // Sends new bundles before the journal is flushed, so that slots do not wait for the disk. Until
             // the flush, the spool keeps the finished tasks.
@@ -253,8 +252,7 @@ impl Drive<'_, '_> {
             self.engine.cancel()?;
             let patience = Instant::now();
             while self.planner.running() > 0 && patience.elapsed() < PATIENCE {
-                let events = self.engine.poll(Duration::from_millis(100))?;
-                self.take(events)?;
+                self.take()?;
                 let flushed = self.flush();
                 self.unless_full(flushed)?;
                 if self.full.is_some() || self.down.is_some() {
@@ -372,8 +370,9 @@ impl Drive<'_, '_> {
         waits
     }
 
-    fn take(&mut self, events: Vec<Event>) -> Result<()> {
-        for event in events {
+    /// Waits for events of the engine and records them.
+    fn take(&mut self) -> Result<()> {
+        for event in self.engine.poll(Duration::from_millis(100))? {
             if matches!(event, Event::Line(..)) {
                 self.stillborn = 0;
             }

@@ -13,13 +13,16 @@ use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::time::{Duration, Instant};
 
+/// A line of a slot's process, with the number of the process; `None` at the end of its output.
+type Said = (usize, u64, Option<String>);
+
 /// The engine.
 pub struct Local {
     places: Places,
     run: u64,
     workers: Vec<Worker>,
-    send: Sender<(usize, u64, Option<String>)>,
-    lines: Receiver<(usize, u64, Option<String>)>,
+    send: Sender<Said>,
+    lines: Receiver<Said>,
     stopping: bool,
 }
 
@@ -94,13 +97,7 @@ impl Local {
         Ok(Worker { child, input, generation, bundle: None, at: None, since: Instant::now(), deaths: 0 })
     }
 
-    fn handle(
-        &mut self,
-        slot: usize,
-        generation: u64,
-        line: Option<String>,
-        out: &mut Vec<Event>,
-    ) -> Result<()> {
+    fn handle(&mut self, (slot, generation, line): Said, out: &mut Vec<Event>) -> Result<()> {
         let slots = self.workers.len();
         let worker = &mut self.workers[slot];
         if worker.generation != generation {
@@ -189,8 +186,8 @@ impl Engine for Local {
     fn poll(&mut self, wait: Duration) -> Result<Vec<Event>> {
         let mut out = Vec::new();
         let mut next = self.lines.recv_timeout(wait).ok();
-        while let Some((slot, generation, line)) = next {
-            self.handle(slot, generation, line, &mut out)?;
+        while let Some(said) = next {
+            self.handle(said, &mut out)?;
             next = self.lines.try_recv().ok();
         }
         Ok(out)
