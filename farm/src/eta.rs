@@ -22,7 +22,6 @@ const PLAYED: usize = 20_000;
 /// A running bundle.
 struct UnderWay<'a> {
     running: &'a Running,
-    slot: Option<usize>,
     speed: f64,
     /// Expected seconds of loading before the first task; 0 once a task of the bundle is done.
     load: f64,
@@ -112,7 +111,6 @@ impl Planner {
         let load = if r.busy > 0.0 { 0.0 } else { (r.sent.expected_s - whole / sent_speed).max(0.0) };
         UnderWay {
             running: r,
-            slot,
             speed: slot.and_then(|s| speeds.get(s)).copied().unwrap_or(1.0),
             load,
             elapsed: (now - since - r.busy).max(0.0),
@@ -172,7 +170,7 @@ fn busy(under_way: &[UnderWay<'_>], slots: usize, mut rest: impl FnMut(&UnderWay
     let mut busy = vec![0.0; slots];
     for (k, u) in under_way.iter().enumerate() {
         let rest = rest(u);
-        if let Some(slot) = busy.get_mut(u.slot.unwrap_or(k)) {
+        if let Some(slot) = busy.get_mut(u.running.sent.slot.unwrap_or(k)) {
             *slot += rest;
         } else if let Some(least) = busy.iter_mut().min_by(|a, b| f64::total_cmp(a, b)) {
             // There are more bundles than slots: this bundle runs on the slot that is free first.

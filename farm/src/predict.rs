@@ -111,11 +111,8 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
             None => Box::new(AnalyticModel::default()),
         })
     };
-    let side = match (&model, job.predict.probe_side) {
-        (None, Some(side)) => side,
-        (None, None) => PROBE_SIDE,
-        (Some(_), _) => make()?.probe_side(),
-    };
+    let side =
+        if model.is_some() { make()?.probe_side() } else { job.predict.probe_side.unwrap_or(PROBE_SIDE) };
     let encoder = model.as_ref().and_then(|m| m.volumenet.as_ref()).map(VolumeNet::new).transpose()?;
     let bar = progress_bar("predicting tasks");
     bar.set_length(job.volumes.len() as u64);
