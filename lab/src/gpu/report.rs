@@ -166,9 +166,8 @@ impl Found {
         }
         page.heading("Frame times");
         page.table(&self.times(), "Median milliseconds of frames that no calibration rendered.");
-        let axis = |label: &str| Axis::log(label);
-        let mut chart =
-            Chart::new("Frame times by image size", axis("pixels"), axis("seconds")).size(900.0, 420.0);
+        let mut chart = Chart::new("Frame times by image size", Axis::log("pixels"), Axis::log("seconds"))
+            .size(900.0, 420.0);
         for (kind, mode, frames) in &self.tables {
             let points = frames
                 .iter()

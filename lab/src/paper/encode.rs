@@ -171,13 +171,10 @@ fn train(
         .arg(&asked.script)
         .args(["--datasets", &names.join(","), "--resume"])
         .args(["--size", &encoder.size.to_string(), "--features", &encoder.features.to_string()])
-        .args(["--epochs", &asked.epochs.to_string(), "--patience", &asked.patience.to_string()])
-        .arg("--data")
-        .arg(root)
-        .arg("--parts")
-        .arg(&parts)
-        .arg("--out")
-        .arg(&to);
+        .args(["--epochs", &asked.epochs.to_string(), "--patience", &asked.patience.to_string()]);
+    for (option, path) in [("--data", root), ("--parts", parts.as_path()), ("--out", to.as_path())] {
+        command.arg(option).arg(path);
+    }
     if !encoder.channels.is_empty() {
         let widths: Vec<String> = encoder.channels.iter().map(ToString::to_string).collect();
         command.args(["--channels", &widths.join(",")]);

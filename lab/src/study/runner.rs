@@ -74,13 +74,6 @@ impl StudyPredictor {
         }
     }
 
-    fn model(&self) -> Option<&Model> {
-        match self {
-            Self::Model(kept) => Some(&kept.model),
-            Self::Trees(_) => None,
-        }
-    }
-
     /// Number of rays along each side of the predictor's probe; 0 if the predictor takes no scene features.
     fn probe_side(&self) -> usize {
         match self {
@@ -165,12 +158,8 @@ impl Runner<'_> {
     ) -> Result<StudyPredictor> {
         if trees {
             self.bar.set_message(key.to_owned());
-            return Ok(StudyPredictor::Trees(Box::new(Trees::fit(
-                recipe,
-                context,
-                parts.0.timed(),
-                parts.1.timed(),
-            )?)));
+            let trees = Trees::fit(recipe, context, parts.0.timed(), parts.1.timed())?;
+            return Ok(StudyPredictor::Trees(Box::new(trees)));
         }
         let (file, path) = self.made(key, recipe, context, parts, bounds)?;
         Ok(StudyPredictor::Model(Box::new(KeptModel { model: file.to_model()?, file, path })))
@@ -285,6 +274,7 @@ impl Runner<'_> {
         let made = self.any(&key, method, context, (&learned.training, &learned.validation), &from)?;
         let seen = data.of_training_tables(&learned.training);
         let predicted = made.predict(context, &seen.frames)?;
+        let shading = data.one_step.all.frames[0].scene.shading;
         let fit = Metrics::new(&predicted, &seen.seconds).map(|metrics| Fit {
             set: set.name.clone(),
             predictor: named.name.clone(),
@@ -296,7 +286,7 @@ impl Runner<'_> {
                 .and_then(|c| Intervals::by(&c.predicted, &c.measured, &c.volumes)),
             noise: data.noise,
             folds: crossed.as_ref().map_or(0, |c| c.folds),
-            numbers: made.model().map_or(0, |m| numbers(m, data.one_step.all.frames[0].scene.shading)),
+            numbers: if let StudyPredictor::Model(m) = &made { numbers(&m.model, shading) } else { 0 },
             probe_side: made.probe_side(),
         });
         let upper = match (&made, &crossed) {
