@@ -1,4 +1,4 @@
-//! Forecast of a job before it runs: end, node hours and price for several numbers of nodes, and the cheapest
+//! Forecast of a job before it runs: end, node hours and price for several numbers of nodes, and the smallest
 //! number of nodes that meets a deadline.
 
 use super::job::Job;
@@ -26,7 +26,7 @@ fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
 }
 
 /// Returns the smallest number of nodes that meets a deadline in 95 of 100 cases; `None` if no number is
-/// enough. More nodes never cost fewer node hours, so this number is the cheapest.
+/// enough. The search assumes that more nodes never end later.
 fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
     let (mut low, mut high) = (1, MOST.min(tasks.max(1)));
     let enough = |o: &Offer| o.end[2] <= deadline;
@@ -110,7 +110,7 @@ pub fn text(
             Some(o) => {
                 let money = price.map_or(String::new(), |p| format!(", price {:.2}", o.node_hours * p));
                 out += &format!(
-                    "cheapest that meets the deadline of {}: {} nodes, done after {} (95 % quantile {}), \
+                    "fewest nodes that meet the deadline of {}: {} nodes, done after {} (95 % quantile {}), \
                      {:.2} node hours{money}\n",
                     duration(deadline),
                     o.nodes,

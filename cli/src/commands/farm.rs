@@ -83,7 +83,7 @@ pub struct Options {
     /// Render nothing: print plan, cost and expected end.
     #[arg(long)]
     pub dry_run: bool,
-    /// With --dry-run: find the cheapest number of nodes that meets this deadline (90s, 30m, 2h, 1.5d).
+    /// With --dry-run: find the smallest number of nodes that meets this deadline (90s, 30m, 2h, 1.5d).
     #[arg(long, value_name = "TIME", requires = "dry_run", value_parser = parse_duration)]
     pub deadline: Option<f64>,
     /// With --dry-run: price of a node hour.

@@ -275,7 +275,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     let said = succeeds(dir.path(), &arguments);
     assert!(
         said.contains("40 tasks: 2 volumes x 10 views")
-            && said.contains("cheapest that meets the deadline of 1:00 h"),
+            && said.contains("fewest nodes that meet the deadline of 1:00 h"),
         "{said}"
     );
     assert!(!dir.path().join("db.cdb").exists());
