@@ -47,8 +47,8 @@ pub fn check_manifest(input: &[u8]) {
     Manifest::parse(&written).expect("a written manifest can be read");
 }
 
-/// Checks that at least 16 frames of an accepted path (all frames of a shorter path) have a camera and a
-/// transfer table.
+/// Checks that at least 16 frames (all frames of a shorter path) have a camera and a transfer table, in an
+/// accepted path of at most [`MOST_PATH_FRAMES`] frames; longer paths are only parsed.
 pub fn check_path(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let Some(file) = accepted(PathFile::parse(text)) else { return };

@@ -34,7 +34,7 @@ const LEVELS: usize = 24;
 pub(super) struct Coarsening {
     pub(super) steps: StepLimits,
     /// Largest image sample distance, in pixels, and the step, in finest steps, up to which the distance
-    /// stays 1.
+    /// stays 1 without a quality law.
     largest: (f32, f32),
     quality: Option<Quality>,
     /// Number of image sample distances over 1 pixel.
@@ -61,8 +61,8 @@ impl Coarsening {
         }
     }
 
-    /// Sets the largest image sample distance, and the step, in finest steps, up to which the step alone is
-    /// coarsened where no quality law is known; both from 1 to 64.
+    /// Sets the largest image sample distance, in pixels, and `step_alone`: without a quality law, only the ray
+    /// step is coarsened, up to this multiple of the finest step. Both values are 1 to 64.
     pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
         if self.largest != (distance, step_alone) {
             self.largest = (distance, step_alone);
