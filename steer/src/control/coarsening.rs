@@ -61,8 +61,8 @@ impl Coarsening {
         }
     }
 
-    /// Sets the largest image sample distance, in pixels, and `step_alone`: without a quality law, only the ray
-    /// step is coarsened, up to this multiple of the finest step. Both values are 1 to 64.
+    /// Sets the largest image sample distance, in pixels, and `step_alone`: without a quality law, only the
+    /// ray step is coarsened, up to this multiple of the finest step. Both values are 1 to 64.
     pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
         if self.largest != (distance, step_alone) {
             self.largest = (distance, step_alone);
