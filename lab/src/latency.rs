@@ -1,7 +1,7 @@
 //! Latency of a prediction: time to compute a frame's seconds from its camera and transfer function, while the
 //! processor's caches hold other data, as between two frames.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use entire_core::model::Model;
 use entire_core::scene::{Camera, Frame, GaussianLobe, Shading, TransferFunction, TransferTable};
 use entire_io::scenes::SceneDistribution;
@@ -114,65 +114,57 @@ impl Bench {
         codes: usize,
         mut predict: impl FnMut(&Inputs<'_>) -> Result<f64>,
     ) -> Result<Latency> {
-        let mut best = self.round(probe_side, codes, &mut predict)?;
-        for _ in 1..ROUNDS {
-            best = best.min(self.round(probe_side, codes, &mut predict)?);
-        }
-        Ok(best)
-    }
-
-    fn round(
-        &mut self,
-        probe_side: Option<usize>,
-        codes: usize,
-        mut predict: impl FnMut(&Inputs<'_>) -> Result<f64>,
-    ) -> Result<Latency> {
         let looks = probe_side.is_some();
         let code = vec![0.1f32; codes];
-        let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
-        let Some(first) = self.scenes.first() else { return Err(anyhow::anyhow!("no scenes")) };
-        let mut transfer = TransferSummary::new(&self.summary, &first.table)?;
-        let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());
-        for Shot { frame, before, table, lobes } in &self.scenes {
-            let start = Instant::now();
-            if looks {
-                transfer.update(&self.summary, table)?;
-            }
-            let update = start.elapsed().as_secs_f64();
-            let mut call = |frame: &Frame| -> Result<f64> {
+        let first = self.scenes.first().context("no scenes")?;
+        let mid = |mut v: Vec<f64>| entire_io::metrics::median(&mut v).unwrap_or(0.0);
+        let mut best: Option<Latency> = None;
+        for _ in 0..ROUNDS {
+            let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
+            let mut transfer = TransferSummary::new(&self.summary, &first.table)?;
+            let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());
+            for Shot { frame, before, table, lobes } in &self.scenes {
                 let start = Instant::now();
                 if looks {
-                    features.measure(&self.summary, &mut transfer, std::hint::black_box(frame))?;
+                    transfer.update(&self.summary, table)?;
                 }
-                let inputs = Inputs {
-                    features: &features,
-                    setting: Setting::from(frame),
-                    changes: Changes::default(),
-                    camera: if looks { features.pose() } else { frame.camera.to_arcball() },
-                    volume_features: Some(&code),
-                    lobes: Some(lobes),
+                let update = start.elapsed().as_secs_f64();
+                let mut call = |frame: &Frame| -> Result<f64> {
+                    let start = Instant::now();
+                    if looks {
+                        features.measure(&self.summary, &mut transfer, std::hint::black_box(frame))?;
+                    }
+                    let inputs = Inputs {
+                        features: &features,
+                        setting: Setting::from(frame),
+                        changes: Changes::default(),
+                        camera: if looks { features.pose() } else { frame.camera.to_arcball() },
+                        volume_features: Some(&code),
+                        lobes: Some(lobes),
+                    };
+                    std::hint::black_box(predict(&inputs)?);
+                    Ok(start.elapsed().as_secs_f64())
                 };
-                std::hint::black_box(predict(&inputs)?);
-                Ok(start.elapsed().as_secs_f64())
-            };
-            let mut evict = || {
-                self.evicted.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
-                std::hint::black_box(&self.evicted);
-            };
-            evict();
-            let first = call(before)?;
-            evict();
-            let next = call(frame)?;
-            cold.push(next);
-            if looks {
-                transfers.push(update + (first - next).max(0.0));
+                let mut evict = || {
+                    self.evicted.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
+                    std::hint::black_box(&self.evicted);
+                };
+                evict();
+                let first = call(before)?;
+                evict();
+                let next = call(frame)?;
+                cold.push(next);
+                if looks {
+                    transfers.push(update + (first - next).max(0.0));
+                }
+                for _ in 0..3 {
+                    call(frame)?;
+                }
+                warm.push(call(frame)?);
             }
-            for _ in 0..3 {
-                call(frame)?;
-            }
-            warm.push(call(frame)?);
+            let found = Latency { cold: mid(cold), warm: mid(warm), transfer: mid(transfers) };
+            best = Some(best.map_or(found, |b| b.min(found)));
         }
-        let mid = |mut v: Vec<f64>| entire_io::metrics::median(&mut v).unwrap_or(0.0);
-        Ok(Latency { cold: mid(cold), warm: mid(warm), transfer: mid(transfers) })
+        best.context("no rounds")
     }
 }
