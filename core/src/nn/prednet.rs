@@ -4,8 +4,9 @@ use super::parts::{Dtype, PredNetParts, Target};
 use crate::Result;
 use crate::error::bail;
 use crate::kernels::Executor;
-use crate::kernels::mlp::{Mlp, MlpScratch};
+use crate::kernels::mlp::{Dense, Mlp, MlpScratch};
 use crate::kernels::{Level, Storage};
+use crate::memory::collected;
 
 impl From<Dtype> for Storage {
     fn from(dtype: Dtype) -> Self {
@@ -96,10 +97,16 @@ impl PredNet {
                 }
             }
         }
+        let layers = collected(parts.layers.iter().map(|l| Dense {
+            inputs: l.inputs,
+            outputs: l.outputs,
+            weight: &l.weight,
+            bias: &l.bias,
+        }))?;
+        let norm = parts.input.as_ref().map(|n| (n.mean.as_slice(), n.std.as_slice()));
         let output =
             parts.output.as_ref().map_or((0.0, 1.0), |n| (f64::from(n.mean[0]), f64::from(n.std[0])));
-        let mlp = Mlp::new(level, storage, &parts.layers, parts.input.as_ref())?;
-        Ok(Self { mlp, target: parts.target, output })
+        Ok(Self { mlp: Mlp::new(level, storage, &layers, norm)?, target: parts.target, output })
     }
 
     /// Number of inputs.

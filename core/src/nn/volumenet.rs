@@ -5,10 +5,10 @@ use super::parts::VolumeNetParts;
 use super::resample::Exact;
 use crate::Result;
 use crate::error::bail;
-use crate::kernels::conv::{Encoder, PreparedPlane, Scratch};
+use crate::kernels::conv::{Block, Encoder, Head, PreparedPlane, Scratch};
 use crate::kernels::resample::{Affine, Raw, Scalar};
 use crate::kernels::{Executor, Level};
-use crate::memory::resize;
+use crate::memory::{collected, resize};
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
@@ -72,7 +72,20 @@ impl VolumeNet {
     /// As [`VolumeNet::new`].
     pub fn with(parts: &VolumeNetParts, level: Level) -> Result<Self> {
         check(parts)?;
-        let encoder = Encoder::new(&parts.blocks, &parts.fc, level)?;
+        let blocks = collected(parts.blocks.iter().map(|b| Block {
+            inputs: b.inputs,
+            outputs: b.outputs,
+            kernel: b.kernel,
+            stride: b.stride,
+            padding: b.padding,
+            input_edge: b.input_edge,
+            output_edge: b.output_edge,
+            weight: &b.weight,
+            bias: &b.bias,
+        }))?;
+        let fc = &parts.fc;
+        let head = Head { inputs: fc.inputs, outputs: fc.outputs, weight: &fc.weight, bias: &fc.bias };
+        let encoder = Encoder::new(&blocks, &head, level)?;
         Ok(Self { input: parts.input, features: parts.fc.outputs, level, encoder })
     }
 

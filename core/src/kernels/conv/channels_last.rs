@@ -1,13 +1,12 @@
 //! The convolutions after the first one: their vectors run along output channels, and their output is in
 //! channels-last layout.
 
-use super::layout::{Buffer, Output, Shape, Taps, cut};
+use super::layout::{Block, Buffer, Output, Shape, Taps, cut};
 use super::tiles::{self, Cut, MAX_POSITIONS, Tile};
 use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::room;
-use crate::nn::ConvBlockParts;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -48,7 +47,7 @@ impl ChannelsLast {
     }
 
     pub(super) fn new(
-        block: &ConvBlockParts,
+        block: &Block<'_>,
         [channel_stride, column, row, plane]: [usize; 4],
         border: usize,
         level: Level,
@@ -86,7 +85,7 @@ impl ChannelsLast {
             }
         }
         let mut bias = Buffer::zeroed(out_channels)?;
-        bias.as_mut_slice()[..block.outputs].copy_from_slice(&block.bias);
+        bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let out_len = (shape.output + 2 * border).pow(3) * out_channels;
         Ok(Self {
             level,

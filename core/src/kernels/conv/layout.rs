@@ -5,7 +5,6 @@ use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::filled;
-use crate::nn::ConvBlockParts;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -49,6 +48,29 @@ pub(super) fn cut(level: Level) -> Cut {
     level.run(CutOfLevel)
 }
 
+/// Sizes and weights of one convolution (outputs × inputs × kernel³, one bias per output).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Block<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) kernel: usize,
+    pub(crate) stride: usize,
+    pub(crate) padding: usize,
+    pub(crate) input_edge: usize,
+    pub(crate) output_edge: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
+/// The dense layer's weights (outputs × inputs) and biases.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Head<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
 /// Kernel edge, stride, padding, and edges of input and output.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Shape {
@@ -60,7 +82,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    pub(super) fn of(block: &ConvBlockParts) -> Self {
+    pub(super) fn of(block: &Block<'_>) -> Self {
         Self {
             input: block.input_edge,
             output: block.output_edge,

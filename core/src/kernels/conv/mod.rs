@@ -29,11 +29,11 @@ mod tiles;
 use crate::Result;
 use crate::kernels::{Executor, Level};
 use crate::memory::{collected, filled, room};
-use crate::nn::{ConvBlockParts, DenseParts};
 use alloc::vec::Vec;
 use channels_last::ChannelsLast;
 use core::ops::Range;
 use head::Dense;
+pub(crate) use layout::{Block, Head};
 use layout::{Buffer, LINE, Output, Shape, Taps};
 use planar::Planar;
 pub(crate) use planar::{Prepare, PreparedPlane};
@@ -71,8 +71,8 @@ impl Encoder {
     ///
     /// # Errors
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
-    pub(crate) fn new(blocks: &[ConvBlockParts], fc: &DenseParts, level: Level) -> Result<Self> {
-        let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &ConvBlockParts| b.padding);
+    pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Result<Self> {
+        let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.padding);
         let first = Planar::new(&blocks[0], padding_of(1), level)?;
         let mut rest: Vec<ChannelsLast> = room(blocks.len() - 1)?;
         for (i, block) in blocks.iter().enumerate().skip(1) {

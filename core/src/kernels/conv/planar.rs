@@ -1,13 +1,12 @@
 //! The first layer: prepared input planes, vectors along x, planar output.
 
-use super::layout::{Buffer, LINE, Shape, cut};
+use super::layout::{Block, Buffer, LINE, Shape, cut};
 use super::tiles::{self, Cut, Row};
 use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::resample::{Map, Scalar};
 use crate::kernels::simd::{Kernel, Simd};
 use crate::memory::chunks;
-use crate::nn::ConvBlockParts;
 
 #[derive(Clone, Debug)]
 pub(super) struct Planar {
@@ -90,7 +89,7 @@ impl PreparedPlane<'_> {
 }
 
 impl Planar {
-    pub(super) fn new(block: &ConvBlockParts, border: usize, level: Level) -> Result<Self> {
+    pub(super) fn new(block: &Block<'_>, border: usize, level: Level) -> Result<Self> {
         let cut = cut(level);
         let shape = Shape::of(block);
         let (kernel, stride) = (shape.kernel, shape.stride);
@@ -104,7 +103,7 @@ impl Planar {
         let padded = block.outputs.next_multiple_of(cut.group);
         let mut weights = Buffer::zeroed(padded * kernel.pow(3))?;
         let mut bias = Buffer::zeroed(padded)?;
-        bias.as_mut_slice()[..block.outputs].copy_from_slice(&block.bias);
+        bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let taps = kernel.pow(3);
         for c in 0..block.outputs {
             for tap in 0..taps {

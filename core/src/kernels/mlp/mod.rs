@@ -38,11 +38,10 @@ mod weights;
 use super::Level;
 use crate::Result;
 use crate::memory::{filled, resize, room};
-use crate::nn::{DenseParts, Normalization};
 use alloc::vec::Vec;
 use batch::ForwardRows;
-pub(crate) use packing::Line;
 pub use packing::Storage;
+pub(crate) use packing::{Dense, Line};
 use packing::{LINE_BYTES, Layer, pack};
 use row::Forward;
 
@@ -92,8 +91,8 @@ impl Mlp {
     pub(crate) fn new(
         level: Level,
         storage: Storage,
-        layers: &[DenseParts],
-        norm: Option<&Normalization>,
+        layers: &[Dense<'_>],
+        norm: Option<(&[f32], &[f32])>,
     ) -> Result<Self> {
         let (last, hidden) = layers.split_last().expect("callers have checked that there is a layer");
         let inputs = layers[0].inputs;
@@ -107,10 +106,10 @@ impl Mlp {
         let last_start = data.len();
         resize(&mut data, last_start + last.inputs.div_ceil(16), Line::default())?;
         bytemuck::cast_slice_mut::<_, f32>(&mut data[last_start..])[..last.inputs]
-            .copy_from_slice(&last.weight);
+            .copy_from_slice(last.weight);
         let lines = inputs.div_ceil(16);
         let mut normal = Vec::new();
-        if let Some(Normalization { mean, std }) = norm {
+        if let Some((mean, std)) = norm {
             normal = filled(2 * lines, Line::default())?;
             let (first, second) = bytemuck::cast_slice_mut::<_, f32>(&mut normal).split_at_mut(lines * 16);
             first[..inputs].copy_from_slice(mean);

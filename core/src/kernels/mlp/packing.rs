@@ -3,7 +3,6 @@
 use crate::Result;
 use crate::memory::resize;
 use crate::names::names;
-use crate::nn::DenseParts;
 use alloc::vec::Vec;
 use bytemuck::{Pod, Zeroable};
 
@@ -73,11 +72,19 @@ impl Layer {
     }
 }
 
+/// Row-major weights, and biases, of one layer before packing.
+pub(crate) struct Dense<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
 /// Appends the panels of one layer to `data`.
 ///
 /// # Errors
 /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the panels cannot be allocated.
-pub(super) fn pack(layer: &DenseParts, storage: Storage, data: &mut Vec<Line>) -> Result<Layer> {
+pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) -> Result<Layer> {
     let pad = if storage == Storage::Int8 { 32 } else { 8 };
     let packed = Layer {
         storage,
