@@ -22,6 +22,9 @@ namespace
 {
 // The library's maximum image sample distance, as a multiple of the mapper's own.
 constexpr double COARSEST_IMAGE = 64;
+// Desired update rate, in frames per second, below which AutoAdjustSampleDistances leaves frames at full quality unless
+// they take minutes.
+constexpr double FULL_QUALITY_RATE = 0.01;
 // VTK's maximum image sample distance, in pixels.
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
 
@@ -384,7 +387,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   this->Coarsening = 1;
   if (still || !owner->Enabled)
   {
-    this->PlanUnsteered(frame, target, still);
+    this->PlanUnsteered(frame, target, still, !this->Own.AutoAdjust || (still && rate < FULL_QUALITY_RATE));
     if (this->Planned.id != 0)
     {
       owner->SampleDistance = finest * grid.Reference;
@@ -429,11 +432,11 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
 
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::Leaf::PlanUnsteered(
-  const entire::frame& frame, float target, bool still)
+  const entire::frame& frame, float target, bool still, bool full)
 {
   this->Internals->Report(
     still ? "still" : "off", still ? "a still frame, drawn by VTK alone" : "steering is off");
-  if (still || !this->Own.AutoAdjust)
+  if (full)
   {
     static_cast<void>(this->Session->set_enabled(false));
     auto plan = this->Session->plan(frame, target);

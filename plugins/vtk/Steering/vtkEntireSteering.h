@@ -29,9 +29,10 @@
  * and the Status of the other says so.
  *
  * A still frame is one for which the render window's DesiredUpdateRate is below StillUpdateRate. VTK draws it
- * without steering, pixel for pixel; its time still corrects predictions. VTK also draws frames that cannot be
- * predicted without steering; GetStatus() then gives the reason. Rendering for a hardware selector (picking) is
- * left to VTK and does not count as a frame.
+ * without steering, pixel for pixel; its time still corrects predictions. The exception is a still frame of a
+ * mapper with AutoAdjustSampleDistances at a rate of 0.01 or more, which VTK may draw coarsely. VTK also draws
+ * frames that cannot be predicted without steering; GetStatus() then gives the reason. Rendering for a hardware
+ * selector (picking) is left to VTK and does not count as a frame.
  *
  * No model file is needed. Without one, a linear cost model starts from rough costs and learns the speed of the
  * mapper and the device from the first frames; with one (see `entire train`), the first frame is predicted too.

@@ -240,8 +240,9 @@ public:
     std::string SetTransferFunction(vtkVolumeProperty* property);
     std::string SetLimits(float finest, float coarsest, float image);
     void MarkChanges(const vtkEntire::ModeKey& mode, const entire::frame& frame);
-    // Plans a frame that VTK draws without steering; its time is observed if its resolution is known.
-    void PlanUnsteered(const entire::frame& frame, float target, bool still);
+    // Plans a frame that VTK draws without steering; its time is observed if `full` is true: the frame has the mapper's
+    // full quality, which AutoAdjustSampleDistances may reduce.
+    void PlanUnsteered(const entire::frame& frame, float target, bool still, bool full);
     // Writes the settings to the mapper.
     std::string Steer(vtkVolumeMapper* mapper, const vtkEntire::MapperSettings& settings);
 

@@ -388,6 +388,29 @@ void SaysItsClocks(Kind kind)
   CHECK(!steering->GetModelClock());
 }
 
+// A still frame that AutoAdjustSampleDistances may have coarsened is not learned as a frame of full quality.
+void LeavesCoarsenedFramesAlone(Kind kind)
+{
+  Work scene(kind);
+  const std::string base = std::getenv("ENTIRE_TEST_FILE");
+  const auto state = [&] {
+    CHECK(scene.Steering->SaveState(base.c_str()));
+    return Bytes(base);
+  };
+  const std::string before = state();
+  const auto predicted = [&](double rate) {
+    scene.Window->SetDesiredUpdateRate(rate);
+    scene.Draw();
+    CHECK(Is(scene.Steering->GetReason(), "still"));
+    return !std::isnan(scene.Steering->GetPredictedTime());
+  };
+  AsItsClass(scene.Mapper, [](auto* mapper) { mapper->AutoAdjustSampleDistancesOn(); });
+  CHECK(!before.empty() && !predicted(0.5) && state() == before);
+  CHECK(predicted(0.0001));
+  AsItsClass(scene.Mapper, [](auto* mapper) { mapper->AutoAdjustSampleDistancesOff(); });
+  CHECK(predicted(0.5));
+}
+
 // A clock that is set during a frame times the next frame: no time is a difference of two clocks.
 void KeepsTheClockOfAFrame(Kind kind)
 {
@@ -424,6 +447,7 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "ReadsRefusedVoxelsOnce", ReadsRefusedVoxelsOnce },
   { "ReadsRefusedModelsOnce", ReadsRefusedModelsOnce },
   { "SaysItsClocks", SaysItsClocks },
+  { "LeavesCoarsenedFramesAlone", LeavesCoarsenedFramesAlone },
   { "KeepsTheClockOfAFrame", KeepsTheClockOfAFrame },
 };
 }
