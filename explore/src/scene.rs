@@ -66,7 +66,7 @@ impl Facts {
     }
 }
 
-/// A volume with another range of values that maps to [0, 1].
+/// A volume whose values are mapped to [0, 1] by `range` instead of by the volume's own range.
 pub(crate) struct Spanned {
     pub(crate) whole: Arc<dyn VolumeSource>,
     pub(crate) range: (f32, f32),

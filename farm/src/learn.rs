@@ -569,7 +569,7 @@ impl Learner {
                 return (drawn, probable.max(LEAST));
             }
         }
-        // No draw was longer than `seconds`: the time exceeds `seconds` by half a standard deviation.
+        // No draw was longer than `seconds`, so the returned time is longer by half a standard deviation.
         (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 

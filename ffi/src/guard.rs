@@ -155,7 +155,8 @@ fn failed(failure: Failure, status: Option<&Status>) -> entire_result {
     code
 }
 
-/// Writes a text with its closing NUL, cut at a character; a NUL inside becomes the replacement character.
+/// Writes a text and a closing NUL. A text that is too long is cut at a character boundary; a NUL inside the
+/// text becomes the replacement character.
 fn keep(text: &str, out: &mut [u8; TEXT_BYTES]) {
     let mut end = 0;
     for character in text.chars() {

@@ -63,7 +63,7 @@ pub(super) fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64
     Ok(())
 }
 
-/// Returns the change that makes the longer load of two nodes, `last` and any other node, shortest.
+/// Returns the change between `last` and another node after which the longer load of the two is shortest.
 fn best_change(
     last: usize,
     times: &[f64],

@@ -147,7 +147,7 @@ impl Results {
     /// Returns the interval of a row's RMSE divided by the RMSE of the constant baseline, [`CONSTANT`].
     pub(crate) fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
         let constant = self.row(&row.split, CONSTANT)?;
-        // A row on fewer frames is that of the low-resolution proxy.
+        // Rows of the low-resolution proxy have fewer frames; they are compared on these frames alone.
         let under = if row.frames == constant.frames { &constant.by_volume } else { &constant.of_twins };
         interval::of_ratio(&row.by_volume, under)
     }

@@ -6,9 +6,9 @@ use serde::Serialize;
 /// Three scores: misses, distance from the target, quality.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Three {
-    /// Share of the feasible frames that took longer than 1.1 times the target.
+    /// Share of the feasible frames ([`Replayed::feasible`]) that took longer than 1.1 times the target.
     pub missed: f64,
-    /// Mean |t − target| / target over the reachable frames.
+    /// Mean |t − target| / target over the reachable frames ([`Replayed::reachable`]).
     pub deviation: f64,
     /// Mean over all frames of the oracle's step divided by the chosen step, at most 1. For rules that change the
     /// image resolution: mean of the least reduction that meets the target, divided by the chosen reduction.
@@ -92,7 +92,8 @@ pub struct Score {
     /// Share of abrupt changes whose first frame took no more than its upper bound; NaN without abrupt
     /// changes, and for controllers without upper bounds.
     pub inside_bound: f64,
-    /// Mean |t − target| / target of the reachable first frames after abrupt changes.
+    /// Mean |t − target| / target over the first frames after abrupt changes that are reachable
+    /// ([`Replayed::reachable`]).
     pub first_frame_deviation: f64,
     /// Mean structural similarity to the reference pictures, divided by the oracle's.
     pub ssim_ratio: f64,

@@ -33,7 +33,7 @@ const PROMISED: f64 = 0.08;
 /// Promised limit of the share of frames over 1.1 targets: that of the steering bars.
 const PROMISED_MISSES: f64 = 0.03;
 
-/// Number of frames of a session without a model.
+/// Number of frames that each session without a model plays.
 const COLD_FRAMES: usize = 6;
 
 /// All constants that the search varies.

@@ -12,7 +12,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 #[test]
 fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
-    // Factor on the recorded seconds, so that the renderer differs from the default costs of a session.
+    // Factor on the recorded seconds, so that the renderer's costs differ from a session's default costs.
     const TIMES: f64 = 3.0;
     for (name, fps) in [("nyx-switches.json", 30.0), ("castro-cuts.json", 45.0)] {
         let recorded = recorded(name, TIMES);

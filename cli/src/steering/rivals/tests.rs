@@ -1,4 +1,4 @@
-//! Every controller under random frame times, and the frames from which OLP estimates its time.
+//! Every controller under random frame times, and the frames from which OLP estimates the next frame's time.
 
 use super::*;
 use crate::steering::contenders::{ControllerKind, controller};
