@@ -6,7 +6,6 @@ use super::job::Job;
 use super::journal::Journal;
 use super::learn::{CONSTANT_SD_WITH_MODEL, Shape};
 use super::load::Loads;
-use super::options::Options;
 use super::planner::{Planner, Setting};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, Order, parse_id, run_number};
 use super::spool;
@@ -14,6 +13,25 @@ use anyhow::{Context, Result, ensure};
 use entire_io::files::{make_folder, note, write_whole};
 use entire_io::identity::{self, Identity};
 use std::collections::{BTreeMap, HashMap, HashSet};
+
+/// Options of `entire farm` that concern database and driver.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// True to continue an earlier run.
+    pub resume: bool,
+    /// True to retry quarantined tasks.
+    pub retry_quarantined: bool,
+    /// True to compare existing images with their checksums, not only their sizes.
+    pub verify: bool,
+    /// True to render first every eighth view at the smallest size and the coarsest step.
+    pub preview: bool,
+    /// Order in which tasks are sent.
+    pub order: crate::dispatch::Order,
+    /// True to treat all tasks as equally long in the whole run, for comparison.
+    pub uniform: bool,
+    /// Initial estimate of a bundle's overhead, seconds.
+    pub overhead: f64,
+}
 
 /// A job's database, open for writing: journal and finished tasks.
 pub struct Database<'a> {

@@ -1,9 +1,8 @@
 //! The driver: sends bundles, records their results, and predicts the end of the job.
 
-use super::database::{Database, planner};
+use super::database::{Database, Options, planner};
 use super::engine::{self, Bundle, Engine, Event, STILLBORN};
 use super::job::Job;
-use super::options::Options;
 use super::planner::{Planner, Setting, State};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, unix_now};
 use super::show::{Show, View};

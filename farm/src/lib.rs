@@ -20,7 +20,6 @@ pub mod list;
 pub mod load;
 mod natural;
 pub mod openjd;
-pub mod options;
 pub mod planner;
 pub mod predict;
 pub mod record;

@@ -177,7 +177,7 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
     if options.dry_run {
         return dry_run(&job, base, options);
     }
-    let driving = entire_farm::options::Options {
+    let driving = database::Options {
         resume: options.resume,
         retry_quarantined: options.retry_quarantined,
         verify: options.verify,
