@@ -1,12 +1,10 @@
 //! Task lists, and their assignment to nodes.
 
-mod bound;
 mod exchange;
 mod queue;
 #[cfg(test)]
 mod tests;
 
-pub use bound::lower_bound;
 pub use queue::{Span, Timeline, simulate_queue};
 
 use anyhow::{Context, Result, ensure};
@@ -159,6 +157,28 @@ pub fn times(tasks: &[Task], by: By) -> Result<Vec<f64>> {
 pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
     let mut numbers = Groups::default();
     tasks.iter().map(|t| numbers.number(&t.volume) as usize).collect()
+}
+
+/// Lower bound on the makespan of any schedule without preemption, seconds: the maximum of (all work) / (sum
+/// of all speeds) and, for every k, (work of the k longest tasks) / (sum of the speeds of the k fastest
+/// nodes).
+///
+/// # Errors
+/// When a time is negative or not finite, a speed is not finite and positive, or there is no node.
+pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
+    // This call only checks the speeds.
+    assign_longest_first(&[], speeds)?;
+    let order = longest_first(times)?;
+    let mut fastest = speeds.to_vec();
+    fastest.sort_by(|a, b| b.total_cmp(a));
+    let mut bound = times.iter().sum::<f64>() / speeds.iter().sum::<f64>();
+    let (mut work, mut speed) = (0.0, 0.0);
+    for (&task, &s) in order.iter().zip(&fastest) {
+        work += times[task];
+        speed += s;
+        bound = bound.max(work / speed);
+    }
+    Ok(bound)
 }
 
 /// Simulates a plan with the true times `seconds` on nodes of the given speeds; a node also spends a task's
