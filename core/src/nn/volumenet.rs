@@ -5,7 +5,8 @@ use super::parts::VolumeNetParts;
 use super::resample::Exact;
 use crate::Result;
 use crate::error::bail;
-use crate::kernels::conv::{Block, Encoder, Head, PreparedPlane, Scratch};
+use crate::kernels::conv::{Block, Encoder, PreparedPlane, Scratch, Shape};
+use crate::kernels::mlp::Dense;
 use crate::kernels::resample::{Affine, Raw, Scalar};
 use crate::kernels::{Executor, Level};
 use crate::memory::{collected, resize};
@@ -75,16 +76,18 @@ impl VolumeNet {
         let blocks = collected(parts.blocks.iter().map(|b| Block {
             inputs: b.inputs,
             outputs: b.outputs,
-            kernel: b.kernel,
-            stride: b.stride,
-            padding: b.padding,
-            input_edge: b.input_edge,
-            output_edge: b.output_edge,
+            shape: Shape {
+                input: b.input_edge,
+                output: b.output_edge,
+                kernel: b.kernel,
+                stride: b.stride,
+                padding: b.padding,
+            },
             weight: &b.weight,
             bias: &b.bias,
         }))?;
         let fc = &parts.fc;
-        let head = Head { inputs: fc.inputs, outputs: fc.outputs, weight: &fc.weight, bias: &fc.bias };
+        let head = Dense { inputs: fc.inputs, outputs: fc.outputs, weight: &fc.weight, bias: &fc.bias };
         let encoder = Encoder::new(&blocks, &head, level)?;
         Ok(Self { input: parts.input, features: parts.fc.outputs, level, encoder })
     }

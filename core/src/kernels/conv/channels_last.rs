@@ -53,7 +53,7 @@ impl ChannelsLast {
         level: Level,
     ) -> Result<Self> {
         let cut = cut(level);
-        let shape = Shape::of(block);
+        let shape = block.shape;
         let k = shape.kernel;
         let all = k.pow(3);
         let out_channels = block.outputs.next_multiple_of(cut.lanes);

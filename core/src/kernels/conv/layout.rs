@@ -53,45 +53,22 @@ pub(super) fn cut(level: Level) -> Cut {
 pub(crate) struct Block<'a> {
     pub(crate) inputs: usize,
     pub(crate) outputs: usize,
-    pub(crate) kernel: usize,
-    pub(crate) stride: usize,
-    pub(crate) padding: usize,
-    pub(crate) input_edge: usize,
-    pub(crate) output_edge: usize,
-    pub(crate) weight: &'a [f32],
-    pub(crate) bias: &'a [f32],
-}
-
-/// The dense layer's weights (outputs × inputs) and biases.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Head<'a> {
-    pub(crate) inputs: usize,
-    pub(crate) outputs: usize,
+    pub(crate) shape: Shape,
     pub(crate) weight: &'a [f32],
     pub(crate) bias: &'a [f32],
 }
 
 /// Kernel edge, stride, padding, and edges of input and output.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Shape {
-    pub(super) input: usize,
-    pub(super) output: usize,
-    pub(super) kernel: usize,
-    pub(super) stride: usize,
-    pub(super) padding: usize,
+pub(crate) struct Shape {
+    pub(crate) input: usize,
+    pub(crate) output: usize,
+    pub(crate) kernel: usize,
+    pub(crate) stride: usize,
+    pub(crate) padding: usize,
 }
 
 impl Shape {
-    pub(super) fn of(block: &Block<'_>) -> Self {
-        Self {
-            input: block.input_edge,
-            output: block.output_edge,
-            kernel: block.kernel,
-            stride: block.stride,
-            padding: block.padding,
-        }
-    }
-
     /// Range of input planes that output plane `z` reads, and the first kernel plane that falls inside the
     /// input; the kernel planes before it, and those beyond the range, fall into the padding.
     pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {

@@ -27,14 +27,14 @@ mod planar;
 mod tiles;
 
 use crate::Result;
-use crate::kernels::{Executor, Level};
+use crate::kernels::{Executor, Level, mlp};
 use crate::memory::{collected, filled, room};
 use alloc::vec::Vec;
 use channels_last::ChannelsLast;
 use core::ops::Range;
 use head::Dense;
-pub(crate) use layout::{Block, Head};
-use layout::{Buffer, LINE, Output, Shape, Taps};
+pub(crate) use layout::{Block, Shape};
+use layout::{Buffer, LINE, Output, Taps};
 use planar::Planar;
 pub(crate) use planar::{Prepare, PreparedPlane};
 
@@ -71,12 +71,12 @@ impl Encoder {
     ///
     /// # Errors
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the packed weights cannot be allocated.
-    pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Result<Self> {
-        let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.padding);
+    pub(crate) fn new(blocks: &[Block<'_>], fc: &mlp::Dense<'_>, level: Level) -> Result<Self> {
+        let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.shape.padding);
         let first = Planar::new(&blocks[0], padding_of(1), level)?;
         let mut rest: Vec<ChannelsLast> = room(blocks.len() - 1)?;
         for (i, block) in blocks.iter().enumerate().skip(1) {
-            let edge = block.input_edge + 2 * block.padding;
+            let edge = block.shape.input + 2 * block.shape.padding;
             let (channel_stride, column, row, plane) = match rest.last() {
                 None => (first.out_row, 1, first.padded * first.out_row, first.out_plane),
                 Some(before) => {
@@ -92,7 +92,7 @@ impl Encoder {
             )?);
         }
         // The dense layer's weights, reordered to the layout of the last layer's output.
-        let edge = blocks[blocks.len() - 1].output_edge;
+        let edge = blocks[blocks.len() - 1].shape.output;
         let channels = blocks[blocks.len() - 1].outputs;
         let dense_len = rest.last().map_or(edge * first.out_plane, |l| l.out_len).next_multiple_of(LINE);
         let mut dense = Buffer::zeroed(dense_len * fc.outputs)?;

@@ -91,7 +91,7 @@ impl PreparedPlane<'_> {
 impl Planar {
     pub(super) fn new(block: &Block<'_>, border: usize, level: Level) -> Result<Self> {
         let cut = cut(level);
-        let shape = Shape::of(block);
+        let shape = block.shape;
         let (kernel, stride) = (shape.kernel, shape.stride);
         // A phase is long enough for every voxel, and for reads of whole vectors at every tap.
         let width = shape.output.next_multiple_of(cut.width);
