@@ -91,3 +91,7 @@ with tempfile.TemporaryDirectory() as folder:
     assert settings == [(s, d) for d in collect_vtk.IMAGES for s in collect_vtk.STEPS]
     assert float(rows[0]["error"]) == 0 and all(float(r["error"]) > 0 for r in rows[6:]), rows
     assert all(float(r["seconds"]) > 0 for r in rows)
+    # Pictures show the same volume as the timed frames.
+    options.pictures, options.scenes, options.proxy = os.path.join(folder, "proxy.csv"), 0, 16
+    collect_vtk.compare(options, renderer)
+    assert renderer.volume.dims == (16, 16, 16)

@@ -96,7 +96,7 @@ def compare(options, renderer):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("scene", "step", "image_sample_distance", "seconds", "error"))
         for path in options.volumes:
-            renderer.load(timing_table.read_nrrd(path))
+            renderer.load(timing_table.drawn_volume(options, path))
             for index in range(options.scenes):
                 # Indices after those of the timed frames give other scenes.
                 scene = timing_table.draw_scene(

@@ -300,12 +300,16 @@ def collect(options, renderer):
                 print(f"{path}: {options.frames} frames{of}", file=sys.stderr)
 
 
+def drawn_volume(options, path):
+    """Reads a volume and resamples it if --proxy is given."""
+    volume = read_nrrd(path)
+    return resampled(volume, options.proxy) if options.proxy else volume
+
+
 def volume_frames(options, renderer, path, steps, number, repeat):
     """Draws a volume's frames and yields the rows of each. `number` and `repeat` are the numbers of frame and repeat
     in the first row."""
-    volume = read_nrrd(path)
-    if options.proxy:
-        volume = resampled(volume, options.proxy)
+    volume = drawn_volume(options, path)
     member, time_step = volume.place()
     renderer.load(volume)
     for index in range(options.frames):
