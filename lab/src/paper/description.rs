@@ -103,9 +103,6 @@ pub(crate) struct DataSet {
     pub(crate) name: String,
     /// The name in reports.
     pub(crate) title: String,
-    /// Name of the data set in the paper, if the paper has it.
-    #[serde(default)]
-    pub(crate) paper: Option<String>,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
     pub(crate) modes: Vec<String>,
     /// True if the data set holds volumes of another kind, on which models of the other data sets are only
