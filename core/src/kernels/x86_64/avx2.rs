@@ -93,16 +93,7 @@ impl Simd for Avx2 {
         }
     }
 
-    #[inline(always)]
-    fn prefetch(self, p: *const f32) {
-        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
-        unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
-    }
-    #[inline(always)]
-    fn prefetch_near(self, p: *const f32) {
-        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
-    }
+    prefetches! { prefetch _MM_HINT_T1 prefetch_near _MM_HINT_T0 }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
         // SAFETY: the token proves AVX2; the caller guarantees that `p` is valid for reading 8 floats.

@@ -83,16 +83,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         fn nonzero(a: Self::I) -> Self::M { _mm512_test_epi32_mask(a, a) }
     }
 
-    #[inline(always)]
-    fn prefetch(self, p: *const f32) {
-        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
-        unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
-    }
-    #[inline(always)]
-    fn prefetch_near(self, p: *const f32) {
-        // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
-    }
+    prefetches! { prefetch _MM_HINT_T1 prefetch_near _MM_HINT_T0 }
     #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Self::F {
         // SAFETY: the token proves AVX-512; the caller guarantees that `p` is valid for reading 16 floats.

@@ -12,6 +12,17 @@ macro_rules! methods {
     )*};
 }
 
+/// Defines methods of a token that prefetch a cache line.
+macro_rules! prefetches {
+    ($($name:ident $hint:ident)*) => {$(
+        #[inline(always)]
+        fn $name(self, p: *const f32) {
+            // SAFETY: every x86-64 CPU has this instruction. A prefetch returns no data and never faults.
+            unsafe { _mm_prefetch::<$hint>(p.cast()) }
+        }
+    )*};
+}
+
 pub(crate) mod avx2;
 // Compilers before 1.89 lack the AVX-512 intrinsics.
 #[cfg(entire_avx512)]
