@@ -92,8 +92,8 @@ pub struct Score {
     /// Share of abrupt changes whose first frame took no more than its upper bound; NaN without abrupt
     /// changes, and for controllers without upper bounds.
     pub inside_bound: f64,
-    /// Mean |t − target| / target over the first frames after abrupt changes that are reachable
-    /// ([`Replayed::reachable`]).
+    /// Mean |t − target| / target over the reachable first frames ([`Replayed::reachable`]) after abrupt
+    /// changes.
     pub first_frame_deviation: f64,
     /// Mean structural similarity to the reference pictures, divided by the oracle's.
     pub ssim_ratio: f64,

@@ -126,7 +126,8 @@ pub struct Hybrid {
     scene: SceneMark,
     /// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames.
     worth: f64,
-    /// State before the last begun frame, for [`Controller::withdraw`]; `None` after an observation.
+    /// State before the last begun frame, for [`Controller::withdraw`]; its correction learns from every
+    /// observation, too. `None` if no frame was begun since the last withdrawal or reset.
     before: Option<Before>,
 }
 
@@ -459,8 +460,7 @@ impl Controller for Hybrid {
         let seconds = f64::from(observed.seconds);
         let trust = if observed.changes.first { FIRST_TRUST } else { 1.0 };
         if let Some(before) = &mut self.before {
-            // The state for a withdrawal learns too: the newest plan can be withdrawn after an earlier frame was
-            // observed.
+            // This state learns, too, since the newest plan may be withdrawn after an earlier frame was observed.
             let standing = standing(observed.scene, before.scene);
             before.correction.observe(&observed.terms, seconds, standing, trust);
         }
