@@ -21,7 +21,7 @@ enum Fault {
     Sound,
     /// Every call returns `VK_ERROR_DEVICE_LOST` after this many calls.
     Lost(usize),
-    /// No submission ends after this many waits.
+    /// Every wait returns `VK_TIMEOUT` after this many waits.
     Hangs(usize),
     /// Every dispatch takes [`SLOW_TICKS`] by the device's timestamps.
     Slow,

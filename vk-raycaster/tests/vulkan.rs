@@ -148,8 +148,8 @@ impl Both {
         Ok(())
     }
 
-    /// Draws a frame with both. Refuses pictures that differ by more than [`LARGEST`] in a channel, or by
-    /// more than `mean` over all channels.
+    /// Draws a frame on the device and on the CPU version. Panics if a channel differs by more than [`LARGEST`],
+    /// or if the mean difference over all channels exceeds `mean`; both limits are in units of 1/255.
     fn draw(&mut self, name: &str, frame: &Frame, mean: f64) -> Result<(Rendered, Rendered), Failed> {
         let (a, b) = (self.gpu.render(frame)?, self.twin.render(frame)?);
         let (largest, off) = difference(&a.image.rgba, &b.image.rgba);
@@ -177,8 +177,8 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     expect_silence(&both.gpu)
 }
 
-/// Draws a scene with both in some shading modes and every skipping mode, and passes the name of the mode and
-/// both counts to `check`.
+/// Draws a scene on the device and on the CPU version, in some shading modes and every skipping mode. Passes
+/// the name of the mode, the device's counts and the CPU version's counts to `check`.
 fn compare_modes(
     both: &mut Both,
     kind: &str,

@@ -188,7 +188,7 @@ impl<'a> Stream<'a> {
     /// Reads the rest of the stream, which may have at most `limit` bytes.
     ///
     /// # Errors
-    /// When more bytes are left, they do not fit into memory, or reading fails.
+    /// When more than `limit` bytes are left, when they do not fit into memory, or when reading fails.
     pub fn all(&mut self, limit: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         if let Remaining::Exact(left) = self.remaining

@@ -90,9 +90,9 @@ impl UnitCosts {
     };
 
     /// Two sets of typical unit costs for a renderer of unknown kind. Both have a cost for the conversion of
-    /// stored values. The second set, for a GPU, also has costs for the longest ray: each is 10⁴ times the
-    /// cost of a sample, a lookup in the skip map, or a shadow sample of all rays. This ratio lies between
-    /// that of a processor with two cores and that of a large GPU.
+    /// stored values. The second set, for a GPU, also has unit costs for the samples, the lookups in the skip
+    /// map and the shadow samples of the longest ray. Each is 10⁴ times the unit cost of the same work summed
+    /// over all rays. The ratio is smaller on a processor with two cores, and larger on a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
         let mut costs = Self::CONVERTING;
         let mut longest = COMMON_COSTS + 1;

@@ -546,7 +546,7 @@ mod tests {
         };
         let (mut model, used) = fitted(&rows);
         assert_eq!((&model, used), (&fitted(&rows[..20]).0, 20));
-        // A time beyond the longest frame is refused, the longest one is used.
+        // A time over `LONGEST_FRAME` is left out; a time of exactly `LONGEST_FRAME` is used.
         let longest = f64::from(LONGEST_FRAME);
         assert_eq!(fitted(&[rows[0], (rows[1].0, longest)]).1, 2);
         assert_eq!(fitted(&[rows[0], (rows[1].0, longest * 1.001)]), fitted(&rows[..1]));

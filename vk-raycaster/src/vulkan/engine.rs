@@ -49,7 +49,7 @@ pub(crate) struct Cast<'a> {
     pub(crate) tile: Tile,
     /// True if rays continue where an earlier dispatch left them.
     pub(crate) windowed: bool,
-    /// Index of the brick of the volume that is sampled.
+    /// Index of the sampled brick of the volume.
     pub(crate) brick: usize,
 }
 
