@@ -215,8 +215,9 @@ impl App {
         self.device.as_ref().is_some_and(SharedDevice::is_lost)
     }
 
-    /// Opens the device and all its objects again after the device was lost. If a volume was being loaded, the
-    /// loading starts again. Otherwise, the present volume, which is still in host memory, is uploaded again.
+    /// Opens the device and all its objects again after the device was lost. If a volume was being loaded,
+    /// the loading starts again. Otherwise, the present volume, which is still in host memory, is uploaded
+    /// again.
     fn recover(&mut self) -> Result<()> {
         if self.lost.is_some_and(|at| at.elapsed() < LOST_AGAIN) {
             bail!(

@@ -148,8 +148,8 @@ impl Both {
         Ok(())
     }
 
-    /// Draws a frame on the device and on the CPU version. Panics if a channel differs by more than [`LARGEST`],
-    /// or if the mean difference over all channels exceeds `mean`; both limits are in units of 1/255.
+    /// Draws a frame on the device and on the CPU version. Panics if a channel differs by more than
+    /// [`LARGEST`], or if the mean difference over all channels exceeds `mean`; both are in units of 1/255.
     fn draw(&mut self, name: &str, frame: &Frame, mean: f64) -> Result<(Rendered, Rendered), Failed> {
         let (a, b) = (self.gpu.render(frame)?, self.twin.render(frame)?);
         let (largest, off) = difference(&a.image.rgba, &b.image.rgba);

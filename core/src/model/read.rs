@@ -428,8 +428,8 @@ impl Source<'_> {
 }
 
 impl TensorData<'_> {
-    /// Returns the values, widened exactly to f32, and their stored format. Refuses NaN, infinity, and formats
-    /// other than F32, F16 and BF16.
+    /// Returns the values, widened exactly to f32, and their stored format. Refuses NaN, infinity, and
+    /// formats other than F32, F16 and BF16.
     fn numbers(&self, name: &str) -> Result<(Vec<f32>, Dtype)> {
         use safetensors::Dtype as Stored;
         let (values, dtype): (Vec<f32>, Dtype) = match self.dtype {

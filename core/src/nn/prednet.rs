@@ -295,8 +295,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
-        /// Compares networks with plain loops, on every instruction set, for random layer widths and numbers of
-        /// rows. Random widths need every kind of weight panel and padding.
+        /// Compares networks with plain loops, on every instruction set, for random layer widths and numbers
+        /// of rows. Random widths need every kind of weight panel and padding.
         #[test]
         fn any_shape_agrees_with_plain_loops(
             sizes in prop::collection::vec(1usize..150, 1..5),

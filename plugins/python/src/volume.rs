@@ -351,8 +351,8 @@ impl Volume {
         let count =
             if dims.contains(&0) { 0 } else { 1 + (0..3).map(|a| (dims[a] - 1) * strides[a]).sum::<usize>() };
         // SAFETY: the array is alive; NumPy's data pointer is aligned (checked above), and the last of the
-        // `count` elements from it on is the array's last element. `owner` keeps the memory alive as long as the
-        // view.
+        // `count` elements from it on is the array's last element. `owner` keeps the memory alive as long as
+        // the view.
         let scalars = unsafe {
             let at = (*kept.as_array_ptr()).fields.data.cast::<u8>().cast_const();
             match kind {

@@ -460,7 +460,7 @@ impl Controller for Hybrid {
         let seconds = f64::from(observed.seconds);
         let trust = if observed.changes.first { FIRST_TRUST } else { 1.0 };
         if let Some(before) = &mut self.before {
-            // This state learns, too, since the newest plan may be withdrawn after an earlier frame was observed.
+            // This state learns, too: the newest plan may be withdrawn after an earlier frame was observed.
             let standing = standing(observed.scene, before.scene);
             before.correction.observe(&observed.terms, seconds, standing, trust);
         }

@@ -33,7 +33,7 @@ pub(super) struct Cells {
     pub(super) changed: Vec<Mask>,
     /// Cells that were scanned and whose bounds are not yet in the summary, one mask per row of cells.
     pub(super) fresh: Vec<Mask>,
-    /// Number of voxels that each table entry is nearest to; for bytes, number of voxels with each stored value.
+    /// Number of voxels nearest to each table entry; for bytes, number of voxels with each stored value.
     pub(super) counts: [u64; 256],
     /// Number of voxels that are NaN or infinite.
     pub(super) non_finite: u64,

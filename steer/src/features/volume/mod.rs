@@ -73,8 +73,8 @@ pub struct VolumeSummary {
     non_finite_share: f32,
     /// True where a renderer that looks stored values up in a table must shift or scale them first. False for
     /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. In a summary made from
-    /// bricks, stored values are unknown: false for an integer type if the smallest bound is 0, which is assumed
-    /// to be a stored 0.
+    /// bricks, stored values are unknown: false for an integer type if the smallest bound is 0, which is
+    /// assumed to be a stored 0.
     pub(super) remapped: bool,
 }
 

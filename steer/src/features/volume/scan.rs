@@ -54,7 +54,7 @@ pub(super) fn nothing<T: Voxel>() -> Bounds<T> {
 pub(super) struct Found<T> {
     /// Bounds of each block of the volume, including the first voxels of the next blocks.
     pub(super) bounds: Vec<Bounds<T>>,
-    /// Number of voxels that each table entry is nearest to; for bytes, number of voxels with each stored value.
+    /// Number of voxels nearest to each table entry; for bytes, number of voxels with each stored value.
     pub(super) counts: [u64; 256],
     /// Number of voxels that are NaN or infinite.
     pub(super) non_finite: u64,
