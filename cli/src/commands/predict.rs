@@ -90,7 +90,7 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
                 bail!(
                     "row {row}, column {}: {text:?} is not a number{}",
                     column + 1,
-                    if row == 1 { " (the table has no header line)" } else { "" }
+                    if row == 1 { " (a header line is not accepted)" } else { "" }
                 );
             };
             ensure!(

@@ -231,8 +231,8 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
             let rest = rest.with_context(|| {
                 let length = bytes.len() - start;
                 format!(
-                    "array {shown:?} begins at byte {offset} of the appended data, which has {length}; is the file \
-                     cut short?"
+                    "array {shown:?} begins at byte {offset} of the appended data, which has {length} bytes; is \
+                     the file cut short?"
                 )
             })?;
             match base64 {
@@ -288,7 +288,7 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
         return match all().find(|(_, array, _)| array.name.as_deref() == Some(name)) {
             Some((_, array, cells)) if array.components == 1 => Ok((array, cells)),
             Some((_, array, _)) => bail!(
-                "array {name:?} has {} components per voxel; one is accepted, save one component or its magnitude",
+                "array {name:?} has {} components per voxel; one is accepted; save one component, or the magnitude",
                 array.components
             ),
             None => bail!("array {name:?} is not in the file; it has {}", names(&|_, _| true)),
@@ -304,8 +304,8 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
     }
     match refused {
         Some((active, Some(array))) => bail!(
-            "the active scalar array {active:?} has {} components per voxel; one is accepted, save one \
-             component or its magnitude, or make another array the active one (with one component: {})",
+            "the active scalar array {active:?} has {} components per voxel; one is accepted; save one \
+             component, or the magnitude, or make another array the active one (with one component: {})",
             array.components,
             names(&Section::offers)
         ),
@@ -325,7 +325,7 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
     }
     match all().find(|(_, array, _)| array.components != 1).or_else(|| all().next()) {
         Some((_, array, _)) if array.components != 1 => bail!(
-            "array {:?} has {} components per voxel; one is accepted, save one component or its magnitude",
+            "array {:?} has {} components per voxel; one is accepted; save one component, or the magnitude",
             shown(array),
             array.components
         ),
@@ -493,7 +493,9 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
             let offset = attribute(tag, "offset")?
                 .with_context(|| format!("array {shown:?} is appended and has no offset"))?;
             let at = offset.trim().parse().ok();
-            Place::Appended(at.with_context(|| format!("array {shown:?}: offset is {offset:?}"))?)
+            Place::Appended(at.with_context(|| {
+                format!("array {shown:?}: offset is {offset:?}; a number of bytes is expected")
+            })?)
         }
         Some(other) => bail!("array {shown:?}: format is {other:?}; accepted are ascii, binary and appended"),
     };

@@ -112,7 +112,7 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     if !times.iter().map(|t| t / slowest).sum::<f64>().is_finite() {
         bail!(
             InvalidArgument,
-            "the times add up to more than a number can hold on a node of speed {slowest}; check their unit"
+            "on a node of speed {slowest}, the times add up to more than the largest number; check their unit"
         );
     }
     Ok(())

@@ -125,11 +125,11 @@ pub(crate) fn plan(
     });
     let format = match fetch {
         VoxelFetch::Packed if !is_bytes => Err(Error::new(
-            "packed voxel fetch takes bytes only; choose the sampler or texels, or leave the choice open",
+            "VoxelFetch::Packed needs 8-bit voxels; choose VoxelFetch::Sampler, VoxelFetch::Texels, or None",
         )),
         VoxelFetch::Packed if !can_pack => Err(Error::new(format!(
-            "the volume has {:?} voxels, more than packed voxel fetch holds on {}; choose texels, or leave \
-             the choice open",
+            "the volume has {:?} voxels, more than VoxelFetch::Packed holds on {}; choose VoxelFetch::Texels, \
+             or None",
             volume.geometry.dims, gpu.name
         ))),
         // Software samplers interpolate 8-bit textures in 8 bits; with 16 bits they keep the fractions.
@@ -138,7 +138,7 @@ pub(crate) fn plan(
         }
         VoxelFetch::Packed => Ok((vk::Format::R32_UINT, 1.0)),
         VoxelFetch::Sampler if !can_filter => Err(Error::new(format!(
-            "{} has no linear filter for {plain:?}; choose texels, or leave the choice open",
+            "{} has no linear filter for {plain:?}; choose VoxelFetch::Texels, or None",
             gpu.name
         ))),
         _ if !can_sample => Err(Error::new(format!(
