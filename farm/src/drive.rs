@@ -61,9 +61,9 @@ pub fn queue(planner: &mut Planner, job: &Job, preview: bool) {
     planner.add_stage(rest);
 }
 
-/// Number of bytes for which the disk must have room, so that a failure is not due to a full disk. It is the
-/// maximum of twice the bytes of the largest image so far, since the worker copies a program's image, and of
-/// the bytes of an uncompressed image of this size; at least 256 KiB.
+/// Returns a number of bytes; if the disk has room for them, a failure is not due to a full disk. It is the
+/// largest of 256 KiB, the bytes of an uncompressed image of this size, and twice the bytes of the largest
+/// image so far, since the worker copies a program's image.
 fn probe_bytes(largest: u64, [width, height]: [u32; 2]) -> u64 {
     let raw = 4u64.saturating_mul(width.into()).saturating_mul(height.into());
     (1u64 << 18).max(largest.saturating_mul(2)).max(raw)

@@ -12,7 +12,10 @@
 //! given with it; a handle comes from this library and was not freed; a handle that is not `const` is used by
 //! one thread at a time. Functions state only additional conditions.
 #![allow(non_camel_case_types, reason = "C names, written here as the header has them")]
-#![allow(unreachable_pub, reason = "C reaches what Rust cannot; the header generator takes what is pub")]
+#![allow(
+    unreachable_pub,
+    reason = "C callers use items that no Rust crate can reach; the header generator takes only `pub` items"
+)]
 #![allow(
     clippy::missing_safety_doc,
     reason = "the pointer rules are the same for all entry points and stand in the crate documentation"

@@ -202,10 +202,10 @@ pub unsafe extern "C" fn entire_session_predict(
     }
 }
 
-/// Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
-/// and at most (1 + tolerance) times `target_seconds` by the upper bound for undisturbed frames. plan->upper
-/// bounds all frames. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
-/// plan->struct_size first. Does not allocate.
+/// Chooses the ray step of the next frame: the finest step whose expected time is at most `target_seconds`,
+/// and whose upper bound for undisturbed frames is at most (1 + tolerance) times `target_seconds`.
+/// plan->upper is the upper bound for all frames, disturbed ones included. Draw with plan->step, then pass
+/// the frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (a frame that is out of

@@ -89,10 +89,10 @@ quantities! {
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
         "reads of the skip map that miss the caches: segments times the far share";
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
-        "local samples whose reads miss the caches: local samples times the far share of shading";
+        "local samples whose reads miss the caches: local samples times the far share of shading, which is \
+         the share of the reads of shading that miss the caches";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays, plus the samples for which rays eight reference steps apart wait while \
-         another ray of their group of eight shades; all times the far share of shading";
+        "lane shadow samples for rays that are eight reference steps apart, times the far share of shading";
     FarX, "far_x", "samples", 1.0, yes, yes,
         "samples times the far share, times the share of crossed voxel borders that are normal to x; rays \
          along an axis read slowly if adjacent voxels of this axis are far apart in memory";
