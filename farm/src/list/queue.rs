@@ -43,7 +43,11 @@ pub fn simulate_queue(
     let loading: Vec<f64> = loads.iter().map(|l| l.1).collect();
     check(&loading, speeds)?;
     check_order(order, times.len())?;
-    Ok(run(order, times, loads, speeds, |free, _| first_free(free, speeds)))
+    Ok(run(order, times, loads, speeds, |free, _| {
+        let earlier =
+            |&a: &usize, &b: &usize| free[a].total_cmp(&free[b]).then(speeds[b].total_cmp(&speeds[a]));
+        (0..free.len()).min_by(earlier).unwrap_or(0)
+    }))
 }
 
 /// Returns the timeline of tasks that start in `order`. `node_of` returns the node of a task from the times,
@@ -77,11 +81,6 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     assign_longest_first(&[], speeds)?;
     longest_first(times)?;
     Ok(())
-}
-
-fn first_free(free: &[f64], speeds: &[f64]) -> usize {
-    let earlier = |&a: &usize, &b: &usize| free[a].total_cmp(&free[b]).then(speeds[b].total_cmp(&speeds[a]));
-    (0..free.len()).min_by(earlier).unwrap_or(0)
 }
 
 fn check_order(order: &[usize], tasks: usize) -> Result<()> {

@@ -72,7 +72,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for given in &options.set {
         set(&mut first, given)?;
     }
-    let tried = options.tried()?;
+    let tried: Vec<usize> = if options.only.is_empty() {
+        (0..Constants::names().count()).collect()
+    } else {
+        options.only.iter().map(|name| place(name)).collect::<Result<_>>()?
+    };
     let targets = options.paths.targets()?;
     let samples = samples_by_volume(&options.paths.calibration)?;
     let mut played = options
@@ -161,16 +165,6 @@ fn set(constants: &mut Constants, given: &str) -> Result<()> {
         *constant = value;
     }
     Ok(())
-}
-
-impl Options {
-    /// The indices of the constants to search for.
-    fn tried(&self) -> Result<Vec<usize>> {
-        if self.only.is_empty() {
-            return Ok((0..Constants::names().count()).collect());
-        }
-        self.only.iter().map(|name| place(name)).collect()
-    }
 }
 
 /// Returns a table with the costs of every path before and after the search.

@@ -41,7 +41,9 @@ pub(crate) fn bars(
         out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
     }
     // Only results with at least as many frames as the study's description specifies are used.
-    let full = |r: &&Results| r.panel == Panel::Overall && complete(r);
+    let full = |r: &&Results| {
+        r.panel == Panel::Overall && frames_of(r).is_some_and(|[expected, frames]| frames >= expected)
+    };
     let overall: Vec<&Results> = all.iter().filter(full).collect();
     let network = |r: &Results| r.row(paper.rule(&r.set).split(), NETWORK).cloned();
     let over_constant = |set: &str, mode: &str| -> Ratio {
@@ -184,11 +186,6 @@ fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
     let times = results.fact("times")?;
     let side = |k: &str| times.get(k).copied();
     Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
-}
-
-/// True if there are at least as many frames as the study's description specifies.
-fn complete(results: &Results) -> bool {
-    frames_of(results).is_some_and(|[expected, frames]| frames >= expected)
 }
 
 /// Numbers of frames: those that the study's description specifies, and those that there are.

@@ -15,10 +15,6 @@ pub(crate) struct Selection {
 }
 
 impl Selection {
-    pub(crate) fn has(&self, set: &str) -> bool {
-        self.data_sets.is_empty() || self.data_sets.iter().any(|n| n == set)
-    }
-
     pub(crate) fn has_mode(&self, mode: &str) -> bool {
         self.modes.is_empty() || self.modes.iter().any(|n| n == mode)
     }
@@ -172,7 +168,8 @@ pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Resul
         ensure!(paper.data_set(name).is_some(), "--data-sets names {name:?}; there are {}", known());
     }
     let mut found = Vec::new();
-    for set in paper.data_sets.iter().filter(|d| selection.has(&d.name)) {
+    let asked = |d: &&DataSet| selection.data_sets.is_empty() || selection.data_sets.contains(&d.name);
+    for set in paper.data_sets.iter().filter(asked) {
         match Place::find(set, data)? {
             Some(place) => found.push(place),
             None => note(&format!("{} is not in {}; it is skipped", set.name, data.display())),

@@ -65,7 +65,6 @@ pub(super) struct SetData<'a> {
     /// Median error and RMSE/SD of a perfect predictor on the frames of the training tables, due to the noise of
     /// the measured times.
     pub(super) noise: [f64; 2],
-    training_tables: usize,
 }
 
 impl<'a> SetData<'a> {
@@ -91,13 +90,7 @@ impl<'a> SetData<'a> {
             bounds: tables.frames(&tables.bounds, clock),
             splits: tables.splits.iter().map(|r| tables.frames(r, clock)).collect(),
             noise,
-            training_tables: tables.training.len(),
         })
-    }
-
-    /// The given frames that belong to training tables.
-    pub(super) fn of_training_tables(&self, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
-        frames.parted(|f| f.table < self.training_tables).0
     }
 }
 

@@ -272,7 +272,8 @@ impl Runner<'_> {
         };
         let from = crossed.as_ref().map_or(Bounds::Frames(&data.bounds), Bounds::Crossed);
         let made = self.any(&key, method, context, (&learned.training, &learned.validation), &from)?;
-        let seen = data.of_training_tables(&learned.training);
+        // The training tables come first.
+        let seen = learned.training.parted(|f| f.table < set.training.len()).0;
         let predicted = made.predict(context, &seen.frames)?;
         let shading = data.one_step.all.frames[0].scene.shading;
         let fit = Metrics::new(&predicted, &seen.seconds).map(|metrics| Fit {

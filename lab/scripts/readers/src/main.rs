@@ -9,16 +9,13 @@ use std::io::{BufRead, Write};
 use std::path::Path;
 use volume::VolumeData;
 
-/// Returns options that read every value as stored, fill values included.
-fn as_stored() -> volume::Reading {
-    volume::Reading { fill: volume::Fill::None, ..volume::Reading::default() }
-}
-
 /// Returns the line of JSON for a volume file. `cli/tests/suite/independent_readers.rs` compares the same
 /// values with `right-values.csv`. `range` is the range of the finite voxels. `crc32` is the checksum of all
 /// voxels in the type that they have in memory, little-endian; NaNs with a payload count as NaNs without.
 fn line_of(path: &Path) -> Value {
-    let volume = match volume::Volume::open_as(path, &as_stored(), None) {
+    // Every value is read as stored, fill values included.
+    let reading = volume::Reading { fill: volume::Fill::None, ..volume::Reading::default() };
+    let volume = match volume::Volume::open_as(path, &reading, None) {
         Ok(volume) => volume,
         Err(error) => return json!({ "refused": format!("{error:#}") }),
     };
