@@ -4,7 +4,7 @@ use super::{Engine, Shader};
 use crate::error::{Error, Result};
 use crate::vulkan::gpu::{NamedCall, seconds_between};
 use crate::vulkan::recording::{Command, Hazard, Target};
-use crate::vulkan::resources::{COLOR_RANGE, Image, Shape};
+use crate::vulkan::resources::{Buffer, COLOR_RANGE, Image, Shape};
 use ash::vk;
 
 impl Engine {
@@ -42,6 +42,9 @@ impl Engine {
         // images, since these were reserved with the same tile and image sizes from which recordings are
         // made.
         unsafe {
+            let copy = |from: &Buffer, to, region| {
+                device.cmd_copy_buffer_to_image(commands, from.get(), to, FILLED, &[region]);
+            };
             match command {
                 Command::WriteSetup(setup) => {
                     device.cmd_update_buffer(commands, self.setup.get(), 0, bytemuck::bytes_of(&**setup));
@@ -50,22 +53,17 @@ impl Engine {
                     device.cmd_update_buffer(commands, self.table_staging.get(), 0, table);
                 }
                 Command::PrepareCopy { target, keep } => self.layout_barrier(
-                    commands,
                     self.image(*target)?.get(),
-                    if *keep { vk::ImageLayout::TRANSFER_DST_OPTIMAL } else { vk::ImageLayout::UNDEFINED },
-                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                    (
-                        vk::PipelineStageFlags::COMPUTE_SHADER | vk::PipelineStageFlags::TRANSFER,
-                        vk::AccessFlags::TRANSFER_WRITE,
-                    ),
-                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
+                    if *keep { FILLED } else { vk::ImageLayout::UNDEFINED },
+                    FILLED,
+                    (vk::PipelineStageFlags::COMPUTE_SHADER | WRITTEN.0, WRITTEN.1),
+                    WRITTEN,
                 ),
                 Command::FinishCopy { target } => self.layout_barrier(
-                    commands,
                     self.image(*target)?.get(),
-                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                    FILLED,
                     self.image(*target)?.layout(),
-                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
+                    WRITTEN,
                     (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ),
                 ),
                 Command::CopySlices { target, first_slice, slices } => {
@@ -73,38 +71,19 @@ impl Engine {
                     let Some(staging) = &self.staging else {
                         return Err(Error::new("the commands copy from a staging buffer, but there is none"));
                     };
-                    let region = copy_region(&image.shape, *first_slice, *slices);
-                    device.cmd_copy_buffer_to_image(
-                        commands,
-                        staging.get(),
-                        image.get(),
-                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        &[region],
-                    );
+                    copy(staging, image.get(), copy_region(&image.shape, *first_slice, *slices));
                 }
                 Command::CopyTable => {
                     let image = self.image(Target::Table)?;
-                    device.cmd_copy_buffer_to_image(
-                        commands,
-                        self.table_staging.get(),
-                        image.get(),
-                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        &[copy_region(&image.shape, 0, image.shape.slices().0)],
-                    );
+                    let region = copy_region(&image.shape, 0, image.shape.slices().0);
+                    copy(&self.table_staging, image.get(), region);
                 }
                 Command::BufferBarrier(hazard) => {
                     let (source, target) = barrier_masks(*hazard);
                     let barrier =
                         [vk::MemoryBarrier::default().src_access_mask(source.1).dst_access_mask(target.1)];
-                    device.cmd_pipeline_barrier(
-                        commands,
-                        source.0,
-                        target.0,
-                        vk::DependencyFlags::empty(),
-                        &barrier,
-                        &[],
-                        &[],
-                    );
+                    let flags = vk::DependencyFlags::empty();
+                    device.cmd_pipeline_barrier(commands, source.0, target.0, flags, &barrier, &[], &[]);
                 }
                 Command::ResetTimestamps => {
                     if let Some(queries) = &self.queries {
@@ -123,16 +102,9 @@ impl Engine {
                     let Some((pipeline, set)) = shader else {
                         return Err(Error::new("the commands dispatch a shader before they bind a pipeline"));
                     };
-                    let point = vk::PipelineBindPoint::COMPUTE;
+                    let (point, layout) = (vk::PipelineBindPoint::COMPUTE, self.pipeline_layout.get());
                     device.cmd_bind_pipeline(commands, point, pipeline);
-                    device.cmd_bind_descriptor_sets(
-                        commands,
-                        point,
-                        self.pipeline_layout.get(),
-                        0,
-                        &[set],
-                        &[],
-                    );
+                    device.cmd_bind_descriptor_sets(commands, point, layout, 0, &[set], &[]);
                     device.cmd_dispatch(commands, groups[0], groups[1], 1);
                 }
                 Command::CopyToPicture { image, fresh, tile: at } => {
@@ -142,37 +114,17 @@ impl Engine {
                         ));
                     };
                     let shown = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
-                    let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
                     // A viewer samples the picture, copies it, or both.
                     let readers = vk::PipelineStageFlags::FRAGMENT_SHADER | vk::PipelineStageFlags::TRANSFER;
                     let reads = vk::AccessFlags::SHADER_READ | vk::AccessFlags::TRANSFER_READ;
-                    self.layout_barrier(
-                        commands,
-                        *image,
-                        if *fresh { vk::ImageLayout::UNDEFINED } else { shown },
-                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        (readers, vk::AccessFlags::TRANSFER_WRITE),
-                        written,
-                    );
+                    let old = if *fresh { vk::ImageLayout::UNDEFINED } else { shown };
+                    self.layout_barrier(*image, old, FILLED, (readers, WRITTEN.1), WRITTEN);
                     let region = vk::BufferImageCopy::default()
                         .image_subresource(COLOR_LAYER)
                         .image_offset(vk::Offset3D { x: at.x as i32, y: at.y as i32, z: 0 })
                         .image_extent(vk::Extent3D { width: at.width, height: at.height, depth: 1 });
-                    device.cmd_copy_buffer_to_image(
-                        commands,
-                        tile.image.get(),
-                        *image,
-                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        &[region],
-                    );
-                    self.layout_barrier(
-                        commands,
-                        *image,
-                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        shown,
-                        written,
-                        (readers, reads),
-                    );
+                    copy(&tile.image, *image, region);
+                    self.layout_barrier(*image, FILLED, shown, WRITTEN, (readers, reads));
                 }
                 Command::ReadBack { image_bytes, work_bytes } => {
                     let Some(tile) = &self.tile else {
@@ -199,7 +151,6 @@ impl Engine {
     /// The command buffer is being recorded, and `old` is the image's layout at that point (or undefined).
     unsafe fn layout_barrier(
         &self,
-        commands: vk::CommandBuffer,
         image: vk::Image,
         old: vk::ImageLayout,
         new: vk::ImageLayout,
@@ -215,19 +166,10 @@ impl Engine {
             .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
             .subresource_range(COLOR_RANGE)];
+        let (device, commands, flags) = (&self.gpu.device, self.commands, vk::DependencyFlags::empty());
         // SAFETY: the caller guarantees that the command buffer is being recorded, and that `old` is the
         // image's layout or undefined.
-        unsafe {
-            self.gpu.device.cmd_pipeline_barrier(
-                commands,
-                source.0,
-                target.0,
-                vk::DependencyFlags::empty(),
-                &[],
-                &[],
-                &barrier,
-            );
-        }
+        unsafe { device.cmd_pipeline_barrier(commands, source.0, target.0, flags, &[], &[], &barrier) };
     }
 
     /// Returns the seconds between the two timestamps of the last cast, or `None` without timestamps.
@@ -236,16 +178,10 @@ impl Engine {
             return Ok(None);
         };
         let mut ticks = [0u64; 2];
+        let flags = vk::QueryResultFlags::TYPE_64;
         // SAFETY: the submission that wrote both queries was waited for, so both results are available.
-        unsafe {
-            self.gpu.device.get_query_pool_results(
-                queries.get(),
-                0,
-                &mut ticks,
-                vk::QueryResultFlags::TYPE_64,
-            )
-        }
-        .on(&self.gpu, "vkGetQueryPoolResults")?;
+        unsafe { self.gpu.device.get_query_pool_results(queries.get(), 0, &mut ticks, flags) }
+            .on(&self.gpu, "vkGetQueryPoolResults")?;
         Ok(Some(seconds_between(clock, ticks[0], ticks[1])))
     }
 }
@@ -271,14 +207,17 @@ fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
 
 type Access = (vk::PipelineStageFlags, vk::AccessFlags);
 
+/// Layout of an image while copies fill it, and the access of these copies.
+const FILLED: vk::ImageLayout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+const WRITTEN: Access = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
+
 fn barrier_masks(hazard: Hazard) -> (Access, Access) {
-    let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
     let transfer = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
     let shader = vk::PipelineStageFlags::COMPUTE_SHADER;
     match hazard {
-        Hazard::TransferToTransfer => (written, transfer),
-        Hazard::TransferToShader => (written, (shader, vk::AccessFlags::SHADER_READ)),
+        Hazard::TransferToTransfer => (WRITTEN, transfer),
+        Hazard::TransferToShader => (WRITTEN, (shader, vk::AccessFlags::SHADER_READ)),
         Hazard::ShaderToTransfer => ((shader, vk::AccessFlags::SHADER_WRITE), transfer),
-        Hazard::TransferToHost => (written, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
+        Hazard::TransferToHost => (WRITTEN, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
     }
 }
