@@ -8,7 +8,7 @@ use super::recording::{Command, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_sl
 use super::resources::{Buffer, Image, Owned, Shape, owned};
 use crate::error::{Error, Result};
 use crate::setup::FrameSetup;
-use ash::vk;
+use ash::vk::{self, DescriptorType, WriteDescriptorSet};
 use gpu_allocator::MemoryLocation;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -114,17 +114,17 @@ impl Engine {
         let bindings = [
             // A storage buffer, not a uniform buffer: lavapipe recompiles the shader for every set of uniform
             // values that affects the control flow, which takes about 60 ms for every camera.
-            binding(0, vk::DescriptorType::STORAGE_BUFFER),
-            binding(1, vk::DescriptorType::SAMPLED_IMAGE),
-            binding(2, vk::DescriptorType::SAMPLED_IMAGE),
-            binding(3, vk::DescriptorType::SAMPLER),
-            binding(4, vk::DescriptorType::SAMPLED_IMAGE),
-            binding(5, vk::DescriptorType::STORAGE_BUFFER),
-            binding(6, vk::DescriptorType::STORAGE_BUFFER),
-            binding(7, vk::DescriptorType::STORAGE_IMAGE),
-            binding(8, vk::DescriptorType::STORAGE_IMAGE),
-            binding(9, vk::DescriptorType::STORAGE_IMAGE),
-            binding(10, vk::DescriptorType::STORAGE_BUFFER),
+            binding(0, DescriptorType::STORAGE_BUFFER),
+            binding(1, DescriptorType::SAMPLED_IMAGE),
+            binding(2, DescriptorType::SAMPLED_IMAGE),
+            binding(3, DescriptorType::SAMPLER),
+            binding(4, DescriptorType::SAMPLED_IMAGE),
+            binding(5, DescriptorType::STORAGE_BUFFER),
+            binding(6, DescriptorType::STORAGE_BUFFER),
+            binding(7, DescriptorType::STORAGE_IMAGE),
+            binding(8, DescriptorType::STORAGE_IMAGE),
+            binding(9, DescriptorType::STORAGE_IMAGE),
+            binding(10, DescriptorType::STORAGE_BUFFER),
         ];
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
         let set_layout = owned!(
@@ -147,10 +147,10 @@ impl Engine {
         let size =
             |kind, count| vk::DescriptorPoolSize { ty: kind, descriptor_count: MAX_BRICKS as u32 * count };
         let sizes = [
-            size(vk::DescriptorType::SAMPLED_IMAGE, 3),
-            size(vk::DescriptorType::SAMPLER, 1),
-            size(vk::DescriptorType::STORAGE_BUFFER, 4),
-            size(vk::DescriptorType::STORAGE_IMAGE, 3),
+            size(DescriptorType::SAMPLED_IMAGE, 3),
+            size(DescriptorType::SAMPLER, 1),
+            size(DescriptorType::STORAGE_BUFFER, 4),
+            size(DescriptorType::STORAGE_IMAGE, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
         let descriptors =
@@ -373,34 +373,25 @@ impl Engine {
         // SAFETY: the pool has room for one set per brick, and each brick gets one.
         let set =
             unsafe { device.allocate_descriptor_sets(&info) }.on(&self.gpu, "vkAllocateDescriptorSets")?[0];
-        let write = |write: vk::WriteDescriptorSet<'_>| {
+        let write = |binding, kind, resource: WriteDescriptorSet<'_>| {
+            let write = resource.dst_set(set).dst_binding(binding).descriptor_type(kind);
             // SAFETY: the set is new, so the device does not use it, and the resource is alive.
-            unsafe { device.update_descriptor_sets(&[write.dst_set(set)], &[]) };
+            unsafe { device.update_descriptor_sets(&[write], &[]) };
         };
-        let write_buffer = |binding, kind, buffer: &Buffer| {
+        let write_buffer = |binding, buffer: &Buffer| {
             let info = [vk::DescriptorBufferInfo::default().buffer(buffer.get()).range(vk::WHOLE_SIZE)];
-            write(
-                vk::WriteDescriptorSet::default()
-                    .dst_binding(binding)
-                    .descriptor_type(kind)
-                    .buffer_info(&info),
-            );
+            write(binding, DescriptorType::STORAGE_BUFFER, WriteDescriptorSet::default().buffer_info(&info));
         };
-        write_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &self.setup);
+        write_buffer(0, &self.setup);
         if let Some(tile) = &self.tile {
-            write_buffer(5, vk::DescriptorType::STORAGE_BUFFER, &tile.image);
-            write_buffer(10, vk::DescriptorType::STORAGE_BUFFER, &tile.state);
+            write_buffer(5, &tile.image);
+            write_buffer(10, &tile.state);
             if let Some(work) = &tile.work {
-                write_buffer(6, vk::DescriptorType::STORAGE_BUFFER, work);
+                write_buffer(6, work);
             }
         }
         let sampler = [vk::DescriptorImageInfo::default().sampler(self.sampler.get())];
-        write(
-            vk::WriteDescriptorSet::default()
-                .dst_binding(3)
-                .descriptor_type(vk::DescriptorType::SAMPLER)
-                .image_info(&sampler),
-        );
+        write(3, DescriptorType::SAMPLER, WriteDescriptorSet::default().image_info(&sampler));
         // Each image with its binding as a sampled and as a storage image.
         let targets = [(Target::Table, 1, 7), (Target::Volume(brick), 2, 8), (Target::SkipMap, 4, 9)];
         for (target, sampled, storage) in targets {
@@ -408,16 +399,11 @@ impl Engine {
             let info =
                 [vk::DescriptorImageInfo::default().image_view(image.view()).image_layout(image.layout())];
             let (binding, kind) = if image.shape.storage {
-                (storage, vk::DescriptorType::STORAGE_IMAGE)
+                (storage, DescriptorType::STORAGE_IMAGE)
             } else {
-                (sampled, vk::DescriptorType::SAMPLED_IMAGE)
+                (sampled, DescriptorType::SAMPLED_IMAGE)
             };
-            write(
-                vk::WriteDescriptorSet::default()
-                    .dst_binding(binding)
-                    .descriptor_type(kind)
-                    .image_info(&info),
-            );
+            write(binding, kind, WriteDescriptorSet::default().image_info(&info));
         }
         self.sets.insert(brick, set);
         Ok(set)
