@@ -70,7 +70,7 @@ pub(crate) struct Gpu {
 
 /// Returns the error of a failed Vulkan call, with the remedy. `device` is the name of the open device, if
 /// any.
-pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
+fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
             "the device's memory is full: use a smaller volume or image, or close other programs that use \
@@ -116,12 +116,7 @@ impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
     }
 
     fn on(self, gpu: &Gpu, call: &str) -> Result<T> {
-        self.map_err(|r| {
-            if r == vk::Result::ERROR_DEVICE_LOST {
-                gpu.lost.store(true, Ordering::Relaxed);
-            }
-            call_failed(call, r, Some(&gpu.name))
-        })
+        self.map_err(|r| gpu.error(call, r))
     }
 }
 
@@ -194,9 +189,12 @@ impl Gpu {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Records `VK_ERROR_DEVICE_LOST`.
-    pub(crate) fn mark_lost(&self) {
-        self.lost.store(true, Ordering::Relaxed);
+    /// Returns the error of a call on the device. The device is marked lost for `VK_ERROR_DEVICE_LOST`.
+    pub(crate) fn error(&self, call: &str, result: vk::Result) -> Error {
+        if result == vk::Result::ERROR_DEVICE_LOST {
+            self.lost.store(true, Ordering::Relaxed);
+        }
+        call_failed(call, result, Some(&self.name))
     }
 
     /// Refuses a device that is lost.
@@ -398,11 +396,7 @@ fn choose_device(instance: &ash::Instance, options: &VulkanOptions) -> Result<Pr
         ));
     }
     let position = match wanted {
-        None => {
-            let ranks: Vec<_> = usable.iter().map(|(_, d)| rank(d.kind)).collect();
-            let best = ranks.iter().copied().min().unwrap_or_default();
-            ranks.iter().position(|&r| r == best)
-        }
+        None => (0..usable.len()).min_by_key(|&p| rank(usable[p].1.kind)),
         Some(wanted) => {
             let lower = wanted.to_lowercase();
             let index = wanted.parse::<usize>().ok();

@@ -77,10 +77,7 @@ impl SharedDevice {
     /// Returns the error of a Vulkan call on this device, with the remedy. The device is marked lost if
     /// `result` is `VK_ERROR_DEVICE_LOST`.
     pub fn error(&self, call: &str, result: vk::Result) -> Error {
-        if result == vk::Result::ERROR_DEVICE_LOST {
-            self.gpu.mark_lost();
-        }
-        super::gpu::call_failed(call, result, Some(&self.gpu.name))
+        self.gpu.error(call, result)
     }
 
     /// Messages of the validation layer so far; empty without validation.
