@@ -231,8 +231,8 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
             let rest = rest.with_context(|| {
                 let length = bytes.len() - start;
                 format!(
-                    "array {shown:?} begins at byte {offset} of the appended data, which has {length} bytes; is \
-                     the file cut short?"
+                    "array {shown:?} begins at byte {offset} of the appended data, which has {length} bytes; \
+                     is the file cut short?"
                 )
             })?;
             match base64 {
@@ -288,7 +288,8 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
         return match all().find(|(_, array, _)| array.name.as_deref() == Some(name)) {
             Some((_, array, cells)) if array.components == 1 => Ok((array, cells)),
             Some((_, array, _)) => bail!(
-                "array {name:?} has {} components per voxel; one is accepted; save one component, or the magnitude",
+                "array {name:?} has {} components per voxel; one is accepted; save one component, or the \
+                 magnitude",
                 array.components
             ),
             None => bail!("array {name:?} is not in the file; it has {}", names(&|_, _| true)),

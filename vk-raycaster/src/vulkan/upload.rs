@@ -128,8 +128,8 @@ pub(crate) fn plan(
             "VoxelFetch::Packed needs 8-bit voxels; choose VoxelFetch::Sampler, VoxelFetch::Texels, or None",
         )),
         VoxelFetch::Packed if !can_pack => Err(Error::new(format!(
-            "the volume has {:?} voxels, more than VoxelFetch::Packed holds on {}; choose VoxelFetch::Texels, \
-             or None",
+            "the volume has {:?} voxels, more than VoxelFetch::Packed holds on {}; choose \
+             VoxelFetch::Texels, or None",
             volume.geometry.dims, gpu.name
         ))),
         // Software samplers interpolate 8-bit textures in 8 bits; with 16 bits they keep the fractions.
