@@ -366,7 +366,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.facts.is_empty() {
-            let what = "The models were trained without any frame of the target.";
+            let what = "Results here: the models were pre-trained without any frame of the renderer, device \
+                        or data set in the column `target`.";
             s.tables.push((table, format!("{what}{machine}")));
         }
         let mut few = Table::headed("target | predictor | #training frames | #RMSE, s");
