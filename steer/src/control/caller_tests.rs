@@ -1,7 +1,7 @@
 //! Tests of settings that a caller offers, plans that it withdraws, frames that it cancels, and clocks that
 //! it names.
 
-use super::tests::{frame, lobes, make_ready, ready_session};
+use super::tests::{draw, frame, lobes, make_ready, ready_session};
 use super::*;
 use crate::adapt::{ObserveFlags, Verdict};
 use crate::features::tests::{measured, summary};
@@ -48,10 +48,7 @@ fn a_withdrawn_plan_leaves_no_trace() {
     let played = || {
         let mut session = ready_session();
         session.set_max_image_sample_distance(4.0, 1.0).unwrap();
-        for _ in 0..5 {
-            let plan = session.plan(&f, 0.02).unwrap();
-            session.observe(plan.id, 0.03, ObserveFlags::default()).unwrap();
-        }
+        draw(&mut session, &f, 0.02, 0.03, 5);
         session
     };
     // Plans are compared as text, since their out-of-range scores are NaN.
@@ -73,10 +70,7 @@ fn a_plan_withdrawn_after_an_earlier_frame_was_observed_leaves_no_trace() {
     let small = Frame { width: 256, height: 256, ..f };
     let play = |withdraws: bool| {
         let mut session = ready_session();
-        for _ in 0..5 {
-            let plan = session.plan(&f, 0.02).unwrap();
-            session.observe(plan.id, 0.03, ObserveFlags::default()).unwrap();
-        }
+        draw(&mut session, &f, 0.02, 0.03, 5);
         let drawn = session.plan(&f, 0.02).unwrap();
         let withdrawn = withdraws.then(|| session.plan(&small, 0.02).unwrap());
         session.observe(drawn.id, 0.03, ObserveFlags::default()).unwrap();
@@ -121,10 +115,7 @@ fn a_choice_that_fails_leaves_no_trace() {
     let mut session = Session::new(Box::new(FineOnly), HybridOptions::default());
     make_ready(&mut session);
     session.set_limits(StepLimits { finest: 1.0, coarsest: 2.0 }).unwrap();
-    for _ in 0..5 {
-        let plan = session.plan(&f, 1.0).unwrap();
-        session.observe(plan.id, 0.1, ObserveFlags::default()).unwrap();
-    }
+    draw(&mut session, &f, 1.0, 0.1, 5);
     let trace = |session: &Session| (session.save_state(), std::format!("{:?}", session.controller.scene()));
     let before = trace(&session);
     let steps = [1.0, 8.0].map(|step| Setting { step, ..Setting::from(&f) });
@@ -198,10 +189,7 @@ fn frames_whose_setting_is_chosen_elsewhere_go_on_with_their_scene() {
 fn a_scene_begins_with_the_first_frame_that_is_drawn() {
     let f = frame(20.0, 30.0, 2.0);
     let mut session = ready_session();
-    for _ in 0..5 {
-        let plan = session.plan(&f, 0.02).unwrap();
-        session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
-    }
+    draw(&mut session, &f, 0.02, 0.01, 5);
     assert!(!session.controller.scene().first);
     session.set_transfer(&TransferFunction::Gaussian(lobes(0.3, 0.9)).to_table().unwrap(), None).unwrap();
     for _ in 0..3 {
@@ -294,10 +282,7 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     let error = session.set_time_step(summary(&voxels, [32; 3]), None).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::NotReady);
     session = ready_session();
-    for _ in 0..5 {
-        let plan = session.plan(&f, 0.02).unwrap();
-        session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
-    }
+    draw(&mut session, &f, 0.02, 0.01, 5);
     voxels[9000..20_000].fill(130);
     let next = summary(&voxels, [32; 3]);
     session.set_time_step(next.clone(), None).unwrap();

@@ -70,9 +70,8 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
     for i in 0..240 {
         if i % 60 == 0 {
             let l = lobes([0.3, 0.7, 0.5, 0.2][i / 60], [0.05, 0.9, 0.3, 0.02][i / 60]);
-            session
-                .set_transfer(&TransferFunction::Gaussian(l.clone()).to_table().unwrap(), Some(&l))
-                .unwrap();
+            let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
+            session.set_transfer(&table, Some(&l)).unwrap();
         }
         let frame = frame(20.0, i as f32 * 2.0, 1.6);
         let plan = session.plan(&frame, target).unwrap();
@@ -82,12 +81,7 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
         if i > 20 {
             misses += usize::from(seconds > 1.1 * target);
             if plan.reason != Reason::FinestAllowed && plan.step > 1.01 && i % 60 > 3 {
-                assert!(
-                    seconds > 0.6 * target,
-                    "frame {i}: {seconds} at step {} ({:?})",
-                    plan.step,
-                    plan.reason
-                );
+                assert!(seconds > 0.6 * target, "frame {i}: {seconds} at {plan:?}");
             }
         }
         session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
@@ -258,15 +252,20 @@ pub(super) fn make_ready(session: &mut Session) {
     session.set_transfer(&table, None).unwrap();
 }
 
+/// Draws some frames that take a number of seconds.
+pub(super) fn draw(session: &mut Session, frame: &Frame, target: f32, seconds: f32, frames: usize) {
+    for _ in 0..frames {
+        let plan = session.plan(frame, target).unwrap();
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+    }
+}
+
 #[test]
 fn broken_timings_are_refused_by_name_and_leave_no_trace() {
     let flags = ObserveFlags::default();
     let mut session = ready_session();
     let f = frame(0.0, 0.0, 2.0);
-    for _ in 0..10 {
-        let plan = session.plan(&f, 0.02).unwrap();
-        session.observe(plan.id, 0.013, flags).unwrap();
-    }
+    draw(&mut session, &f, 0.02, 0.013, 10);
     let plan = session.plan(&f, 0.02).unwrap();
     let before = session.save_state();
     let rejects = |session: &mut Session, id: u64, seconds: f32, text: &str| {
@@ -288,10 +287,7 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
     rejects(&mut session, 0, 0.01, "no plan has this id");
     assert_eq!(session.save_state(), before);
     // An observation may be many frames late; a forgotten plan and a second observation are rejected.
-    let mut ids = Vec::new();
-    for _ in 0..PENDING_PLANS {
-        ids.push(session.plan(&f, 0.02).unwrap().id);
-    }
+    let ids: Vec<u64> = (0..PENDING_PLANS).map(|_| session.plan(&f, 0.02).unwrap().id).collect();
     rejects(&mut session, plan.id, 0.013, "no plan has this id");
     assert!(session.observe(ids[0], 0.013, flags).is_ok());
     rejects(&mut session, ids[0], 0.013, "was observed before");
@@ -385,7 +381,6 @@ fn a_saved_state_moves_between_machines_of_any_byte_order() {
 #[test]
 fn a_linear_cost_model_may_use_a_smaller_probe() {
     use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE};
-    use entire_core::ErrorKind;
     let f = frame(20.0, 30.0, 2.0);
     let of_side = |side| {
         let mut session = ready_session().with_probe(side, None)?;
@@ -405,7 +400,6 @@ fn a_linear_cost_model_may_use_a_smaller_probe() {
 
 #[test]
 fn a_session_says_what_is_missing_and_refuses_bad_targets() {
-    use entire_core::ErrorKind;
     let f = frame(0.0, 0.0, 2.0);
     let mut empty = Session::untrained();
     assert_eq!(empty.plan(&f, 0.02).unwrap_err().kind(), ErrorKind::NotReady);
