@@ -7,7 +7,7 @@ pub(crate) use pictures::PictureError;
 use super::Settings;
 use super::design::Design;
 use super::others::{BackgroundLoad, CpuSnapshot};
-use super::pool::Pool;
+use super::pool::{Candidate, Pool};
 use crate::collection::timed_repeats;
 use anyhow::{Context, Result, bail};
 use entire_io::dataset::{Clock, NoiseFloor, TimedFrame, Timing, noise_floor};
@@ -150,10 +150,8 @@ impl<'a> Measuring<'a> {
     }
 
     fn groups(&self) -> usize {
-        let mut groups: Vec<(usize, usize)> =
-            self.pool.candidates.iter().map(|c| (c.volume, c.factor)).collect();
-        groups.dedup();
-        groups.len()
+        let same = |a: &Candidate, b: &Candidate| (a.volume, a.factor) == (b.volume, b.factor);
+        self.pool.candidates.chunk_by(same).count()
     }
 
     /// Renders the frames of a batch, volume by volume. Every second pass takes the volumes in reverse order,
