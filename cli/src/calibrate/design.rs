@@ -7,8 +7,6 @@
 
 use super::pool::Pool;
 use entire_steer::numeric::dot;
-#[cfg(test)]
-use entire_steer::numeric::solve;
 
 /// Exponent e of a frame's expected seconds: frames are ranked by information gain / seconds^e. With e = 0
 /// the seconds are ignored; e = 1 would leave out long frames, which dominate the root mean squared error. If
@@ -121,30 +119,13 @@ fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// Returns ln det of the information matrix of frames, from its Cholesky factor: a check that does not use
-/// `Design`.
-#[cfg(test)]
-fn log_det(vectors: &[&Vec<f64>]) -> f64 {
-    let m = vectors[0].len();
-    let mut gram = vec![0.0; m * m];
-    for i in 0..m {
-        gram[i * m + i] = RIDGE;
-        for j in 0..m {
-            gram[i * m + j] += vectors.iter().map(|v| v[i] * v[j]).sum::<f64>();
-        }
-    }
-    let mut factor = gram;
-    let zeros = vec![0.0; m];
-    assert!(solve(&mut factor, zeros).is_some());
-    (0..m).map(|i| 2.0 * factor[i * m + i].ln()).sum()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::calibrate::pool::Candidate;
     use entire_io::dataset::TimedFrame;
     use entire_steer::calibrate::PriorModel;
+    use entire_steer::numeric::solve;
     use entire_steer::predict::COSTS;
 
     /// Returns candidates with the work of two kinds in `amounts`; of any other kind, their work is 1.
@@ -163,6 +144,23 @@ mod tests {
             prior: PriorModel::default(),
             expected: vec![1.0; amounts.len()],
         }
+    }
+
+    /// Returns ln det of the information matrix of frames, from its Cholesky factor: a check that does not use
+    /// `Design`.
+    fn log_det(vectors: &[&Vec<f64>]) -> f64 {
+        let m = vectors[0].len();
+        let mut gram = vec![0.0; m * m];
+        for i in 0..m {
+            gram[i * m + i] = RIDGE;
+            for j in 0..m {
+                gram[i * m + j] += vectors.iter().map(|v| v[i] * v[j]).sum::<f64>();
+            }
+        }
+        let mut factor = gram;
+        let zeros = vec![0.0; m];
+        assert!(solve(&mut factor, zeros).is_some());
+        (0..m).map(|i| 2.0 * factor[i * m + i].ln()).sum()
     }
 
     #[test]
