@@ -126,12 +126,6 @@ fn protocol(options: &Options) -> Protocol {
     }
 }
 
-fn jobs(options: &Options) -> Result<Vec<Job>> {
-    let jobs: Vec<Job> = options.volumes.iter().map(|p| Job::from_path(p)).collect();
-    check(&jobs, "give volume files")?;
-    Ok(jobs)
-}
-
 /// Checks that every volume exists, is given once and has a path that tables can hold.
 fn check(jobs: &[Job], remedy: &str) -> Result<()> {
     for job in jobs {
@@ -171,7 +165,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             }
             (protocol, jobs)
         }
-        None => (protocol(options), jobs(options)?),
+        None => {
+            let jobs: Vec<Job> = options.volumes.iter().map(|p| Job::from_path(p)).collect();
+            check(&jobs, "give volume files")?;
+            (protocol(options), jobs)
+        }
     };
     ensure!(
         protocol.frames > 0 && protocol.repeats > 0 && protocol.passes > 0,
