@@ -129,21 +129,17 @@ pub(crate) fn volumenet() -> Vec<Tensor<'static>> {
     ]
 }
 
+fn nrrd(kind: &str, [x, y, z]: [usize; 3], voxels: impl Iterator<Item = u8>) -> Vec<u8> {
+    let sizes = format!("sizes: {x} {y} {z}\nendian: little\nencoding: raw");
+    format!("NRRD0004\ntype: {kind}\ndimension: 3\n{sizes}\n\n").bytes().chain(voxels).collect()
+}
+
 pub(crate) fn float_nrrd(dims: [usize; 3], values: impl Iterator<Item = f32>) -> Vec<u8> {
-    let [x, y, z] = dims;
-    let mut file =
-        format!("NRRD0004\ntype: float\ndimension: 3\nsizes: {x} {y} {z}\nendian: little\nencoding: raw\n\n")
-            .into_bytes();
-    values.for_each(|v| file.extend_from_slice(&v.to_le_bytes()));
-    file
+    nrrd("float", dims, values.flat_map(f32::to_le_bytes))
 }
 
 pub(crate) fn byte_nrrd(dims: [usize; 3], values: impl Iterator<Item = u8>) -> Vec<u8> {
-    let [x, y, z] = dims;
-    let mut file =
-        format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: {x} {y} {z}\nencoding: raw\n\n").into_bytes();
-    file.extend(values);
-    file
+    nrrd("uint8", dims, values)
 }
 
 /// A folder with the files that most tests use; it is removed after the test.
