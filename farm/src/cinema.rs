@@ -11,9 +11,6 @@ const COLUMNS: &str = "volume time rx_deg ry_deg dz_radii transfer width height 
                        load_s node task FILE";
 
 /// Writes the table of a job's images, in the order of the job's tasks.
-///
-/// # Errors
-/// When the table cannot be written.
 pub(crate) fn write(job: &Job, done: &HashMap<u32, Answer>) -> Result<()> {
     let mut tasks: Vec<u32> = done.keys().copied().collect();
     tasks.sort_unstable();

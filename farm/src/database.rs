@@ -182,9 +182,6 @@ impl<'a> Database<'a> {
     /// Adds answers of the spool to the journal: those without an error whose images are complete and whose
     /// tasks the journal does not list as finished. Then empties the spool folder and the folders of orders,
     /// of cancellations and of images in progress.
-    ///
-    /// # Errors
-    /// When a file cannot be read or written.
     pub(crate) fn take_over(&mut self) -> Result<()> {
         let state = self.job.state();
         let folder = state.join("spool");
@@ -276,9 +273,6 @@ impl<'a> Database<'a> {
     }
 
     /// Writes the database's table.
-    ///
-    /// # Errors
-    /// When the table cannot be written.
     pub(crate) fn write_table(&self) -> Result<()> {
         cinema::write(self.job, &self.done)
     }

@@ -230,9 +230,6 @@ impl Default for Retry {
 pub(crate) type Draw = (Shading, Skipping, f32);
 
 /// Returns a frame of the raycaster.
-///
-/// # Errors
-/// When no camera or frame has these values.
 pub(crate) fn frame(
     pose: Arcball,
     fov_y_deg: f32,

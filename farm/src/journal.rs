@@ -98,9 +98,6 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
 }
 
 /// Reads the journal of a state folder without locking it; no entries if there is no journal yet.
-///
-/// # Errors
-/// When the journal cannot be read or a line is damaged.
 pub(crate) fn entries(state: &Path) -> Result<Vec<Entry>> {
     let path = state.join("journal.jsonl");
     let mut out = Vec::new();

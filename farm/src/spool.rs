@@ -15,9 +15,6 @@ pub(crate) fn path(state: &Path, bundle: u64) -> PathBuf {
 
 /// Returns the complete lines of a spool file; none if the file does not exist. Partial lines of a killed
 /// worker are skipped.
-///
-/// # Errors
-/// When the file cannot be read.
 pub(crate) fn lines(path: &Path) -> Result<Vec<Line>> {
     Follow::default().read(path)
 }
@@ -72,9 +69,6 @@ impl Spool {
     }
 
     /// Returns the lines that were added since the last call. A file is read up to the bundle's end.
-    ///
-    /// # Errors
-    /// When a file cannot be read.
     pub(crate) fn poll(&mut self) -> Result<Vec<Event>> {
         let mut out = Vec::new();
         let mut ended = Vec::new();

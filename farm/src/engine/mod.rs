@@ -106,9 +106,6 @@ pub trait Engine {
 }
 
 /// Returns a path or a word of a command line as text.
-///
-/// # Errors
-/// When it is not UTF-8.
 pub(crate) fn utf8(word: &OsStr) -> Result<String> {
     word.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", word.display()))
 }
@@ -130,9 +127,6 @@ fn log_of(state: &Path, bundle: u64) -> PathBuf {
 
 impl Places {
     /// The command line of the worker for a bundle.
-    ///
-    /// # Errors
-    /// When a path is not UTF-8.
     pub(crate) fn worker(&self, bundle: u64) -> Result<Vec<String>> {
         self.command(&utf8(self.state.as_os_str())?, &bundle.to_string())
     }
@@ -148,9 +142,6 @@ impl Places {
     /// Writes the file `orders/NUMBER.json`, from which the bundle's worker reads its tasks, and an empty
     /// spool file. An NFS client caches the absence of a file, while it checks an existing file at each
     /// opening, so the driver sees answers without delay.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
     pub(crate) fn write_order(&self, bundle: &Bundle, run: u64) -> Result<()> {
         let spool = crate::spool::path(&self.state, bundle.number);
         let made = File::options().create(true).append(true).open(&spool);
