@@ -130,11 +130,9 @@ impl Job {
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?
             .with_fov_y_degrees(fov)
             .context("fov_y_deg")?;
-        let mut sizes = Vec::new();
-        for text in &file.sizes {
-            let (w, h) = parse_size(text).map_err(|e| anyhow::anyhow!("sizes: {e}"))?;
-            sizes.push([w, h]);
-        }
+        let size = |text: &String| parse_size(text).map_err(|e| anyhow::anyhow!("sizes: {e}"));
+        let sizes =
+            file.sizes.iter().map(|text| Ok(size(text)?.into())).collect::<Result<Vec<[u32; 2]>>>()?;
         for step in &file.steps {
             ensure!(
                 step.is_finite() && *step > 0.0,

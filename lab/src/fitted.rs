@@ -54,10 +54,8 @@ impl Calibrated {
         let mut codes: BTreeMap<&str, Option<Vec<f32>>> = BTreeMap::new();
         for (volume, _) in samples.iter().filter(|_| model.volume_features().is_some()) {
             if !codes.contains_key(volume.as_str()) {
-                codes.insert(
-                    volume,
-                    model.encode(&open_volume(Path::new(volume), &Reading::default())?.view())?,
-                );
+                let opened = open_volume(Path::new(volume), &Reading::default())?;
+                codes.insert(volume, model.encode(&opened.view())?);
             }
         }
         let code = |volume: &str| codes.get(volume).and_then(|c| c.as_deref());

@@ -42,10 +42,8 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
             page.paragraph(&format!("Not measured. Command: {}", label.command));
         }
         tables_and_charts(&mut page, section);
-        let mut shots = Vec::new();
-        for (file, caption) in &section.pictures {
-            shots.push((picture(material, file)?, caption.clone()));
-        }
+        let shot = |(file, caption): &(String, String)| Ok((picture(material, file)?, caption.clone()));
+        let shots = section.pictures.iter().map(shot).collect::<Result<Vec<_>>>()?;
         if !shots.is_empty() {
             page.pictures(shots.iter().map(|(png, caption)| (png.as_slice(), caption.clone())));
         }
