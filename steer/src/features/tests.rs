@@ -336,10 +336,9 @@ fn thin_flat_and_tiny_volumes_give_finite_features() {
                 let parallel = Frame { camera: lens.camera.with_parallel_scale(dz).unwrap(), ..lens };
                 for f in [lens, parallel] {
                     let features = measured(&s, &table(|i| i as f32 / 255.0), &f);
-                    let setting = Setting::from(&f);
-                    let work = features.work(&setting);
+                    let quantity = features.quantities(Setting::from(&f));
                     for q in SceneQuantity::ALL {
-                        let value = features.quantity_of(q, &setting, &work);
+                        let value = quantity(q);
                         let what = format!("{q} is {value} for {dims:?} {:?} {size}", f.camera);
                         assert!((value as f32).is_finite() && q.log(value).is_finite(), "{what}");
                     }
@@ -402,28 +401,26 @@ proptest! {
     }
 }
 
+/// The values of 40³ voxels of a ball, which fall from 1 at the center to 0.02.
+fn ball() -> impl Iterator<Item = f32> {
+    (0..40 * 40 * 40).map(|i| {
+        let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
+        (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)
+    })
+}
+
 #[test]
 fn what_needs_no_probe_is_known_without_one() {
-    let volume = summary(
-        &(0..40 * 40 * 40)
-            .map(|i| {
-                let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
-                (255.0 * (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)) as u8
-            })
-            .collect::<Vec<u8>>(),
-        [40, 40, 40],
-        48,
-    );
+    let bytes: Vec<u8> = ball().map(|v| (255.0 * v) as u8).collect();
+    let volume = summary(&bytes, [40; 3], 48);
     let table = table(|i| if i > 100 { 0.3 } else { 0.0 });
     let mut transfer = TransferSummary::new(&volume, &table).unwrap();
     transfer.prepare_distance();
     let mut of = |side: usize, shading: Shading| {
         let frame = Frame { shading, ..frame(20.0, 30.0, 1.7, 200) };
-        let setting = Setting::from(&frame);
         let mut features = FrameFeatures::with_probe_side(side);
         features.measure(&volume, &mut transfer, &frame).unwrap();
-        let work = features.work(&setting);
-        SceneQuantity::ALL.iter().map(|&q| features.quantity_of(q, &setting, &work)).collect::<Vec<f64>>()
+        SceneQuantity::ALL.map(features.quantities(Setting::from(&frame)))
     };
     let mut both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
     let (without, with) = (both(0), both(PROBE_SIDE));
@@ -448,18 +445,10 @@ fn what_needs_no_probe_is_known_without_one() {
 #[test]
 fn quantities_depend_on_the_step_where_the_table_says_so() {
     // Dense and sparse volumes, with and without remapped integers, seen from outside and inside.
-    let dims = [40, 40, 40];
-    let n = dims.iter().product::<usize>();
-    let blob = |i: usize| {
-        let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
-        (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)
-    };
-    let bytes: Vec<u8> = (0..n).map(|i| (255.0 * blob(i)) as u8).collect();
-    let shorts: Vec<i16> = (0..n).map(|i| (3000.0 * blob(i)) as i16 - 1000).collect();
-    let volumes = [Scalars::U8(&bytes), Scalars::I16(&shorts)].map(|scalars| {
-        let view = VolumeView::new(scalars, dims).unwrap();
-        VolumeSummary::new(&view).unwrap()
-    });
+    let bytes: Vec<u8> = ball().map(|v| (255.0 * v) as u8).collect();
+    let shorts: Vec<i16> = ball().map(|v| (3000.0 * v) as i16 - 1000).collect();
+    let volumes = [Scalars::U8(&bytes), Scalars::I16(&shorts)]
+        .map(|scalars| VolumeSummary::new(&VolumeView::new(scalars, [40; 3]).unwrap()).unwrap());
     let tables = [100, 0].map(|first| table(|i| if i > first { 0.3 } else { 0.0 }));
     let mut changed = std::vec![false; SceneQuantity::ALL.len()];
     for (volume, table) in volumes.iter().zip(&tables).chain(volumes.iter().zip(tables.iter().rev())) {
@@ -470,11 +459,7 @@ fn quantities_depend_on_the_step_where_the_table_says_so() {
                     let of = |frame: &Frame, step: f32| {
                         let features = measured(volume, table, frame);
                         let setting = Setting { step, ..Setting::from(frame) };
-                        let work = features.work(&setting);
-                        SceneQuantity::ALL
-                            .iter()
-                            .map(|&q| features.quantity_of(q, &setting, &work).to_bits())
-                            .collect::<Vec<u64>>()
+                        SceneQuantity::ALL.map(features.quantities(setting)).map(f64::to_bits)
                     };
                     let at_one = of(&frame, 1.0);
                     let at_three = of(&frame, 3.0);
@@ -533,8 +518,8 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     let bytes: Vec<u8> = with(9.0, 250.0).iter().map(|&v| v as u8).collect();
     let f = frame(20.0, 30.0, 2.0, 50);
     let features = measured(&summary(&bytes, dims, 48), &table(|_| 0.5), &f);
-    let work = features.work(&Setting::from(&f));
-    assert_eq!(features.quantity_of(SceneQuantity::RemappedSamples, &Setting::from(&f), &work), work.samples);
+    let quantity = features.quantities(Setting::from(&f));
+    assert_eq!(quantity(SceneQuantity::RemappedSamples), quantity(SceneQuantity::Samples));
 }
 
 /// Largest allowed difference between a share of crossed voxel borders, computed from nine rays, and the
@@ -575,9 +560,8 @@ fn shares_of_borders_are_those_that_rays_count() {
             }
         }
         let features = measured(&s, &table(|_| 0.1), &f);
-        let (setting, work) = (Setting::from(&f), features.work(&Setting::from(&f)));
         let axes = [SceneQuantity::FarX, SceneQuantity::FarY, SceneQuantity::FarZ];
-        let far = axes.map(|q| features.quantity_of(q, &setting, &work));
+        let far = axes.map(features.quantities(Setting::from(&f)));
         let all: f64 = far.iter().sum();
         // The three shares sum to 1, so the error of y can be the sum of the errors of x and z.
         for (axis, tolerance) in

@@ -188,8 +188,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
         let mut features = FrameFeatures::with_probe_side(24);
         features.measure(&s, &mut transfer, &frame).unwrap();
         let half = 0.5 * edges[2] / f64::from(shape.reference_step);
-        let setting = Setting::from(&frame);
-        let chord = features.quantity_of(SceneQuantity::MeanChord, &setting, &features.work(&setting));
+        let chord = features.quantities(Setting::from(&frame))(SceneQuantity::MeanChord);
         assert!((chord / half - 1.0).abs() < 3e-3, "{chord}, not {half}");
         // With the plane behind the box, nothing is visible.
         let behind = glam::Mat4::from_translation(glam::Vec3::new(0.0, 0.0, 2.0));
@@ -234,8 +233,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
                     (Setting::from(&frame), measured(&s, &table, &frame))
                 });
                 for q in SceneQuantity::ALL {
-                    let [a, b] = [&one, &other]
-                        .map(|(setting, features)| features.quantity_of(q, setting, &features.work(setting)));
+                    let [a, b] = [&one, &other].map(|(setting, features)| features.quantities(*setting)(q));
                     let shadows = matches!(
                         q,
                         SceneQuantity::ShadowSamples
