@@ -51,13 +51,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .chunks(INPUTS)
         .flat_map(|row| {
             row.iter()
-                .zip(standardized.input_mean.iter().zip(&standardized.input_std))
+                .zip(standardized.input.mean.iter().zip(&standardized.input.std))
                 .map(|(x, (m, s))| (x - m) / s)
                 .collect::<Vec<_>>()
         })
         .collect();
-    let targets: Vec<f32> =
-        seconds.iter().map(|t| (*t as f32 - standardized.output_mean) / standardized.output_std).collect();
+    let (mean, std) = (standardized.output.mean[0], standardized.output.std[0]);
+    let targets: Vec<f32> = seconds.iter().map(|t| (*t as f32 - mean) / std).collect();
     write("inputs.bin", &rows)?;
     write("seconds.bin", &targets)?;
     write("weights.bin", network.parameters())?;

@@ -249,7 +249,7 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
         for (row, p) in vx.chunks(2).zip(trained.predict(&pool(1), &vx).unwrap()) {
             let q = f64::from(net.predict(row, &mut scratch));
             assert!(
-                (p - q).abs() <= 2e-5 * p.abs().max(f64::from(trained.standardization.output_std)),
+                (p - q).abs() <= 2e-5 * p.abs().max(f64::from(trained.standardization.output.std[0])),
                 "{p} {q}"
             );
         }
@@ -275,7 +275,7 @@ fn early_stopping_keeps_the_best_weights() {
     let s = &trained.standardization;
     let again = trained.predict(&pool(1), &vx).unwrap();
     let loss =
-        again.iter().zip(&vt).map(|(p, t)| ((p - t) / f64::from(s.output_std)).powi(2)).sum::<f64>() / 40.0;
+        again.iter().zip(&vt).map(|(p, t)| ((p - t) / f64::from(s.output.std[0])).powi(2)).sum::<f64>() / 40.0;
     assert!((loss - lowest).abs() < 1e-4 * lowest, "{loss} {lowest}");
 }
 
@@ -347,7 +347,7 @@ fn constant_inputs_and_targets_are_harmless() {
     let t = vec![0.25f64; 20];
     let samples = Samples { inputs: &x, seconds: &t };
     let s = Standardization::fit(samples, 2, Target::Seconds);
-    assert_eq!((&s.input_std[..], s.output_std), (&[1.0, 1.0][..], 1.0));
+    assert_eq!((&s.input.std[..], s.output.std[0]), (&[1.0, 1.0][..], 1.0));
     let trained = trained(1, &[2, 4, 1], samples, NONE, &Settings::default()).unwrap();
     assert!((trained.predict(&pool(1), &[3.0, 7.0]).unwrap()[0] - 0.25).abs() < 1e-3);
 }

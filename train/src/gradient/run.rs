@@ -119,17 +119,14 @@ impl Settings {
     }
 }
 
-/// Standardization x ← (x − mean) / std of the inputs and of the target, as in the model file.
+/// Standardization x ← (x − mean) / std of the inputs and of the target, as in the model file. Means and standard
+/// deviations are those of the training frames; the deviation of a value that never changes is 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Standardization {
-    /// Mean of each input over the training frames.
-    pub input_mean: Vec<f32>,
-    /// Standard deviation of each input; 1 if an input never changes.
-    pub input_std: Vec<f32>,
-    /// Mean of the target over the training frames.
-    pub output_mean: f32,
-    /// Standard deviation of the target; 1 if it never changes.
-    pub output_std: f32,
+    /// Standardization of each input.
+    pub input: Normalization,
+    /// Standardization of the target: one mean and one standard deviation.
+    pub output: Normalization,
 }
 
 impl Standardization {
@@ -151,58 +148,48 @@ impl Standardization {
         let targets = samples.seconds.iter().map(|&t| target_of(target, t));
         let output_mean = targets.clone().sum::<f64>() / n;
         let output_variance = targets.map(|y| (y - output_mean) * (y - output_mean)).sum::<f64>() / n;
-        Self {
-            input_std: variance.iter().zip(&mean).map(|(v, m)| deviation(*v, *m)).collect(),
-            input_mean: mean.iter().map(|m| *m as f32).collect(),
-            output_mean: output_mean as f32,
-            output_std: deviation(output_variance, output_mean),
-        }
-    }
-
-    /// The identity: means 0, deviations 1.
-    pub(crate) fn identity(width: usize) -> Self {
-        Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
+        let std = variance.iter().zip(&mean).map(|(v, m)| deviation(*v, *m)).collect();
+        let input = Normalization { mean: mean.iter().map(|m| *m as f32).collect(), std };
+        let std = vec![deviation(output_variance, output_mean)];
+        Self { input, output: Normalization { mean: vec![output_mean as f32], std } }
     }
 
     /// Returns the standardization of a model; the identity if the model has none.
     pub fn of(parts: &PredNetParts) -> Self {
-        let mut out = Self::identity(parts.layers.first().map_or(0, |layer| layer.inputs));
-        if let Some(Normalization { mean, std }) = &parts.input {
-            out.input_mean.clone_from(mean);
-            out.input_std.clone_from(std);
+        let identity = |width: usize| Normalization { mean: vec![0.0; width], std: vec![1.0; width] };
+        let width = parts.layers.first().map_or(0, |layer| layer.inputs);
+        Self {
+            input: parts.input.clone().unwrap_or_else(|| identity(width)),
+            output: parts.output.clone().unwrap_or_else(|| identity(1)),
         }
-        if let Some(Normalization { mean, std }) = &parts.output
-            && let ([mean], [std]) = (&mean[..], &std[..])
-        {
-            (out.output_mean, out.output_std) = (*mean, *std);
-        }
-        out
     }
 
     fn inputs(&self, inputs: &[f32]) -> Vec<f32> {
+        let Normalization { mean, std } = &self.input;
         inputs
-            .chunks_exact(self.input_mean.len())
-            .flat_map(|row| row.iter().zip(&self.input_mean).zip(&self.input_std))
+            .chunks_exact(mean.len())
+            .flat_map(|row| row.iter().zip(mean).zip(std))
             .map(|((x, m), s)| ((f64::from(*x) - f64::from(*m)) / f64::from(*s)) as f32)
             .collect()
     }
 
-    fn output(&self, target: f64) -> f64 {
-        (target - f64::from(self.output_mean)) / f64::from(self.output_std)
+    /// Returns mean and standard deviation of the target.
+    fn target(&self) -> (f64, f64) {
+        (f64::from(self.output.mean[0]), f64::from(self.output.std[0]))
     }
 
     fn check(&self, width: usize) -> Result<()> {
-        ensure!(
-            self.input_mean.len() == width && self.input_std.len() == width,
-            "standardization of {} means and {} deviations for {width} inputs",
-            self.input_mean.len(),
-            self.input_std.len()
-        );
-        let all = self.input_mean.iter().chain(&self.input_std).chain([&self.output_mean, &self.output_std]);
-        if all.into_iter().any(|v| !v.is_finite())
-            || self.input_std.iter().chain([&self.output_std]).any(|s| *s <= 0.0)
-        {
-            bail!("standardization holds a mean that is not finite or a deviation that is not positive");
+        for (part, count, of) in [(&self.input, width, "inputs"), (&self.output, 1, "target")] {
+            let [means, deviations] = [part.mean.len(), part.std.len()];
+            ensure!(
+                means == count && deviations == count,
+                "standardization of {means} means and {deviations} deviations for {count} {of}"
+            );
+            let finite = part.mean.iter().chain(&part.std).all(|v| v.is_finite());
+            ensure!(
+                finite && part.std.iter().all(|s| *s > 0.0),
+                "standardization holds a mean that is not finite or a deviation that is not positive"
+            );
         }
         Ok(())
     }
@@ -303,7 +290,6 @@ pub struct Trained {
 impl Trained {
     /// Returns the contents of a model file, with weights as F32.
     pub fn to_parts(&self) -> PredNetParts {
-        let s = &self.standardization;
         PredNetParts {
             layers: (0..self.network.layers())
                 .map(|i| {
@@ -313,8 +299,8 @@ impl Trained {
                     DenseParts { inputs, outputs, weight, bias, dtype: Dtype::F32 }
                 })
                 .collect(),
-            input: Some(Normalization { mean: s.input_mean.clone(), std: s.input_std.clone() }),
-            output: Some(Normalization { mean: vec![s.output_mean], std: vec![s.output_std] }),
+            input: Some(self.standardization.input.clone()),
+            output: Some(self.standardization.output.clone()),
             target: self.target,
         }
     }
@@ -328,9 +314,8 @@ impl Trained {
         if !inputs.len().is_multiple_of(width) {
             bail!("the number of inputs, {}, is not a multiple of the row length {width}", inputs.len());
         }
-        let s = &self.standardization;
-        let (mean, std) = (f64::from(s.output_mean), f64::from(s.output_std));
-        let outputs = predict(pool, &self.network, &s.inputs(inputs));
+        let (mean, std) = self.standardization.target();
+        let outputs = predict(pool, &self.network, &self.standardization.inputs(inputs));
         Ok(outputs.into_iter().map(|y| seconds_of(self.target, f64::from(y) * std + mean)).collect())
     }
 }
@@ -341,7 +326,8 @@ struct Prepared {
 }
 
 fn prepare(samples: Samples<'_>, s: &Standardization, settings: &Settings) -> Prepared {
-    let target = |&t: &f64| s.output(target_of(settings.target, t)) as f32;
+    let (mean, std) = s.target();
+    let target = |&t: &f64| ((target_of(settings.target, t) - mean) / std) as f32;
     Prepared { inputs: s.inputs(samples.inputs), targets: samples.seconds.iter().map(target).collect() }
 }
 
