@@ -272,10 +272,9 @@ fn early_stopping_keeps_the_best_weights() {
     let lowest = trained.history.iter().map(|h| h.validation_loss).fold(f64::INFINITY, f64::min);
     assert_eq!(trained.best_loss, lowest);
     // The stored weights have the lowest validation loss.
-    let s = &trained.standardization;
+    let std = f64::from(trained.standardization.output.std[0]);
     let again = trained.predict(&pool(1), &vx).unwrap();
-    let loss =
-        again.iter().zip(&vt).map(|(p, t)| ((p - t) / f64::from(s.output.std[0])).powi(2)).sum::<f64>() / 40.0;
+    let loss = again.iter().zip(&vt).map(|(p, t)| ((p - t) / std).powi(2)).sum::<f64>() / 40.0;
     assert!((loss - lowest).abs() < 1e-4 * lowest, "{loss} {lowest}");
 }
 

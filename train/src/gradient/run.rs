@@ -119,8 +119,8 @@ impl Settings {
     }
 }
 
-/// Standardization x ← (x − mean) / std of the inputs and of the target, as in the model file. Means and standard
-/// deviations are those of the training frames; the deviation of a value that never changes is 1.
+/// Standardization x ← (x − mean) / std of the inputs and of the target, as in the model file. Means and
+/// standard deviations are those of the training frames; the deviation of a value that never changes is 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Standardization {
     /// Standardization of each input.
