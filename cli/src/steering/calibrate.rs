@@ -9,8 +9,7 @@ use entire_io::dataset::Timing;
 use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
 use entire_io::scenes::SceneDistribution;
-use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_steer::predict::Inputs;
+use entire_steer::features::{FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 
@@ -32,21 +31,6 @@ pub struct Sample {
     pub lobes: Vec<GaussianLobe>,
     /// Seconds by the chosen clock.
     pub seconds: f64,
-}
-
-impl Sample {
-    /// Returns a predictor's inputs for the sample; `volume_features` is VolumeNet's output for the volume,
-    /// if it is used.
-    pub fn predictor_inputs<'a>(&'a self, volume_features: Option<&'a [f32]>) -> Inputs<'a> {
-        Inputs {
-            features: &self.features,
-            setting: self.setting,
-            changes: Changes::default(),
-            camera: self.camera,
-            volume_features,
-            lobes: Some(&self.lobes),
-        }
-    }
 }
 
 /// Renders `scenes` random scenes at six ray steps, each `repeats` times, and keeps the median time. Scenes

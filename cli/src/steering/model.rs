@@ -6,7 +6,8 @@ use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::VolumeNet;
 use entire_core::scene::VolumeView;
-use entire_steer::predict::{GroupKind, Predictor, load};
+use entire_steer::features::Changes;
+use entire_steer::predict::{GroupKind, Inputs, Predictor, load};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -83,10 +84,15 @@ impl SteeringModel {
         let every_step = predictor.knows_step();
         let mut pairs = Vec::new();
         for (s, volume_features) in samples.into_iter().filter(|(s, _)| every_step || s.setting.step == 1.0) {
-            pairs.push((
-                f64::from(predictor.predict(&s.predictor_inputs(volume_features))?.seconds),
-                s.seconds,
-            ));
+            let inputs = Inputs {
+                features: &s.features,
+                setting: s.setting,
+                changes: Changes::default(),
+                camera: s.camera,
+                volume_features,
+                lobes: Some(&s.lobes),
+            };
+            pairs.push((f64::from(predictor.predict(&inputs)?.seconds), s.seconds));
         }
         Quality::of(&pairs).context("there is no frame to evaluate the model on")
     }
