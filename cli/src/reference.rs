@@ -8,7 +8,17 @@ pub fn page(mut program: Command, intro: &str) -> String {
     program.build();
     let name = program.get_name().to_owned();
     let mut out = format!("# Options of {name}\n\n{intro}\n");
-    sections(&program, &name, &mut out);
+    for (command, definition) in commands(&program, &name) {
+        let about = definition.get_long_about().or(definition.get_about());
+        let about = about.map(ToString::to_string).unwrap_or_default();
+        let _ = write!(out, "\n## {command}\n\n{}.\n\n", about.trim_end_matches('.'));
+        out.push_str("| option | value | default | meaning |\n|---|---|---|---|\n");
+        let flags = definition.get_arguments();
+        let flags = flags.filter(|a| !a.is_positional() && !a.get_action().takes_values());
+        let shown = |a: &&Arg| !a.is_hide_set() && !matches!(a.get_id().as_str(), "help" | "version");
+        let options = definition.get_positionals().chain(definition.get_opts()).chain(flags);
+        options.filter(shown).for_each(|arg| row(arg, &mut out));
+    }
     out
 }
 
@@ -49,25 +59,6 @@ fn commands<'a>(command: &'a Command, name: &str) -> Vec<(String, &'a Command)> 
         }
     }
     all
-}
-
-fn sections(program: &Command, name: &str, out: &mut String) {
-    for (command, definition) in commands(program, name) {
-        let about = definition.get_long_about().or(definition.get_about());
-        let about = about.map(ToString::to_string).unwrap_or_default();
-        let _ = write!(out, "\n## {command}\n\n{}.\n\n", about.trim_end_matches('.'));
-        out.push_str("| option | value | default | meaning |\n|---|---|---|---|\n");
-        let shown = |a: &&Arg| !a.is_hide_set() && !matches!(a.get_id().as_str(), "help" | "version");
-        for arg in definition.get_positionals().chain(definition.get_opts()).filter(shown) {
-            row(arg, out);
-        }
-        for arg in definition.get_arguments().filter(|a| !a.is_positional() && !a.get_action().takes_values())
-        {
-            if shown(&arg) {
-                row(arg, out);
-            }
-        }
-    }
 }
 
 fn row(arg: &Arg, out: &mut String) {
