@@ -2,7 +2,7 @@
 
 use crate::calibrate::place::machine_file;
 use anyhow::{Context, Result, bail, ensure};
-use entire_core::model::{InputGroup, Model};
+use entire_core::model::Model;
 use entire_core::nn::PredNet;
 use entire_core::scene::Shading;
 use entire_io::files::{digits, note, open_model, read_decompressed};
@@ -81,7 +81,7 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
             record.len(),
             if record.len() == 1 { "" } else { "s" },
             net.inputs(),
-            groups(&model.inputs)
+            model.inputs.iter().map(|g| format!("{} {}", g.name, g.size)).collect::<Vec<_>>().join(", ")
         );
         inputs.clear();
         for (column, field) in record.iter().enumerate() {
@@ -122,8 +122,4 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
         ));
     }
     Ok(seconds)
-}
-
-fn groups(groups: &[InputGroup]) -> String {
-    groups.iter().map(|g| format!("{} {}", g.name, g.size)).collect::<Vec<_>>().join(", ")
 }
