@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_farm::list::lower_bound;
-use entire_farm::{By, Method, Task, plan, play, read_tasks, times};
+use entire_farm::{By, Method, plan, play, read_tasks, times};
 use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole};
 use entire_steer::schedule::MAX_NODES;
 use serde_json::json;
@@ -53,20 +53,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         (None, false) => options.speeds.clone(),
         (None, true) => bail!("say how many nodes there are (--nodes N, or --speeds S,…)"),
     };
-    write(&tasks, &speeds, options)
-}
-
-fn write(tasks: &[Task], speeds: &[f64], options: &Options) -> Result<()> {
     let out = &options.out;
     ensure_not_input(out, [options.tasks.as_path()]).context("--out")?;
     make_folder_of(out)?;
-    let deciding = times(tasks, options.by)?;
-    let plan = plan(options.method, &deciding, speeds)?;
+    let deciding = times(&tasks, options.by)?;
+    let plan = plan(options.method, &deciding, &speeds)?;
     // Expected seconds: the prediction of each task, or its measured time if it has no prediction.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
-    let line = play(&plan, &expected, tasks, speeds)?;
+    let line = play(&plan, &expected, &tasks, &speeds)?;
     // The bound adds the times in another order, so by rounding it may exceed the makespan.
-    let bound = lower_bound(&expected, speeds)?.min(line.makespan);
+    let bound = lower_bound(&expected, &speeds)?.min(line.makespan);
     ensure!(
         line.makespan.is_finite() && bound.is_finite(),
         "the schedule takes more seconds than a number can hold; check the unit of load_s"
