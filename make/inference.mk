@@ -10,7 +10,7 @@ BENCH_NICE ?= 0
 
 .PHONY: bench
 bench: ## Time every network, SIMD level and weight type, and compare with the machine's limits (RECORD=1 stores the figures)
-	$(CARGO) bench --package entire-core --bench inference -- $(if $(RECORD),--record)
+	$(CARGO) bench --package entire-core --bench inference -- $(if $(RECORD),--record $$(date -u +%F))
 
 .PHONY: peer-server
 peer-server:

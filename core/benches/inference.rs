@@ -3,7 +3,7 @@
 //! and peak arithmetic rate), which are measured in the same run. Times in the table are in microseconds.
 //!
 //! ```text
-//! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
+//! cargo bench -p entire-core --bench inference [-- --record DATE] [--only TEXT] [--calls N]
 //! ```
 //!
 //! | column | meaning |
@@ -28,7 +28,7 @@ use entire_core::nn::{
 use entire_core::scene::{Scalars, VolumeView};
 use std::fmt::Write;
 use std::hint::black_box;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 /// Networks: name, number of inputs, widths of the hidden layers.
 const NETWORKS: [(&str, usize, &[usize]); 5] = [
@@ -358,33 +358,19 @@ fn machine() -> String {
     format!("{} (family {}, model {})", field("model name"), field("cpu family"), field("model\t"))
 }
 
-/// Today as YYYY-MM-DD in UTC.
-fn today() -> String {
-    let days =
-        SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs() / 86_400) as i64;
-    // Days since 1 March of year 0, in eras of 400 years.
-    let z = days + 719_468;
-    let (era, day) = (z / 146_097, z % 146_097);
-    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100);
-    let month = (5 * day + 2) / 153;
-    let date = day - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    format!("{:04}-{month:02}-{date:02}", year + era * 400 + i64::from(month <= 2))
-}
-
 struct Options {
-    record: bool,
+    /// Date in the name of the record, if one is written.
+    record: Option<String>,
     only: String,
     calls: usize,
 }
 
 fn options() -> Options {
-    let mut found = Options { record: false, only: String::new(), calls: 1_000_000 };
+    let mut found = Options { record: None, only: String::new(), calls: 1_000_000 };
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
-            "--record" => found.record = true,
+            "--record" => found.record = arguments.next(),
             "--only" => found.only = arguments.next().unwrap_or_default(),
             "--calls" => found.calls = arguments.next().and_then(|n| n.parse().ok()).unwrap_or(found.calls),
             _ => {}
@@ -408,22 +394,8 @@ fn main() {
     let large = volume(LARGE_EDGE);
     let mut csv = String::from(CSV_HEAD);
     println!(
-        "{:7} {:7} {:4} {:>4} {:>9} | {:>9} {:>9} {:>9} {:>9} {:>8} | {:>9} {:>9} | {:>9} {:>8} {:>6}",
-        "network",
-        "level",
-        "",
-        "rows",
-        "setup us",
-        "warm best",
-        "p50",
-        "p99",
-        "worst",
-        "calls",
-        "cold p50",
-        "flushed",
-        "bytes",
-        "floor",
-        "ratio"
+        "network level        rows  setup us | warm best       p50       p99     worst    calls \
+         |  cold p50   flushed |     bytes    floor  ratio"
     );
     for level in Level::available() {
         let (peak, peak_int8) = (limits::peak(level, false), limits::peak(level, true));
@@ -440,7 +412,7 @@ fn main() {
             let parts = self::network(inputs, hidden);
             let macs: usize = parts.layers.iter().map(|l| l.inputs * l.outputs).sum();
             for storage in Storage::ALL {
-                if !wanted(network, &storage.to_string()) {
+                if !wanted(network, storage.name()) {
                     continue;
                 }
                 let start = Instant::now();
@@ -465,25 +437,14 @@ fn main() {
                 let warm = times(options.calls, long, clock, || {}, &mut call);
                 let cold = times(400, short, clock, &mut evict, &mut call);
                 let flushed = times(400, short, clock, || limits::flush(net.memory()), &mut call);
-                let many = times(
-                    400,
-                    short,
-                    clock,
-                    || {},
-                    || {
-                        net.predict_batch(
-                            Executor::Serial,
-                            &x,
-                            &mut seconds,
-                            std::slice::from_mut(&mut batch),
-                        )
-                        .expect("sizes that fit");
-                    },
-                );
+                let batch = std::slice::from_mut(&mut batch);
+                let batched =
+                    || net.predict_batch(Executor::Serial, &x, &mut seconds, batch).expect("sizes that fit");
+                let many = times(400, short, clock, || {}, batched);
                 let line = Row {
                     network,
                     level,
-                    storage: &storage.to_string(),
+                    storage: storage.name(),
                     rows: 1,
                     setup: Some(setup),
                     warm,
@@ -499,8 +460,7 @@ fn main() {
                     .report(&mut csv);
             }
         }
-        let storage = Storage::F32.to_string();
-        let storage = storage.as_str();
+        let storage = Storage::F32.name();
         let cube = VolumeView::new(Scalars::U8(&small), [INPUT_EDGE; 3]).expect("a volume");
         for (network, channels) in VOLUME_NETWORKS {
             if !wanted(network, storage) {
@@ -564,14 +524,14 @@ fn main() {
             .report(&mut csv);
         }
     }
-    if options.record {
+    if let Some(date) = options.record {
         let words: String = machine()
             .chars()
             .map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' })
             .collect();
         let words: Vec<_> = words.split('-').filter(|w| !w.is_empty()).collect();
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/records");
-        let path = format!("{folder}/{}-{}.csv", words.join("-"), today());
+        let path = format!("{folder}/{}-{date}.csv", words.join("-"));
         let head = format!("# {}, load {load}, best level {}\n", machine(), Level::detect());
         std::fs::create_dir_all(folder)
             .and_then(|()| std::fs::write(&path, head + &csv))
