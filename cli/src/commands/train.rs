@@ -13,7 +13,7 @@ use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_io::{interrupt, machine};
-use entire_steer::calibrate::{FittedQuality, fit_quality};
+use entire_steer::calibrate::fit_quality;
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, FittedModel, Kind, Recipe, predict_rows};
@@ -24,7 +24,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Display, Path, PathBuf};
+use std::path::{Display, PathBuf};
 use std::time::Instant;
 
 /// Train or fine-tune a predictor on collected frames.
@@ -115,11 +115,17 @@ pub fn run(options: &Options) -> Result<()> {
     check_model_out(&options.out)?;
     let bases = options.fine_tune.iter().chain(&options.volumenet);
     ensure_not_input(&options.out, bases.map(PathBuf::as_path)).context("--out")?;
-    let recipe = options.recipe();
+    let recipe = Recipe {
+        volumenet: options.volumenet.clone(),
+        fine_tune: options.fine_tune.clone(),
+        dtype: options.dtype,
+        ..options.recipe.clone()
+    };
     check_used(&recipe)?;
     let pool = thread_pool(options.threads)?;
     let tables = open_tables(&options.data, options.root.as_deref())?;
-    let pictures = options.pictures.as_deref().map(fitted_pictures).transpose()?;
+    let fitted = |path: &PathBuf| fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string());
+    let pictures = options.pictures.as_ref().map(fitted).transpose()?;
     let base = options.fine_tune.as_deref().map(|path| anyhow::Ok((path.display(), open_model(path)?)));
     let base = base.transpose()?;
     let clock = learned_clock(options, &tables, base.as_ref())?;
@@ -315,10 +321,6 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-fn fitted_pictures(path: &Path) -> Result<FittedQuality> {
-    fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string())
-}
-
 struct Trained {
     layout: Layout,
     fitted: FittedModel,
@@ -337,17 +339,6 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
         .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
     let asked = options.clock.or((base.is_none() && on_gpu).then_some(Clock::Auto));
     entire_io::clock::for_training(asked, base, shaded(tables, options.shade))
-}
-
-impl Options {
-    fn recipe(&self) -> Recipe {
-        Recipe {
-            volumenet: self.volumenet.clone(),
-            fine_tune: self.fine_tune.clone(),
-            dtype: self.dtype,
-            ..self.recipe.clone()
-        }
-    }
 }
 
 /// Refuses options without effect: options of networks for models of kind analytic, --target for residual
