@@ -175,11 +175,6 @@ pub(crate) struct Parts {
     pub(crate) notes: Vec<String>,
 }
 
-/// Returns the endings that [`Volume::open`] knows, for messages.
-fn known_endings() -> String {
-    Format::ALL.iter().flat_map(|format| format.endings()).copied().collect::<Vec<_>>().join(", ")
-}
-
 impl Volume {
     /// Makes a volume of voxels in memory, x fastest.
     ///
@@ -234,14 +229,13 @@ impl Volume {
         let mut stream = Stream::open(path, watcher.as_ref())?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let format = match Format::of_name(&name) {
-            Some(format) => format,
-            None => match Format::of_content(stream.peek().with_context(|| format!("{shown}"))?) {
-                Some(format) => format,
-                None => {
-                    bail!("{shown}: not a volume format that is read here; accepted are {}", known_endings())
-                }
-            },
+            None => Format::of_content(stream.peek().with_context(|| format!("{shown}"))?),
+            known => known,
         };
+        let format = format.with_context(|| {
+            let known: Vec<&str> = Format::ALL.iter().flat_map(|format| format.endings()).copied().collect();
+            format!("{shown}: not a volume format that is read here; accepted are {}", known.join(", "))
+        })?;
         let folder = Folder::new(path.parent().unwrap_or(Path::new("")), watcher);
         let mut volume =
             Self::read(format, stream, &name, &folder, reading).with_context(|| format!("{shown}"))?;
