@@ -360,6 +360,17 @@ mod tests {
         features
     }
 
+    /// Compares a network's features of `bytes` with the definition at every level.
+    fn check_definition(parts: &VolumeNetParts, bytes: &[u8], what: &str) {
+        let view = VolumeView::new(Scalars::U8(bytes), [parts.input; 3]).unwrap();
+        let expected = exact(parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
+        for level in Level::available() {
+            let net = VolumeNet::with(parts, level).unwrap();
+            assert_eq!((net.input, net.feature_len(), net.level), (parts.input, parts.fc.outputs, level));
+            assert_close(&encode(&net, &view), &expected, &alloc::format!("{what} {level}"));
+        }
+    }
+
     const NETWORKS: [(usize, &[Layer]); 16] = [
         // This one and the next have buffers of equal sizes, but other borders.
         (10, &[(4, 3, 2, 0)]),
@@ -387,13 +398,7 @@ mod tests {
             let parts = network(input, blocks, 3, seed as u64 + 1);
             let mut next = noise(seed as u64 + 100);
             let bytes: Vec<u8> = (0..input * input * input).map(|_| (next() * 127.5 + 127.5) as u8).collect();
-            let view = VolumeView::new(Scalars::U8(&bytes), [input; 3]).unwrap();
-            let expected = exact(&parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
-            for level in Level::available() {
-                let net = VolumeNet::with(&parts, level).unwrap();
-                assert_eq!((net.input, net.feature_len(), net.level), (input, 3, level));
-                assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
-            }
+            check_definition(&parts, &bytes, &alloc::format!("{input} {blocks:?}"));
         }
     }
 
@@ -411,12 +416,7 @@ mod tests {
         for (seed, (input, blocks)) in small.into_iter().enumerate() {
             let parts = network(input, blocks, 2, seed as u64 + 1);
             let bytes: Vec<u8> = (0..input * input * input).map(|i| (i * 37 % 251) as u8).collect();
-            let view = VolumeView::new(Scalars::U8(&bytes), [input; 3]).unwrap();
-            let expected = exact(&parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
-            for level in Level::available() {
-                let net = VolumeNet::with(&parts, level).unwrap();
-                assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
-            }
+            check_definition(&parts, &bytes, &alloc::format!("{input} {blocks:?}"));
         }
     }
 
@@ -453,11 +453,8 @@ mod tests {
         for level in Level::available() {
             let net = VolumeNet::with(&parts, level).unwrap();
             for view in &views {
-                assert_close(
-                    &encode(&net, view),
-                    &expected,
-                    &alloc::format!("{:?} {level}", view.scalars().scalar_type()),
-                );
+                let what = alloc::format!("{:?} {level}", view.scalars().scalar_type());
+                assert_close(&encode(&net, view), &expected, &what);
             }
         }
     }
@@ -524,16 +521,11 @@ mod tests {
 
     #[test]
     fn another_networks_scratch_is_made_to_fit() {
-        let nets: Vec<VolumeNet> = NETWORKS
-            .iter()
-            .enumerate()
-            .flat_map(|(seed, (input, blocks))| {
-                Level::available().map(move |level| (seed, *input, *blocks, level))
-            })
-            .map(|(seed, input, blocks, level)| {
-                VolumeNet::with(&network(input, blocks, 2, seed as u64), level).unwrap()
-            })
-            .collect();
+        let mut nets: Vec<VolumeNet> = Vec::new();
+        for (seed, (input, blocks)) in NETWORKS.into_iter().enumerate() {
+            let parts = network(input, blocks, 2, seed as u64);
+            nets.extend(Level::available().map(|level| VolumeNet::with(&parts, level).unwrap()));
+        }
         let bytes: Vec<u8> = (0..70 * 70 * 70).map(|i| (i * 31 % 255) as u8).collect();
         let mut shared = nets[0].scratch();
         for net in nets.iter().chain(nets.iter().rev()) {
@@ -573,12 +565,9 @@ mod tests {
                 let parts = network(input, blocks, features, seed as u64);
                 for level in Level::available() {
                     let taken = VolumeNet::with(&parts, level).unwrap().encoder.memory() as u64;
-                    assert!(
-                        taken <= memory(&parts),
-                        "{input} {blocks:?} {level}: {taken} {}",
-                        memory(&parts)
-                    );
-                    assert!(memory(&parts) <= 16 * taken + 100_000, "{input} {blocks:?} {level}");
+                    let said = memory(&parts);
+                    assert!(taken <= said, "{input} {blocks:?} {level}: {taken} {said}");
+                    assert!(said <= 16 * taken + 100_000, "{input} {blocks:?} {level}");
                 }
             }
         }
