@@ -124,8 +124,8 @@ pub fn run(options: &Options) -> Result<()> {
     check_used(&recipe)?;
     let pool = thread_pool(options.threads)?;
     let tables = open_tables(&options.data, options.root.as_deref())?;
-    let fitted = |path: &PathBuf| fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string());
-    let pictures = options.pictures.as_ref().map(fitted).transpose()?;
+    let law = |path: &PathBuf| fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string());
+    let pictures = options.pictures.as_ref().map(law).transpose()?;
     let base = options.fine_tune.as_deref().map(|path| anyhow::Ok((path.display(), open_model(path)?)));
     let base = base.transpose()?;
     let clock = learned_clock(options, &tables, base.as_ref())?;
