@@ -32,8 +32,12 @@ fn numbers<T: std::str::FromStr, const N: usize>(words: &[&str]) -> Result<[T; N
     all.try_into().map_err(|_| format!("{N} numbers are expected: {words:?}").into())
 }
 
+/// Seconds as JSON.
+fn part(seconds: Option<f64>) -> String {
+    seconds.map_or("null".to_owned(), |v| format!("{v:e}"))
+}
+
 fn preparation(p: &Preparation) -> String {
-    let part = |v: Option<f64>| v.map_or("null".to_owned(), |v| format!("{v:e}"));
     format!(
         r#""wall": {:e}, "upload": {}, "block_map": {}, "occupancy": {}, "distance_map": {}"#,
         p.wall,
@@ -46,12 +50,8 @@ fn preparation(p: &Preparation) -> String {
 
 impl Server {
     fn framed(&self, mode: &str) -> Result<Frame, Box<dyn Error>> {
-        let skipping = match mode {
-            "none" => Skipping::None,
-            "blocks" => Skipping::Blocks,
-            "distance" => Skipping::Distance,
-            _ => return Err(format!("no skipping mode {mode:?}").into()),
-        };
+        let named = Skipping::ALL.into_iter().find(|s| s.name() == mode);
+        let skipping = named.ok_or_else(|| format!("no skipping mode {mode:?}"))?;
         Ok(Frame { skipping, ..self.frame.ok_or("no camera was set")? })
     }
 
@@ -72,12 +72,8 @@ impl Server {
                 let dims = numbers(&rest[..3])?;
                 let spacing = numbers(&rest[3..])?;
                 let data = std::fs::read(file)?;
-                let view = VolumeView::with(
-                    Scalars::U8(&data),
-                    dims,
-                    VolumeOptions { spacing, ..VolumeOptions::default() },
-                )?;
-                let p = self.renderer.set_volume(&view)?;
+                let options = VolumeOptions { spacing, ..VolumeOptions::default() };
+                let p = self.renderer.set_volume(&VolumeView::with(Scalars::U8(&data), dims, options)?)?;
                 self.volume = Some((dims, spacing));
                 Ok(format!("{{{}}}", preparation(&p)))
             }
@@ -108,14 +104,9 @@ impl Server {
                 ))
             }
             ["frame", mode] => {
-                let r = self.renderer.render(&self.framed(mode)?)?;
-                let part = |v: Option<f64>| v.map_or("null".to_owned(), |v| format!("{v:e}"));
-                Ok(format!(
-                    r#"{{"wall": {:e}, "cpu": {}, "device": {}}}"#,
-                    r.time.wall,
-                    part(r.time.cpu),
-                    part(r.time.device)
-                ))
+                let time = self.renderer.render(&self.framed(mode)?)?.time;
+                let (cpu, device) = (part(time.cpu), part(time.device));
+                Ok(format!(r#"{{"wall": {:e}, "cpu": {cpu}, "device": {device}}}"#, time.wall))
             }
             ["counts", mode] => {
                 let frame = self.framed(mode)?;

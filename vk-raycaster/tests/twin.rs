@@ -159,16 +159,12 @@ fn shells_composite_front_to_back() {
     let n = 32usize;
     let data: Vec<u8> = (0..n)
         .flat_map(|z| {
-            vec![
-                if (20..24).contains(&z) {
-                    200
-                } else if (8..12).contains(&z) {
-                    100
-                } else {
-                    0
-                };
-                n * n
-            ]
+            let shell = match z {
+                20..24 => 200,
+                8..12 => 100,
+                _ => 0,
+            };
+            vec![shell; n * n]
         })
         .collect();
     let mut rgba = [[0.0; 4]; TABLE_LEN];
@@ -187,9 +183,8 @@ fn shells_composite_front_to_back() {
         let (p, _) = r.render_linear(&Frame { skipping, ..central_ray(3.0) }).unwrap();
         assert!((p[0][0] - front).abs() < 1e-5 && (p[0][1] - back).abs() < 1e-5, "{:?}", p[0]);
         assert!((p[0][3] - front - back).abs() < 1e-5);
-        let (p, _) = r
-            .render_linear(&Frame { skipping, ..Frame::new(camera(0.0, 180.0, 3.0), 1, 1).unwrap() })
-            .unwrap();
+        let behind = Frame { skipping, ..Frame::new(camera(0.0, 180.0, 3.0), 1, 1).unwrap() };
+        let (p, _) = r.render_linear(&behind).unwrap();
         assert!((p[0][1] - (1.0 - 0.7f32.powi(4))).abs() < 1e-5, "from behind green is in front");
     }
 }
@@ -204,12 +199,7 @@ fn halving_the_step_converges() {
         r.render_linear(&f).unwrap().0
     };
     let reference = image(1.0 / 32.0);
-    let mean = |step: f32| {
-        let p = image(step);
-        p.iter().flatten().zip(reference.iter().flatten()).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>()
-            / (4 * p.len()) as f64
-    };
-    let errors = [4.0, 2.0, 1.0, 0.5, 0.25].map(mean);
+    let errors = [4.0, 2.0, 1.0, 0.5, 0.25].map(|step| mean_difference(&image(step), &reference));
     for pair in errors.windows(2) {
         assert!(pair[1] < 0.7 * pair[0], "{errors:?}");
     }
