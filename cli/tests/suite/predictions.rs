@@ -3,7 +3,7 @@
 //! for every frame of the tables. For random inputs, no more of them than the known number are zero in single
 //! precision; the predictor replaces such outputs.
 
-use crate::support::model_of;
+use crate::support::{files_in, model_of};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::{Normalization, PredNet};
@@ -15,18 +15,7 @@ use indicatif::ProgressBar;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use std::path::{Path, PathBuf};
-
-fn files_in(folder: &str, ending: &str) -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(folder);
-    let mut out: Vec<PathBuf> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .filter(|p| p.to_string_lossy().ends_with(ending))
-        .collect();
-    out.sort();
-    out
-}
+use std::path::Path;
 
 /// The shipped models that predict, by name.
 fn predicting_models() -> Vec<(String, Model)> {

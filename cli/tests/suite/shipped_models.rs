@@ -1,7 +1,7 @@
 //! The encoders in `models/` give the same features as PyTorch, and the predictors have the errors that their
 //! cards state.
 
-use crate::support::model_of;
+use crate::support::{files_in, model_of};
 use entire_core::kernels::Executor;
 use entire_core::model::Key;
 use entire_core::nn::{VOLUMENET_TOLERANCE, VolumeNet};
@@ -43,28 +43,23 @@ fn shipped_encoders_agree_with_pytorch_in_double_precision() {
 
 #[test]
 fn every_shipped_model_has_a_card_and_provenance() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("models");
-    let mut models = 0;
-    for entry in std::fs::read_dir(&folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_some_and(|e| e == "safetensors") {
-            let model = model_of(&path);
-            let provenance: serde_json::Value =
-                serde_json::from_str(&model.metadata[Key::Provenance.name()]).unwrap();
-            assert!(provenance.is_object(), "{}", path.display());
-            let card = std::fs::read_to_string(path.with_extension("md")).unwrap();
-            for text in [&card, &model.metadata[Key::Provenance.name()]] {
-                for start in ["\": \"/", "\":\"/", "`/"] {
-                    assert!(!text.contains(start), "{}: a path of one machine", path.display());
-                }
+    let models = files_in("models", ".safetensors");
+    assert!(models.len() >= 2);
+    for path in models {
+        let model = model_of(&path);
+        let provenance: serde_json::Value =
+            serde_json::from_str(&model.metadata[Key::Provenance.name()]).unwrap();
+        assert!(provenance.is_object(), "{}", path.display());
+        let card = std::fs::read_to_string(path.with_extension("md")).unwrap();
+        for text in [&card, &model.metadata[Key::Provenance.name()]] {
+            for start in ["\": \"/", "\":\"/", "`/"] {
+                assert!(!text.contains(start), "{}: a path of one machine", path.display());
             }
-            for heading in ["## Use", "## Data", "## Training", "## Limits"] {
-                assert!(card.contains(heading), "{}: {heading}", path.display());
-            }
-            models += 1;
+        }
+        for heading in ["## Use", "## Data", "## Training", "## Limits"] {
+            assert!(card.contains(heading), "{}: {heading}", path.display());
         }
     }
-    assert!(models >= 2);
 }
 
 /// Returns RMSE/SD and median error (in percent) from a card's row of a split.

@@ -1,7 +1,7 @@
 //! `entire steer` and `entire demo` as processes: their files, output and refused input.
 
 use crate::ball;
-use crate::support::{entire, entire_in, json, stderr, stdout, succeeds, unread, words};
+use crate::support::{entire, entire_in, files_in, json, stderr, stdout, succeeds, unread, words};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -224,14 +224,9 @@ fn bad_input_is_one_line_and_status_1() {
 
 #[test]
 fn example_paths_are_paths() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/paths");
-    let mut seen = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.extension().is_some_and(|e| e == "json") {
-            entire_io::path::FlightPath::open(&path).unwrap();
-            seen += 1;
-        }
+    let paths = files_in("examples/paths", ".json");
+    assert!(paths.len() >= 2);
+    for path in paths {
+        entire_io::path::FlightPath::open(&path).unwrap();
     }
-    assert!(seen >= 2);
 }
