@@ -7,6 +7,11 @@ fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decis
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }
 }
 
+/// A step that follows from earlier frames alone.
+pub(super) fn reactive(step: f32) -> Decision {
+    decision(step, f32::NAN, f32::NAN, Reason::Reactive)
+}
+
 /// No steering: always the same step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fixed {
@@ -103,7 +108,7 @@ impl Controller for Olp {
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         let n = self.seen.min(3);
         if n == 0 {
-            return decision(request.limits.clamp(1.0), f32::NAN, f32::NAN, Reason::Reactive);
+            return reactive(request.limits.clamp(1.0));
         }
         let at_reference = match self.recent {
             Recent::MeanOfThree => self.window[..n].iter().sum::<f32>() / n as f32,
@@ -157,7 +162,7 @@ impl Controller for Pid {
             self.integral = 0.0;
             self.step = clamped;
         }
-        decision(self.step, f32::NAN, f32::NAN, Reason::Reactive)
+        reactive(self.step)
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {

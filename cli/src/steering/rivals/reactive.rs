@@ -8,11 +8,8 @@
 //! be set, s is taken as the ray step, assuming work ∝ 1 / step: in the window (`entire explore`), on stress
 //! scenes, and on traces without smaller images; the tables then say so.
 
-use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
-
-fn reactive(step: f32) -> Decision {
-    Decision { step, seconds: f32::NAN, upper: f32::NAN, out_of_range: f32::NAN, reason: Reason::Reactive }
-}
+use super::algorithm1::reactive;
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Verdict};
 
 /// The name of a controller, and its reset to the state before the first frame.
 macro_rules! starts_as_new {
