@@ -152,9 +152,7 @@ impl Pid {
 }
 
 impl Controller for Pid {
-    fn name(&self) -> &'static str {
-        "pid"
-    }
+    starts_as_new!("pid");
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         let clamped = request.limits.clamp(self.step);
@@ -175,9 +173,5 @@ impl Controller for Pid {
         self.step =
             (observed.step * (1.0 + p * error) + i * self.integral + d * difference).clamp(1.0e-3, 1.0e4);
         Verdict::Learned
-    }
-
-    fn reset(&mut self) {
-        *self = Self::new();
     }
 }

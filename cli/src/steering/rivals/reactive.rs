@@ -11,19 +11,6 @@
 use super::algorithm1::reactive;
 use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Verdict};
 
-/// The name of a controller, and its reset to the state before the first frame.
-macro_rules! starts_as_new {
-    ($name:literal) => {
-        fn name(&self) -> &'static str {
-            $name
-        }
-
-        fn reset(&mut self) {
-            *self = Self::new();
-        }
-    };
-}
-
 /// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and the ratio of allocated to
 /// full-quality time, rounded down to 1, 0.5, 0.2 or 0.1. The ray step is the inverse of the factor, as in
 /// VTK. The first frame is drawn at full quality.
