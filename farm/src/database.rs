@@ -272,7 +272,6 @@ impl<'a> Database<'a> {
         }
     }
 
-    /// Writes the database's table.
     pub(crate) fn write_table(&self) -> Result<()> {
         cinema::write(self.job, &self.done)
     }

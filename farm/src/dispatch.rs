@@ -14,9 +14,7 @@ const WORTH: (f64, f64) = (50.0, 3.0);
 /// Minimum number of bundles into which the remaining work per slot is cut.
 const CUTS: f64 = 4.0;
 
-/// A node's request for work.
 pub(crate) struct Ask<'a> {
-    /// The volume that the node has loaded.
     pub(crate) held: Option<usize>,
     /// True if the node keeps a volume from one bundle to the next.
     pub(crate) keeps: bool,
@@ -38,7 +36,6 @@ pub(crate) struct Ask<'a> {
     pub(crate) explore: u32,
 }
 
-/// A time with a total order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Time(pub(crate) f64);
 
@@ -125,7 +122,6 @@ impl Dispatcher {
         self.work.iter().sum()
     }
 
-    /// Expected seconds of a task.
     pub(crate) fn seconds(&self, task: u32) -> f32 {
         self.seconds[task as usize]
     }

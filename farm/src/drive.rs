@@ -88,7 +88,6 @@ struct Drive<'a, 'b> {
     first: Option<f64>,
     idle_from: Option<f64>,
     now: usize,
-    /// Bytes of the largest image so far.
     largest: u64,
     full: Option<String>,
     down: Option<String>,
@@ -446,7 +445,6 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// True if the disk has room for the image of a task.
     fn has_room(&self, task: u32) -> bool {
         let job = self.database.job;
         let bytes = probe_bytes(self.largest, job.sizes[job.place(task as usize).size]);

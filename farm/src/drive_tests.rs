@@ -3,7 +3,6 @@ use crate::engine::Places;
 use crate::predict;
 use std::path::PathBuf;
 
-/// Behavior of an engine.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Draws,

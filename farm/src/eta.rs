@@ -12,14 +12,12 @@ use std::collections::BinaryHeap;
 /// Maximum number of tasks whose times are drawn for the expected end; of more tasks, an even sample is
 /// drawn.
 const DRAWN: usize = 4096;
-/// Number of draws of the expected end.
 const DRAWS: usize = 400;
 /// Minimum effective number of weighted draws.
 const COUNTING: f64 = 40.0;
 /// Maximum number of tasks for which the estimate of the end simulates loading and bundles.
 const PLAYED: usize = 20_000;
 
-/// A running bundle.
 struct UnderWay<'a> {
     running: &'a Running,
     speed: f64,

@@ -229,7 +229,6 @@ impl Default for Retry {
 /// Shading, skipping and termination of the raycaster's frames.
 pub(crate) type Draw = (Shading, Skipping, f32);
 
-/// Returns a frame of the raycaster.
 pub(crate) fn frame(
     pose: Arcball,
     fov_y_deg: f32,

@@ -173,7 +173,6 @@ impl Shape {
     }
 }
 
-/// An observed time.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     task: u32,

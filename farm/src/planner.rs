@@ -199,12 +199,10 @@ impl Planner {
         self.dispatcher.pending() + self.stages.iter().map(Vec::len).sum::<usize>()
     }
 
-    /// Number of running bundles.
     pub(crate) fn running(&self) -> usize {
         self.running.len()
     }
 
-    /// Numbers of the running bundles, ascending.
     pub(crate) fn bundles(&self) -> Vec<u64> {
         self.running.keys().copied().collect()
     }
@@ -334,13 +332,11 @@ impl Planner {
         }
     }
 
-    /// Records that a slot has lost its volume.
     pub(crate) fn forget(&mut self, slot: usize) {
         let before = self.slots[slot].held.take();
         self.dispatcher.hold(before, None);
     }
 
-    /// The unfinished tasks of a bundle.
     pub(crate) fn open(&self, bundle: u64) -> &[u32] {
         self.running.get(&bundle).map_or(&[], |r| &r.open)
     }

@@ -48,7 +48,6 @@ pub struct Order {
     pub files: Vec<Identity>,
 }
 
-/// An order of a picture of one pixel.
 #[cfg(test)]
 pub(crate) fn an_order(volume_name: &str) -> Order {
     serde_json::from_value(serde_json::json!({
@@ -62,7 +61,6 @@ pub(crate) fn an_order(volume_name: &str) -> Order {
 /// Tasks for one worker, one after another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct BundleOrder {
-    /// The bundle's number in this run.
     pub(crate) bundle: u64,
     /// Number of the run that sent the bundle. If another run has begun, the worker stops.
     pub(crate) run: u64,

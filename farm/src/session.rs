@@ -16,7 +16,6 @@ use std::time::{Duration, Instant};
 /// Time limit for the last lines of a program that has closed its input.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
-/// The line that answers a task.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Reply {
     pub(super) task: String,
@@ -24,7 +23,6 @@ pub(super) struct Reply {
     pub(super) seconds: Option<f64>,
     /// Seconds to load the volume, if it was loaded for this task.
     pub(super) load_s: Option<f64>,
-    /// Reason for a missing image.
     pub(super) error: Option<String>,
     /// Seconds of an earlier attempt at the task, which failed; 0 without such an attempt.
     #[serde(skip)]

@@ -11,7 +11,6 @@ const LINE_EVERY: Duration = Duration::from_secs(30);
 /// Number of nodes up to which the display shows their activity.
 const NODES: usize = 8;
 
-/// Contents of the display.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct View {
     pub(crate) done: usize,
@@ -19,7 +18,6 @@ pub(crate) struct View {
     pub(crate) quarantined: usize,
     /// Tasks per second of this run.
     pub(crate) rate: f64,
-    /// Seconds since the run began.
     pub(crate) elapsed: f64,
     /// Quantiles 0.05, 0.5 and 0.95 of the end, seconds since the run began.
     pub(crate) eta: [f64; 3],
@@ -62,7 +60,6 @@ impl Show {
         }
     }
 
-    /// Prints a note above the progress bar.
     pub(crate) fn note(&self, text: &str) {
         if self.lines {
             entire_io::files::note(text);
@@ -71,7 +68,6 @@ impl Show {
         }
     }
 
-    /// Removes the progress bar.
     pub(crate) fn finish(&self) {
         self.bar.finish_and_clear();
     }

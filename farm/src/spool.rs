@@ -63,7 +63,6 @@ impl Spool {
         self.open.entry(bundle).or_default();
     }
 
-    /// Numbers of the bundles whose files are read.
     pub(crate) fn bundles(&self) -> impl Iterator<Item = u64> + '_ {
         self.open.keys().copied()
     }

@@ -45,7 +45,6 @@ enum Painter {
     Own(Box<Own>),
     /// A program that is started for each image, and its time limit.
     Program(Vec<String>, Option<Duration>),
-    /// A persistent program.
     Stays(Session),
 }
 
@@ -263,7 +262,6 @@ impl Own {
     }
 }
 
-/// The values of a task's placeholders.
 fn placeholders(order: &Order, out: &Path) -> Result<Vec<(&'static str, String)>> {
     Ok(vec![
         ("volume", utf8(order.volume.as_os_str())?),
@@ -283,7 +281,6 @@ fn placeholders(order: &Order, out: &Path) -> Result<Vec<(&'static str, String)>
     ])
 }
 
-/// Runs a program for one image.
 fn run(
     command: &[String],
     limit: Option<Duration>,
@@ -316,7 +313,6 @@ fn run(
     Ok(Painted { load_s: 0.0, render_s: None, lost_s: 0.0 })
 }
 
-/// Checks that bytes are a whole PNG file of this size.
 fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
     let whole = bytes.len() >= 33 && bytes.starts_with(b"\x89PNG\r\n\x1a\n") && bytes[12..16] == *b"IHDR";
     ensure!(whole, "the renderer wrote {} bytes that are no PNG image", bytes.len());

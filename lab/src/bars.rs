@@ -17,12 +17,10 @@ pub(crate) struct Bar {
 }
 
 impl Bar {
-    /// A bar that is met if the value is no more than the limit.
     pub(crate) fn at_most(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v <= limit), note: String::new() }
     }
 
-    /// A bar that is met if the value is no less than the limit.
     pub(crate) fn at_least(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit), note: String::new() }
     }
@@ -47,7 +45,6 @@ impl std::fmt::Display for Bar {
     }
 }
 
-/// Returns bars as a table, one row each.
 pub(crate) fn table(bars: &[Bar]) -> Table {
     let mut table = Table::headed("bar | #value | #limit | met");
     for b in bars {

@@ -29,7 +29,6 @@ pub(crate) fn no_volume() -> Result<VolumeView<'static>> {
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Calibrated {
     pub(crate) title: String,
-    /// Errors of the predictor on the held-out calibration frames.
     pub(crate) held_out: Quality,
     #[serde(skip)]
     pub(crate) model: SteeringModel,

@@ -15,10 +15,8 @@ use std::time::Instant;
 /// the first two cache levels hold.
 const EVICTED_BYTES: usize = 8 << 20;
 
-/// Number of predicted frames.
 const FRAMES: u64 = 200;
 
-/// Number of rounds of measurement.
 const ROUNDS: usize = 5;
 
 /// Seconds of one prediction in one thread, scene features included. Work per volume is not included; work
@@ -67,7 +65,6 @@ struct Shot {
     lobes: Vec<GaussianLobe>,
 }
 
-/// Measures latencies on frames of one volume.
 #[derive(Debug)]
 pub(crate) struct Bench {
     summary: VolumeSummary,

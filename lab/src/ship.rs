@@ -23,7 +23,6 @@ struct Shipping<'a> {
     study: &'a Study,
     found: &'a Findings,
     set: &'a Set,
-    /// Name of the predictor in the study.
     predictor: &'a str,
     ship: &'a Ship,
     training: &'a [Table],

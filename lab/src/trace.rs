@@ -59,16 +59,13 @@ impl TraceVolume {
     }
 }
 
-/// Settings of a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct Recording<'a> {
     /// The trace without frames.
     pub(crate) empty: Trace,
-    /// Volumes of the trace, opened and enlarged.
     pub(crate) volumes: &'a [Volume],
     /// Ray steps of the grid at scale 1, ascending; smaller images are drawn only with [`TRACE_STEPS`].
     pub(crate) steps: &'a [f32],
-    /// Number of renderings of every point of the grid.
     pub(crate) repeats: usize,
 }
 

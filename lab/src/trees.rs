@@ -106,7 +106,6 @@ impl Trees {
     }
 }
 
-/// The values of some rows, column by column.
 fn by_columns(rows: &[f32], width: usize) -> Vec<f64> {
     let count = rows.len() / width;
     let mut out = vec![0.0; rows.len()];

@@ -105,7 +105,6 @@ pub trait Engine {
     }
 }
 
-/// Returns a path or a word of a command line as text.
 pub(crate) fn utf8(word: &OsStr) -> Result<String> {
     word.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", word.display()))
 }
@@ -126,7 +125,6 @@ fn log_of(state: &Path, bundle: u64) -> PathBuf {
 }
 
 impl Places {
-    /// The command line of the worker for a bundle.
     pub(crate) fn worker(&self, bundle: u64) -> Result<Vec<String>> {
         self.command(&utf8(self.state.as_os_str())?, &bundle.to_string())
     }

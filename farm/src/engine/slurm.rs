@@ -75,7 +75,6 @@ struct Queued {
     name: String,
 }
 
-/// Runs a command of Slurm and returns its output.
 fn ask(program: &str, arguments: &[impl AsRef<OsStr>], input: Option<&str>) -> Result<String> {
     let mut child = Command::new(program)
         .args(arguments)

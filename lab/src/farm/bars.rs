@@ -172,7 +172,6 @@ fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     Ok((first, all, kib / 1e6 * 1.024))
 }
 
-/// Measures and returns all bars that need no engine.
 pub(crate) fn all(folder: &Path) -> Result<Vec<Bar>> {
     // This runs first, since it measures the peak memory of the whole process so far.
     let (first, last, peak) = at_scale(folder)?;

@@ -8,9 +8,7 @@ use rayon::prelude::*;
 /// A scheduling problem: tasks with their volumes, and the times to load volumes.
 #[derive(Clone, Debug)]
 pub(super) struct Problem<'a> {
-    /// Seconds of each task.
     pub(super) seconds: &'a [f64],
-    /// Index of each task's volume.
     pub(super) volume: &'a [usize],
     /// Seconds to load each volume.
     pub(super) load: &'a [f64],
@@ -21,7 +19,6 @@ pub(super) struct Problem<'a> {
 struct State<'a> {
     problem: &'a Problem<'a>,
     node_of: Vec<usize>,
-    /// Number of tasks of each node and volume.
     count: Vec<u32>,
     ends: Vec<f64>,
 }
@@ -41,7 +38,6 @@ impl<'a> State<'a> {
         node * self.problem.load.len() + self.problem.volume[task]
     }
 
-    /// Seconds that a task would add to a node.
     fn adds(&self, node: usize, task: usize) -> f64 {
         let load = self.problem.load[self.problem.volume[task]];
         self.problem.seconds[task] + if self.count[self.cell(node, task)] == 0 { load } else { 0.0 }

@@ -11,7 +11,6 @@ use entire_io::files::{read_text, write_json};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// State of a step at its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum State {
@@ -69,7 +68,6 @@ impl Outcomes {
             .with_context(|| format!("{} is damaged; remove it to begin anew", path.display()))
     }
 
-    /// True if a step with these arguments need not run again.
     pub(crate) fn has(&self, step: &str, arguments: &[String]) -> bool {
         self.0.iter().any(|o| o.step == step && o.arguments == arguments && o.state.is_over())
     }

@@ -22,7 +22,6 @@ pub(crate) struct Found {
     pub(crate) tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
     /// Evaluations: kind, mode, output of `entire evaluate`.
     pub(crate) evaluations: Vec<(&'static str, &'static str, Value)>,
-    /// Output of `entire steer`.
     pub(crate) switches: Option<Value>,
     pub(crate) clock: Clock,
 }

@@ -15,7 +15,6 @@ use std::time::{Duration, Instant};
 /// Time that a command has to end by itself, from the signal that asks it to end until it is killed.
 const GRACE: Duration = Duration::from_secs(10);
 
-/// Size of the study.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Extent {
     /// Frames per volume of the tables.
@@ -78,7 +77,6 @@ impl Extent {
     };
 }
 
-/// A command that runs as a separate process.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Step {
     /// Name of the step and of its log.
@@ -176,7 +174,6 @@ pub(crate) fn of_mode(
     steps
 }
 
-/// The step that measures the device's rates.
 pub(crate) fn probe(device: &str) -> Step {
     let arguments = words(&["probe", "--json", "--device", device]);
     Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }

@@ -170,7 +170,6 @@ fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     Some(format!("{:.4} {brackets} by one network for all data sets", row.over_constant?))
 }
 
-/// Results of a data set in a mode.
 fn find<'a>(all: &[&'a Results], set: &str, mode: &str) -> Option<&'a Results> {
     all.iter().find(|r| r.set == set && r.mode == mode).copied()
 }

@@ -109,10 +109,8 @@ pub(crate) struct DataSet {
     /// tested.
     #[serde(default)]
     pub(crate) only_tests: bool,
-    /// The paper's split of this data set.
     #[serde(default)]
     pub(crate) rule: Rule,
-    /// The members of the split by member.
     #[serde(default)]
     pub(crate) members: Option<MemberSplit>,
     /// True if every volume has variants of different sparsity.
@@ -135,7 +133,6 @@ pub(crate) enum Rule {
 }
 
 impl Rule {
-    /// The split's name in results.
     pub(crate) const fn split(self) -> &'static str {
         match self {
             Self::Volumes => BY_VOLUMES,
@@ -160,7 +157,6 @@ pub(crate) struct MemberSplit {
     /// are not for testing decides.
     #[serde(default)]
     pub(crate) validation: BTreeSet<String>,
-    /// Members for testing.
     pub(crate) test: BTreeSet<String>,
 }
 
@@ -204,7 +200,6 @@ pub(crate) struct Capacity {
     pub(crate) data_sets: Vec<String>,
     /// Side of the input, voxels.
     pub(crate) size: usize,
-    /// Length of the feature vector.
     pub(crate) features: usize,
     /// Output channels of the blocks of each VolumeNet to train.
     pub(crate) channels: Vec<Vec<usize>>,
@@ -233,7 +228,6 @@ pub(crate) struct Tuning {
 pub(crate) struct Orbit {
     /// Number of time steps.
     pub(crate) volumes: usize,
-    /// Number of poses for each time step.
     pub(crate) poses: usize,
     /// Sides of the images, pixels.
     pub(crate) size: u32,
@@ -249,9 +243,7 @@ pub(crate) struct Trials {
     pub(crate) labels: PathBuf,
     /// Trainings on labels: number of labels of each volume, and number of epochs.
     pub(crate) frames: Vec<(usize, usize)>,
-    /// Number of runs of each training on labels.
     pub(crate) label_runs: usize,
-    /// Number of training runs of each change.
     pub(crate) runs: usize,
     /// Number of epochs on the measured frames.
     pub(crate) epochs: usize,
@@ -348,7 +340,6 @@ pub(crate) enum Panel {
 }
 
 impl Panel {
-    /// Name of the part in files and commands.
     pub(crate) fn name(self) -> String {
         serde_json::to_value(self).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
     }
@@ -364,7 +355,6 @@ pub(crate) struct Label {
     pub(crate) panel: Panel,
     /// Command that makes this project's counterpart of the table or figure.
     pub(crate) command: String,
-    /// The paper's numbers.
     #[serde(default)]
     pub(crate) paper: Option<Numbers>,
     /// Our picture, if it is in the repository.
@@ -429,7 +419,6 @@ impl Paper {
         self.data_sets.iter().find(|d| d.name == name)
     }
 
-    /// The paper's split of a data set.
     pub(crate) fn rule(&self, set: &str) -> Rule {
         self.data_set(set).map_or_else(Rule::default, |d| d.rule)
     }

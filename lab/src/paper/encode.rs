@@ -25,14 +25,11 @@ pub(crate) const ALL: &str = "all";
 /// Name of the shipped encoders, which were trained on all data sets, with whole members held out.
 pub(crate) const SHIPPED: &str = "shipped";
 
-/// An encoder to train.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Encoder {
     /// A data set, or [`ALL`].
     pub(crate) set: String,
-    /// Input side.
     pub(crate) size: usize,
-    /// Length of the feature vector.
     pub(crate) features: usize,
     /// Output channels of the blocks; if empty, the script's default.
     pub(crate) channels: Vec<usize>,
@@ -82,7 +79,6 @@ pub(crate) struct Record {
     pub(crate) seconds: f64,
 }
 
-/// Results of a training.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Provenance {
     /// Mean peak signal-to-noise ratio over volumes, dB, by part and data set.
@@ -117,7 +113,6 @@ fn encoders(work: &Work<'_>, places: &[Place]) -> Vec<Encoder> {
     out
 }
 
-/// Trains missing encoders.
 pub(crate) fn encode(work: &Work<'_>, places: &[Place], threads: Option<usize>) -> Result<()> {
     make_folder(&work.out.join("volumenet"))?;
     let encoders = encoders(work, places);

@@ -20,7 +20,6 @@ use std::path::{Path, PathBuf};
 /// Version of the results: raised whenever the same frames give other results.
 const MADE_AS: u32 = 3;
 
-/// The tables of a data set and mode.
 pub(super) struct Loaded {
     /// All tables; a frame names its table by the index in this list.
     pub(super) tables: Vec<Table>,
@@ -28,7 +27,6 @@ pub(super) struct Loaded {
     pub(super) varied: Option<usize>,
     /// Tables of volumes of another kind: title and index.
     pub(super) modalities: Vec<(String, usize)>,
-    /// Seconds at low resolution.
     pub(super) low: Low,
 }
 

@@ -10,7 +10,6 @@ use std::collections::BTreeMap;
 
 /// Number of bootstrap draws behind an interval.
 pub(super) const DRAWS: usize = 10_000;
-/// Seed of the draws.
 const SEED: u64 = 1;
 
 /// Squared errors on the frames of one volume.
@@ -21,7 +20,6 @@ pub(crate) struct Errors {
     pub(crate) squared: Vec<f64>,
 }
 
-/// Squared errors by volume.
 pub(super) type ByVolume = BTreeMap<String, Errors>;
 
 /// Squared errors of several runs of a predictor; `volumes` names the volume of each frame.

@@ -22,7 +22,6 @@ use entire_train::split::TimedFrames;
 pub(super) const NETWORK: &str = "the paper's network";
 pub(super) const OURS: &str = "ours: analytic × factor";
 
-/// Context of a data set and mode.
 pub(super) struct At<'a> {
     pub(super) work: &'a Work<'a>,
     pub(super) place: &'a Place,

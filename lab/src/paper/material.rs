@@ -26,7 +26,6 @@ impl Reconstruction {
     }
 }
 
-/// Inputs of the report.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Material {
     pub(crate) all: Vec<Results>,

@@ -37,15 +37,12 @@ use std::time::Instant;
 pub(crate) struct Work<'a> {
     pub(crate) paper: &'a Paper,
     pub(crate) selection: &'a Selection,
-    /// The folder of the volumes.
     pub(crate) data: &'a std::path::Path,
-    /// The folder of all results.
     pub(crate) out: &'a std::path::Path,
     /// The Python interpreter for VolumeNet and yt.
     pub(crate) python: &'a std::path::Path,
     pub(crate) pool: &'a rayon::ThreadPool,
     pub(crate) deadline: Option<Instant>,
-    /// Returns true if the user asked to stop.
     pub(crate) interrupted: &'a (dyn Fn() -> bool + Sync),
 }
 
@@ -55,7 +52,6 @@ impl Work<'_> {
         (self.interrupted)() || self.deadline.is_some_and(|d| Instant::now() >= d)
     }
 
-    /// Returns an error if the study must stop.
     pub(crate) fn go_on(&self) -> Result<()> {
         ensure!(!self.stop(), "{}", self.stopped());
         Ok(())

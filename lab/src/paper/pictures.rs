@@ -25,7 +25,6 @@ const LOBES: &str = "0.3 0.003 0.012;0.6 0.003 0.04;0.88 0.006 0.6";
 /// figure also has three poses.
 const POSES: [(f32, f32); 3] = [(15.0, 20.0), (35.0, 140.0), (60.0, -100.0)];
 
-/// Draws missing pictures.
 pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     let folder = work.out.join("pictures");
     make_folder(&folder)?;

@@ -18,11 +18,9 @@ pub(super) const LVRP: &str = "LVRP";
 /// Errors of a predictor on some frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
-    /// The predictor.
     pub(crate) name: String,
     /// The split, or the experiment.
     pub(crate) split: String,
-    /// Number of test frames.
     pub(crate) frames: usize,
     pub(crate) runs: usize,
     /// Mean RMSE over the runs, seconds.
@@ -48,23 +46,19 @@ pub(crate) struct Row {
     /// Squared errors by volume, on the frames that were also rendered at low resolution.
     #[serde(default, skip_serializing_if = "ByVolume::is_empty")]
     pub(crate) of_twins: ByVolume,
-    /// Other numbers, by name.
     #[serde(default)]
     pub(crate) more: BTreeMap<String, f64>,
 }
 
-/// A line of a chart.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Curve {
     pub(crate) chart: String,
     pub(crate) name: String,
-    /// Quantity along x.
     pub(crate) x: String,
     pub(crate) points: Vec<(f64, f64)>,
 }
 
 impl Curve {
-    /// A curve of some points in a chart.
     pub(super) fn new(chart: &str, name: &str, x: &str, points: Vec<(f64, f64)>) -> Self {
         Self { chart: chart.into(), name: name.into(), x: x.into(), points }
     }
@@ -97,7 +91,6 @@ pub(super) fn box_of(values: &BTreeMap<String, f64>) -> [f64; 5] {
     BOX.map(|(name, _)| values.get(name).copied().unwrap_or(f64::NAN))
 }
 
-/// Named numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Fact {
     pub(crate) name: String,
@@ -107,18 +100,14 @@ pub(crate) struct Fact {
 /// Results of one part of the study for one data set and mode.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Results {
-    /// Hash of the inputs of the computation.
     pub(crate) identity: String,
     pub(crate) panel: Panel,
     pub(crate) set: String,
     pub(crate) mode: String,
     /// Training, validation and test frames, by split.
     pub(crate) frames: BTreeMap<String, [usize; 3]>,
-    /// The network's encoder, in words.
     pub(crate) encoder: String,
-    /// Device that the frames were measured on.
     pub(crate) device: String,
-    /// Machine that holds the device.
     pub(crate) machine: String,
     pub(crate) rows: Vec<Row>,
     pub(crate) curves: Vec<Curve>,
@@ -157,7 +146,6 @@ impl Results {
         interval::of_ratio(&row.of_twins, &self.row(&row.split, LVRP)?.of_twins)
     }
 
-    /// The errors of a predictor on a split.
     pub(crate) fn row(&self, split: &str, name: &str) -> Option<&Row> {
         self.rows.iter().find(|r| r.split == split && r.name == name)
     }

@@ -19,7 +19,6 @@ pub(super) struct Section {
 }
 
 impl Section {
-    /// True if there is a table or figure.
     pub(super) fn there(&self) -> bool {
         !self.tables.is_empty() || !self.charts.is_empty() || !self.pictures.is_empty()
     }

@@ -41,7 +41,6 @@ const MADE_AS: u32 = 1;
 /// Number of inputs per Gaussian lobe: center, width, height.
 const PER_LOBE: usize = 3;
 
-/// A network to be trained.
 struct Trial {
     change: Change,
     epochs: usize,
@@ -238,7 +237,6 @@ fn trial(
     Ok(Trial { change, epochs, width, training, validation, test: test.inputs })
 }
 
-/// Range of an input group in a row of inputs.
 fn place(groups: &[(GroupKind, usize)], wanted: GroupKind) -> std::ops::Range<usize> {
     let before: usize = groups.iter().take_while(|g| g.0 != wanted).map(|g| g.1).sum();
     before..before + groups.iter().find(|g| g.0 == wanted).map_or(0, |g| g.1)

@@ -45,13 +45,11 @@ struct Found {
     set: &'static str,
 }
 
-/// The network and unit costs, pre-trained.
 struct Pretrained<'a> {
     work: &'a Work<'a>,
     runner: &'a Runner<'a>,
     context: &'a FitContext<'a>,
     recipe: &'a Recipe,
-    /// The network's file.
     network: PathBuf,
     costs: ModelFile,
 }
@@ -61,7 +59,6 @@ const MOST_DRAWN: usize = 100;
 /// Smallest time in a chart with a point per frame, seconds.
 const LEAST_DRAWN: f64 = 1e-4;
 
-/// Computes the missing results of fine-tuning.
 pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result<()> {
     let paper = work.paper;
     let mode = &paper.tuning.mode;
@@ -272,7 +269,6 @@ impl Pretrained<'_> {
     }
 }
 
-/// Machine on which a table's frames were measured.
 fn machine(table: &Table) -> Option<&str> {
     table.manifest.as_ref().map(|m| m.machine.as_str())
 }

@@ -40,7 +40,6 @@ pub(super) fn in_words(split: &str) -> &str {
     }
 }
 
-/// A data set with its folder, volumes and splits.
 #[derive(Clone, Debug)]
 pub(crate) struct Place {
     pub(crate) set: DataSet,

@@ -157,7 +157,6 @@ impl Replayed {
     }
 }
 
-/// A hash of two numbers.
 fn mix(a: u64, b: u64) -> u64 {
     let mut h = a.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ b.wrapping_mul(0xd1b5_4a32_d192_ed03);
     h ^= h >> 29;

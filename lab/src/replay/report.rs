@@ -20,7 +20,6 @@ pub(crate) struct Results<'a> {
     pub(crate) traces: &'a [Replayable],
     pub(crate) trials: &'a [Trial],
     pub(crate) outcomes: &'a [Outcome],
-    /// Scores over all trials, per controller.
     pub(crate) scores: &'a [Score],
 }
 

@@ -11,7 +11,6 @@ use entire_steer::control::{HybridOptions, Prior};
 
 /// One trace with one target or a series of targets.
 pub(crate) struct Trial {
-    /// Index of the trace.
     pub(crate) trace: usize,
     /// Name of the target in reports.
     pub(crate) label: String,
@@ -19,7 +18,6 @@ pub(crate) struct Trial {
     pub(crate) targets: Vec<f64>,
 }
 
-/// Outcome of a trial, per controller.
 pub(crate) struct Outcome {
     /// Frames of the first round, by controller.
     pub(crate) frames: Vec<Vec<Replayed>>,

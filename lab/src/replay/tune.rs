@@ -40,7 +40,6 @@ const COLD_FRAMES: usize = 6;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Constants {
     pub(crate) hybrid: HybridConstants,
-    /// Constants of the controller's online correction.
     pub(crate) correction: CorrectionConstants,
 }
 
@@ -78,7 +77,6 @@ const WITHOUT: [(&str, f64); 10] = [
     ("clip_below", 3.0),
 ];
 
-/// Effect of a constant on the cost.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Removed {
     pub(crate) name: &'static str,
@@ -136,7 +134,6 @@ pub(crate) fn by_law(recorded: &Replayable, law: Option<f64>) -> Replayable {
     out
 }
 
-/// A recorded path with its predictor and trials.
 pub(crate) struct Course<'a> {
     /// The path with the frame times of each of [`LAWS`].
     recorded: &'a [Replayable; 3],

@@ -30,7 +30,6 @@ enum Heard {
     Interval,
 }
 
-/// A frame of a script.
 #[derive(Clone, Copy, Debug)]
 struct Shot {
     /// Seconds that do not depend on the step.

@@ -63,11 +63,9 @@ pub(crate) fn scenes() -> impl Iterator<Item = (usize, &'static str)> {
 pub(crate) struct Seen {
     /// Target, seconds.
     pub(crate) target: f64,
-    /// True seconds.
     pub(crate) seconds: f64,
     /// True seconds without noise.
     pub(crate) clean: f64,
-    /// Step that the controller chose.
     pub(crate) step: f64,
     /// The step that meets the target, clamped to the limits.
     pub(crate) oracle: f64,
@@ -105,7 +103,6 @@ impl Limits {
     }
 }
 
-/// Result of a method in a scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Verdict {
     pub(crate) scene: usize,
@@ -168,12 +165,10 @@ pub(crate) fn judge(
     Verdict { scene, method: method.name(), failures: broken, missed, run: longest, quality, worst }
 }
 
-/// A deterministic source of noise.
 #[derive(Clone, Debug)]
 pub(crate) struct Noise(u64);
 
 impl Noise {
-    /// Returns a source of noise with this seed.
     pub(crate) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }

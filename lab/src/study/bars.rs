@@ -16,7 +16,6 @@ pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> 
     std::iter::once(PAPER).chain(study.ship.iter().map(|s| s.predictor.as_str()).filter(by_name))
 }
 
-/// Results of the predictors in the main table.
 pub(super) fn models<'a>(
     found: &'a Findings,
     set: &'a str,

@@ -28,7 +28,6 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Returns the line that fits some points (x, y) best.
     pub(crate) fn through(points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
         let n = points.clone().count() as f64;
         let (mx, my) = points.clone().fold((0.0, 0.0), |(x, y), p| (x + p.0 / n, y + p.1 / n));

@@ -19,7 +19,6 @@ use std::collections::BTreeSet;
 
 /// The seed of the split of volumes into calibration and test.
 const HALVES_SEED: u64 = 11;
-/// The seed of the choice of calibration frames.
 const FRAMES_SEED: u64 = 13;
 
 /// Calibrates a predictor to [`CALIBRATION_FRAMES`] of one half of the set's calibration split, tests it on

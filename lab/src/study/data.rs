@@ -60,7 +60,6 @@ pub(super) struct SetData<'a> {
     pub(super) every_step: Learned<'a>,
     /// Frames that determine upper bounds.
     pub(super) bounds: TimedFrames<'a>,
-    /// Test frames, by split.
     pub(super) splits: Vec<TimedFrames<'a>>,
     /// Median error and RMSE/SD of a perfect predictor on the frames of the training tables, due to the noise of
     /// the measured times.

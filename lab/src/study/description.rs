@@ -33,13 +33,11 @@ fn cpu() -> String {
 /// Name of the selected predictor in [`Ship`].
 pub(crate) const SELECTED: &str = "selected";
 
-/// A predictor to ship.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Ship {
     /// Name of the predictor, or `selected` for the one that the rule selects.
     pub(crate) predictor: String,
-    /// Storage format of the predictor's weights.
     #[serde(default)]
     pub(crate) dtype: DtypeChoice,
 }
@@ -58,7 +56,6 @@ pub(crate) struct Set {
     /// default: the validation frames.
     #[serde(default)]
     pub(crate) bounds: Vec<PathBuf>,
-    /// Test tables, by split.
     pub(crate) splits: Vec<SplitTables>,
     /// Tables of the same frames on volumes of 64³ voxels, by name of the original table:
     /// `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
@@ -145,7 +142,6 @@ pub(crate) struct Named {
 }
 
 impl Named {
-    /// True if the predictor is trained for the set.
     pub(crate) fn is_of(&self, set: &str) -> bool {
         self.sets.is_empty() || self.sets.iter().any(|s| s == set)
     }

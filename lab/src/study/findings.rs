@@ -60,11 +60,9 @@ pub(crate) struct Fit {
     pub(crate) predictor: String,
     /// Errors on its training frames.
     pub(crate) seen: Metrics,
-    /// Intervals of the errors on its training frames.
     pub(crate) seen_intervals: Option<Intervals>,
     /// Errors in cross-validation: on frames of ensemble members that the predictor was trained without.
     pub(crate) crossed: Option<Metrics>,
-    /// Intervals of the errors in cross-validation.
     pub(crate) crossed_intervals: Option<Intervals>,
     /// Median error and RMSE/SD of a perfect predictor on the frames of the cross-validation, due to the noise of
     /// the measured times.
@@ -76,7 +74,6 @@ pub(crate) struct Fit {
     pub(crate) probe_side: usize,
 }
 
-/// Errors of a predictor on a split.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct SplitResult {
     pub(crate) set: String,
@@ -102,13 +99,11 @@ pub(crate) struct CalibratedResult {
     pub(crate) metrics: Metrics,
 }
 
-/// All results of a study.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct Findings {
     pub(crate) results: Vec<SplitResult>,
     /// Errors on the training tables.
     pub(crate) fits: Vec<Fit>,
-    /// Latencies by set and predictor.
     pub(crate) latencies: Vec<(String, String, Latency)>,
     /// RMSE with eight-bit weights divided by the RMSE with the weights as stored, on the main split, by set
     /// and predictor.
@@ -127,12 +122,10 @@ pub(crate) struct Findings {
 }
 
 impl Findings {
-    /// The errors of a predictor on a split.
     pub(crate) fn of(&self, set: &str, split: &str, predictor: &str) -> Option<&SplitResult> {
         self.results.iter().find(|r| r.set == set && r.split == split && r.predictor == predictor)
     }
 
-    /// The errors of a predictor on the training tables.
     pub(crate) fn fit(&self, set: &str, predictor: &str) -> Option<&Fit> {
         self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
     }

@@ -90,7 +90,6 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
     table
 }
 
-/// Chart of accuracy against latency.
 fn frontier(found: &Findings, set: &str, split: &str) -> Chart {
     let mut points: Vec<(f64, f64, &str)> = models(found, set, split)
         .filter_map(|r| {

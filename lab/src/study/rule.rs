@@ -11,7 +11,6 @@ use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 /// times the other's error.
 const WORTH: f64 = 0.95;
 
-/// The rule in a sentence.
 pub(crate) const SENTENCE: &str = "Rule of selection: a predictor is excluded if another predictor's error is more than 5 % lower on \
      the tables of every machine; of the others, the one with the fewest fitted parameters is selected (if several have the \
      same number, the one with the fewest rays). The error is the geometric mean of median error and RMSE/SD in \

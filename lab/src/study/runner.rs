@@ -40,7 +40,6 @@ pub(crate) enum Bounds<'a> {
 pub(crate) struct Crossed {
     pub(super) predicted: Vec<f64>,
     pub(super) measured: Vec<f64>,
-    /// Group of each frame.
     pub(super) groups: Vec<String>,
     pub(super) volumes: Vec<String>,
     pub(super) folds: usize,
@@ -52,7 +51,6 @@ impl Crossed {
     }
 }
 
-/// A model, with the file that holds it.
 pub(super) struct KeptModel {
     model: Model,
     file: ModelFile,
@@ -60,7 +58,6 @@ pub(super) struct KeptModel {
 }
 
 pub(super) enum StudyPredictor {
-    /// A predictor with a model file.
     Model(Box<KeptModel>),
     /// Boosted trees, a reference without a model file.
     Trees(Box<Trees>),
@@ -94,7 +91,6 @@ impl StudyPredictor {
 pub(crate) struct Runner<'a> {
     pub(crate) pool: &'a rayon::ThreadPool,
     pub(crate) models: PathBuf,
-    /// Progress over all trainings.
     pub(crate) bar: &'a ProgressBar,
     /// Called often; the study stops once it returns true.
     pub(crate) stop: &'a dyn Fn() -> bool,

@@ -67,7 +67,6 @@ impl Machine<'_> {
         Ok(Frame::new(camera, self.grown() * shot.size.0, self.grown() * shot.size.1)?)
     }
 
-    /// Draws a frame and returns its seconds.
     fn seconds(&mut self, frame: &Frame) -> Result<f64> {
         let rendered = self.renderer.render(frame)?;
         match self.clock {

@@ -97,7 +97,6 @@ pub(super) struct World {
     pub(super) limits: Limits,
 }
 
-/// A script of 60 frames.
 fn world(blocks: Vec<Block>, limits: Limits, shot: impl Fn(usize) -> Shot + 'static) -> World {
     World { blocks, shot: Box::new(shot), frames: 60, share: 0.5, limits }
 }
