@@ -60,8 +60,7 @@ impl Model {
     /// shape or is not finite; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the weights cannot be
     /// allocated. An invalid file is refused as a whole.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let source = Source::parse(bytes)?;
-        source.model()
+        Source::parse(bytes)?.model()
     }
 
     /// Size of an input group; `None` if the model has no such group.
@@ -132,12 +131,9 @@ impl Source<'_> {
     }
 
     fn prednet(&self, layers: usize) -> Result<PredNetParts> {
-        let target = match self.required(Key::Target, "\"seconds\"")? {
-            "seconds" => Target::Seconds,
-            "log_seconds" => Target::LogSeconds,
-            other => {
-                bail!(InvalidModel, "{} is {other:?}, expected \"seconds\" or \"log_seconds\"", Key::Target)
-            }
+        let text = self.required(Key::Target, "\"seconds\"")?;
+        let Some(target) = Target::ALL.into_iter().find(|target| target.name() == text) else {
+            bail!(InvalidModel, "{} is {text:?}, expected \"seconds\" or \"log_seconds\"", Key::Target);
         };
         // No capacity is reserved: the count comes from a tensor's name and may be false. The loop ends at
         // the first missing tensor.
@@ -344,10 +340,8 @@ impl Source<'_> {
         }
         let output_edge = (padded - kernel) / stride + 1;
         let (weight, dtype) = tensor.numbers(&conv)?;
-        let bias = match self.tensors.contains_key(&format!("{name}.conv.bias")) {
-            true => Some(self.vector(&format!("{name}.conv.bias"), outputs)?),
-            false => None,
-        };
+        let bias = format!("{name}.conv.bias");
+        let bias = self.tensors.contains_key(&bias).then(|| self.vector(&bias, outputs)).transpose()?;
         let gamma = self.vector(&format!("{name}.bn.weight"), outputs)?;
         let beta = self.vector(&format!("{name}.bn.bias"), outputs)?;
         let mean = self.vector(&format!("{name}.bn.running_mean"), outputs)?;

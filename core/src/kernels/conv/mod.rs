@@ -77,23 +77,14 @@ impl Encoder {
         let mut rest: Vec<ChannelsLast> = room(blocks.len() - 1)?;
         for (i, block) in blocks.iter().enumerate().skip(1) {
             let edge = block.shape.input + 2 * block.shape.padding;
-            let (channel_stride, column, row, plane) = match rest.last() {
-                None => (first.out_row, 1, first.padded * first.out_row, first.out_plane),
-                Some(before) => {
-                    let column = before.out_channels;
-                    (1, column, edge * column, edge * edge * column)
-                }
+            let strides = match rest.last().map(|before| before.out_channels) {
+                None => [first.out_row, 1, first.padded * first.out_row, first.out_plane],
+                Some(column) => [1, column, edge * column, edge * edge * column],
             };
-            rest.push(ChannelsLast::new(
-                block,
-                [channel_stride, column, row, plane],
-                padding_of(i + 1),
-                level,
-            )?);
+            rest.push(ChannelsLast::new(block, strides, padding_of(i + 1), level)?);
         }
         // The dense layer's weights, reordered to the layout of the last layer's output.
-        let edge = blocks[blocks.len() - 1].shape.output;
-        let channels = blocks[blocks.len() - 1].outputs;
+        let Block { shape: Shape { output: edge, .. }, outputs: channels, .. } = blocks[blocks.len() - 1];
         let dense_len = rest.last().map_or(edge * first.out_plane, |l| l.out_len).next_multiple_of(LINE);
         let mut dense = Buffer::zeroed(dense_len * fc.outputs)?;
         for (row, weights) in
@@ -119,10 +110,7 @@ impl Encoder {
 
     fn sizes(&self) -> impl Iterator<Item = usize> {
         let f = &self.first;
-        let ring = match self.rest.first() {
-            Some(second) => f.lead + second.shape.kernel * f.out_plane,
-            None => 0,
-        };
+        let ring = self.rest.first().map_or(0, |second| f.lead + second.shape.kernel * f.out_plane);
         let whole = if self.rest.is_empty() { f.lead + f.shape.output * f.out_plane } else { 0 };
         // The extra line keeps the reads of the last row, rounded up to whole vectors, inside the buffer.
         let buffers = [f.shape.kernel * f.plane + LINE, ring + LINE, whole + LINE];
@@ -184,15 +172,9 @@ impl Encoder {
         self.fit(scratch, threads)?;
         let Scratch { workers, outputs, .. } = scratch;
         let workers = &mut workers[..threads];
-        let planes = match self.rest.first() {
-            Some(second) => second.shape.output,
-            None => self.first.shape.output,
-        };
+        let planes = self.rest.first().map_or(self.first.shape, |second| second.shape).output;
         let (head, tail) = outputs.split_at_mut(1);
-        let target = match tail.first_mut() {
-            Some(second) => Output(second.as_mut_slice().as_mut_ptr()),
-            None => Output(head[0].as_mut_slice().as_mut_ptr()),
-        };
+        let target = Output(tail.first_mut().unwrap_or(&mut head[0]).as_mut_slice().as_mut_ptr());
         self.front(prepare, workers, executor, target, 0..planes);
         for i in 1..self.rest.len() {
             let (before, after) = tail.split_at_mut(i);
@@ -208,12 +190,8 @@ impl Encoder {
             None => &head[0].as_slice()[self.first.lead..],
         };
         let dense = self.dense.as_slice().chunks_exact(self.dense_len);
-        self.level.run(Dense {
-            dense,
-            bias: &self.dense_bias,
-            x: &last[..self.dense_len.min(last.len())],
-            features,
-        });
+        let x = &last[..self.dense_len.min(last.len())];
+        self.level.run(Dense { dense, bias: &self.dense_bias, x, features });
         Ok(())
     }
 

@@ -68,7 +68,8 @@ pub(crate) fn planes(
             let height = g.dims[1].min(n);
             for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
                 let zs = reduced_span(z0 + dz, g.dims[2], n);
-                // If the output has more rows than the input, the input's rows are stored in the plane's last rows.
+                // If the output has more rows than the input, the input's rows are stored in the plane's last
+                // rows.
                 for (y, out) in plane[(n - height) * n..].chunks_exact_mut(n).enumerate() {
                     let ys = reduced_span(y, g.dims[1], n);
                     if ys.count.saturating_mul(zs.count) <= DIRECT_ROWS {
