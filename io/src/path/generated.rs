@@ -48,7 +48,14 @@ impl Generated {
             transfer,
             switch,
         };
-        let (shell, haze, core, layers) = (values.shell(), values.haze(), values.core(), values.layers());
+        // Surfaces at the upper half of the values: rays end early.
+        let shell = values.lobes([(0.7, 0.004, 0.1), (0.85, 0.004, 0.15), (0.97, 0.01, 0.3)]);
+        // A thin haze over everything: no ray ends early.
+        let haze = values.lobes([(0.2, 0.01, 0.002), (0.5, 0.01, 0.003), (0.9, 0.005, 0.01)]);
+        // Only the highest values: most blocks are skipped.
+        let core = values.lobes([(0.985, 0.0008, 0.3), (0.993, 0.0008, 0.6), (0.999, 0.0015, 0.9)]);
+        // A translucent layer around a denser layer.
+        let layers = values.lobes([(0.35, 0.002, 0.02), (0.65, 0.002, 0.03), (0.95, 0.003, 0.3)]);
         let keyframes = match self {
             Self::Switches => vec![
                 key(0, camera(15.0, 0.0, 2.2), Some(shell), false),
@@ -129,25 +136,5 @@ impl Values {
         Transfer::Lobes(
             lobes.map(|(p, width, height)| GaussianLobe { center: self.quantile(p), width, height }).to_vec(),
         )
-    }
-
-    /// Surfaces at the upper half of the values: rays end early.
-    fn shell(&self) -> Transfer {
-        self.lobes([(0.7, 0.004, 0.1), (0.85, 0.004, 0.15), (0.97, 0.01, 0.3)])
-    }
-
-    /// A thin haze over everything: no ray ends early.
-    fn haze(&self) -> Transfer {
-        self.lobes([(0.2, 0.01, 0.002), (0.5, 0.01, 0.003), (0.9, 0.005, 0.01)])
-    }
-
-    /// Only the highest values: most blocks are skipped.
-    fn core(&self) -> Transfer {
-        self.lobes([(0.985, 0.0008, 0.3), (0.993, 0.0008, 0.6), (0.999, 0.0015, 0.9)])
-    }
-
-    /// A translucent layer around a denser layer.
-    fn layers(&self) -> Transfer {
-        self.lobes([(0.35, 0.002, 0.02), (0.65, 0.002, 0.03), (0.95, 0.003, 0.3)])
     }
 }
