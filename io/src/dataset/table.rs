@@ -187,22 +187,15 @@ pub(super) fn positions<const N: usize>(
 
 /// Returns the reason why a record cannot be read, with its line.
 pub(super) fn unreadable(error: &csv::Error) -> anyhow::Error {
-    match error.position() {
-        Some(p) => anyhow!("line {}: {}", p.line(), describe(error)),
-        None => anyhow!("{error}"),
-    }
-}
-
-fn describe(error: &csv::Error) -> String {
-    match error.kind() {
-        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-            format!(
-                "{len} fields found, {expected_len} expected; is the line cut off, or is there a comma too many?"
-            )
-        }
+    let Some(position) = error.position() else { return anyhow!("{error}") };
+    let why = match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => format!(
+            "{len} fields found, {expected_len} expected; is the line cut off, or is there a comma too many?"
+        ),
         csv::ErrorKind::Utf8 { .. } => "the text is not UTF-8".into(),
         other => format!("{other:?}"),
-    }
+    };
+    anyhow!("line {}: {why}", position.line())
 }
 
 struct Row<'a> {
