@@ -22,7 +22,6 @@ use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
 use entire_steer::predict::UnitCosts;
 use entire_train::fit::{typical_costs, typical_costs_of};
-use entire_vk_raycaster::Renderer;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -232,7 +231,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             }
         }
         if let Some(path) = &options.table {
-            manifest_of_table(options, &report, renderer.as_ref()).write(path)?;
+            let settings = json!({ "calibration": true, "reading": options.reading });
+            // The number of repeats differs between frames, so the manifest states 0.
+            let manifest = manifest_of(renderer.as_ref(), options.seed, 0, settings);
+            Manifest { files: report.files.clone(), ..manifest }.write(path)?;
         }
         say(&report, out)?;
         if stopped() {
@@ -241,12 +243,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
     }
     Ok(())
-}
-
-fn manifest_of_table(options: &Options, report: &Report, renderer: &dyn Renderer) -> Manifest {
-    let settings = json!({ "calibration": true, "reading": options.reading });
-    // The number of repeats differs between frames, so the manifest states 0.
-    Manifest { files: report.files.clone(), ..manifest_of(renderer, options.seed, 0, settings) }
 }
 
 /// Returns the priors with their names: the model of --prior, else the shipped priors of the shading mode for a
