@@ -1,9 +1,8 @@
 //! `render`, `predict` and `encode` as other programs call them.
 
 use crate::support::*;
-use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 fn selu(x: f64) -> f64 {
     let (scale, alpha) = (1.0507009873554805, 1.6732632423543772);
@@ -58,20 +57,12 @@ fn predict_reads_standard_input_with_blanks_and_other_line_ends() {
     let table = std::fs::read_to_string(folder.path().join("rows.csv")).unwrap();
     let expected =
         succeeds(folder.path(), &["predict", "--model", "pred.safetensors", "--inputs", "rows.csv"]);
-    let mut child = Command::new(env!("CARGO_BIN_EXE_entire"))
-        .args(["predict", "--model", "pred.safetensors", "--inputs", "-"])
-        .current_dir(folder.path())
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    child
-        .stdin
-        .take()
-        .unwrap()
-        .write_all(table.replace(',', " , ").replace('\n', "\r\n").as_bytes())
-        .unwrap();
-    let output = child.wait_with_output().unwrap();
+    let other = table.replace(',', " , ").replace('\n', "\r\n");
+    std::fs::write(folder.path().join("other.csv"), other).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+    command.args(words("predict --model pred.safetensors --inputs -")).current_dir(folder.path());
+    let input = std::fs::File::open(folder.path().join("other.csv")).unwrap();
+    let output = command.stdin(input).output().unwrap();
     assert!(output.status.success());
     assert_eq!(stdout(&output), expected);
 }
