@@ -231,6 +231,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
         let e = &r.encoder;
         let parts = ["train", "validation", "test"];
         let together = [ALL, SHIPPED].contains(&e.set.as_str());
+        let of_all = if e.set == SHIPPED { "shipped encoder of all data sets" } else { "encoder of all data sets" };
         let sets: Vec<&str> = if together {
             paper.data_sets.iter().map(|d| d.name.as_str()).collect()
         } else {
@@ -242,7 +243,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
             }
             let widths: Vec<String> = e.channels.iter().map(ToString::to_string).collect();
             let mut cells = vec![
-                if together { format!("{set}: {}", of_all(&e.set)) } else { set.to_owned() }.into(),
+                if together { format!("{set}: {of_all}") } else { set.to_owned() }.into(),
                 format!("{}³F{}", e.size, e.features).into(),
                 if widths.is_empty() { "default".into() } else { widths.join("-") }.into(),
             ];
@@ -262,11 +263,6 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
                 shipped encoders, the validation and test volumes are whole ensemble members.";
     s.tables.push((table, what.into()));
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
-}
-
-/// Name of an encoder of several data sets.
-fn of_all(set: &str) -> &'static str {
-    if set == SHIPPED { "shipped encoder of all data sets" } else { "encoder of all data sets" }
 }
 
 fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
