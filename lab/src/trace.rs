@@ -5,13 +5,7 @@
 //! curve over image scales at the reference step. Both are multiplied by noise that was measured at the same frame.
 //! An oracle knows the curve over the step, but not the noise.
 //!
-//! # File format
-//!
-//! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the name, the volumes (file, enlargement and
-//! identity), the path ([`entire_io::path`]), `hold` (frames per volume of a series; 0 for a single volume),
-//! `scales` (image scale from a frame on), the draw settings, the points of every frame's grid, and the
-//! provenance. A point has its ray step and image scale, the seconds of every repeat, and the PSNR and the
-//! structural similarity to the picture at the reference step.
+//! A file of a trace is a [`Trace`] as JSON.
 
 mod format;
 
