@@ -97,9 +97,9 @@ pub(crate) fn write(paper: &Paper, material: &Material, pages: &Path) -> Result<
             }
         }
     }
-    for trial in trials(paper, material) {
-        let _ = write!(out, "\n## {}\n\nCommand: `{}`.\n", trial.title, trial.command);
-        out += &tables_and_charts(&trial.section, trial.title, trial.stem, &images, &mut told)?;
+    for ([title, command, stem], section) in trials(paper, material) {
+        let _ = write!(out, "\n## {title}\n\nCommand: `{command}`.\n");
+        out += &tables_and_charts(&section, title, stem, &images, &mut told)?;
     }
     if !missing.is_empty() {
         let mut table = Table::headed("label | title | command");

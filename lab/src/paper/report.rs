@@ -55,10 +55,10 @@ pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Ins
         }
         page.paragraph(&format!("Command: {}", label.command));
     }
-    for trial in trials(paper, material) {
-        page.heading(trial.title);
-        tables_and_charts(&mut page, &trial.section);
-        page.paragraph(&format!("Command: {}", trial.command));
+    for ([title, command, _], section) in trials(paper, material) {
+        page.heading(title);
+        tables_and_charts(&mut page, &section);
+        page.paragraph(&format!("Command: {command}"));
     }
     let missing = sections.iter().filter(|(l, s)| !s.there() || l.command.is_empty()).count();
     let seconds = started.elapsed().as_secs_f64();

@@ -460,17 +460,9 @@ fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
     s.summary = format!("{} pictures", s.pictures.len());
 }
 
-/// A part of the study that has no counterpart in the paper.
-pub(super) struct Trial {
-    pub(super) title: &'static str,
-    pub(super) command: &'static str,
-    /// First part of the names of the part's files.
-    pub(super) stem: &'static str,
-    pub(super) section: Section,
-}
-
-/// Sections of the experiments on the causes of the network's error.
-pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
+/// Experiments on the causes of the network's error, which have no counterpart in the paper: title, command, first
+/// part of the names of files, and section.
+pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 3], Section)> {
     let of = |panel: Panel| material.all.iter().filter(move |r| r.panel == panel);
     let mut procedure = Section::default();
     for r in of(Panel::Procedure) {
@@ -507,13 +499,10 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<Trial> {
         frames.charts.push((chart, "All networks were trained on the same volumes.".into()));
     }
     let all = [
-        ("The recipe, one change at a time", "make paper-procedure", "trial-procedure", procedure),
-        ("Training on predicted frame times", "make paper-frames DATA=FOLDER", "trial-frames", frames),
+        (["The recipe, one change at a time", "make paper-procedure", "trial-procedure"], procedure),
+        (["Training on predicted frame times", "make paper-frames DATA=FOLDER", "trial-frames"], frames),
     ];
-    all.into_iter()
-        .filter(|(.., section)| section.there())
-        .map(|(title, command, stem, section)| Trial { title, command, stem, section })
-        .collect()
+    all.into_iter().filter(|(_, section)| section.there()).collect()
 }
 
 /// Table of the errors of all trials of one part and mode, also relative to the first trial.
