@@ -231,7 +231,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
         let e = &r.encoder;
         let parts = ["train", "validation", "test"];
         let together = [ALL, SHIPPED].contains(&e.set.as_str());
-        let of_all = if e.set == SHIPPED { "shipped encoder of all data sets" } else { "encoder of all data sets" };
+        let of_all =
+            if e.set == SHIPPED { "shipped encoder of all data sets" } else { "encoder of all data sets" };
         let sets: Vec<&str> = if together {
             paper.data_sets.iter().map(|d| d.name.as_str()).collect()
         } else {
