@@ -1,6 +1,6 @@
 //! Tests with frames that other programs slow down, and with machines whose speed changes permanently.
 
-use super::tests::{fitted, planned};
+use super::tests::{fitted, planned, starts};
 use super::*;
 use crate::adapt::Prior;
 use crate::numeric::Noise;
@@ -53,8 +53,7 @@ fn a_saved_state_holds_no_load() {
     let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let (mut hybrid, mut noise) = (fitted(0.15), Noise(17));
     let mut play = |hybrid: &mut Hybrid, first: bool, slowed: f32| {
-        let changes = Changes { first, ..Changes::default() };
-        let (plan, seen) = planned(hybrid, (0.02, 32.0), changes, cost);
+        let (plan, seen) = planned(hybrid, (0.02, 32.0), starts(first), cost);
         let seconds = slowed * seen.seconds * (0.02 * noise.normal()).exp() as f32;
         hybrid.observe(&Observed { seconds, ..seen });
         plan.step
@@ -94,8 +93,7 @@ fn settings_are_judged_by_the_bound_that_chooses_steps() {
     let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let (mut judged, mut bounded) = (0, 0);
     for i in 0..120 {
-        let changes = Changes { first: i == 0, ..Changes::default() };
-        let (plan, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
+        let (plan, seen) = planned(&mut hybrid, (0.02, 32.0), starts(i == 0), cost);
         if plan.reason == Reason::Fits {
             let calm = Changes::default();
             judged += usize::from(!hybrid.fits(&hybrid.judged(&seen.terms, calm), 0.02));
@@ -116,8 +114,7 @@ fn a_doubtful_first_frame_is_forecast_from_once_only() {
     let cost = |step: f32| CostTerms::whole(0.01 / step, 9.0, Source::Network);
     let mut steps = Vec::new();
     for i in 0..6 {
-        let changes = Changes { first: i == 0, ..Changes::default() };
-        let (plan, seen) = planned(&mut hybrid, (0.02, 16.0), changes, cost);
+        let (plan, seen) = planned(&mut hybrid, (0.02, 16.0), starts(i == 0), cost);
         // The first frame includes two seconds of compilation.
         hybrid.observe(&Observed { seconds: if i == 0 { 2.0 } else { seen.seconds }, ..seen });
         steps.push(plan.step);
@@ -156,8 +153,7 @@ fn a_prediction_that_knows_nothing_of_the_step_is_not_taken_for_a_load() {
     // Predictions of a network trained on another renderer: they hardly depend on the step.
     let cost = |step: f32| CostTerms::whole(0.02 * step.powf(-0.05), 0.0, Source::Network);
     for i in 0..60 {
-        let changes = Changes { first: i == 0, ..Changes::default() };
-        let (decision, seen) = planned(&mut hybrid, (0.03, 16.0), changes, cost);
+        let (decision, seen) = planned(&mut hybrid, (0.03, 16.0), starts(i == 0), cost);
         let seconds = 0.003 + 0.1 / decision.step;
         assert!(i < 30 || (0.02..0.033).contains(&seconds), "frame {i}: {seconds} {decision:?}");
         hybrid.observe(&Observed { seconds, ..seen });
@@ -171,8 +167,7 @@ fn where_the_time_hardly_depends_on_the_step_the_finest_step_that_fits_is_found_
     let cost = |step: f32| CostTerms::whole(0.018 + 0.004 / step, 0.0, Source::Analytic);
     let mut steps = Vec::new();
     for i in 0..60 {
-        let changes = Changes { first: i == 0, ..Changes::default() };
-        let (decision, seen) = planned(&mut hybrid, (0.02, 16.0), changes, cost);
+        let (decision, seen) = planned(&mut hybrid, (0.02, 16.0), starts(i == 0), cost);
         hybrid.observe(&seen);
         steps.push(decision.step);
     }

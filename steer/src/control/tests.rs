@@ -17,6 +17,11 @@ pub(super) fn fitted(log_sd: f32) -> Hybrid {
     Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd }, ..HybridOptions::default() })
 }
 
+/// The changes of a frame; `first`: it starts a session.
+pub(super) fn starts(first: bool) -> Changes {
+    Changes { first, ..Changes::default() }
+}
+
 /// Plans a frame with steps from 1 to `coarsest`. Returns the plan, and the observation of the frame if it
 /// takes the predicted time.
 pub(super) fn planned(
@@ -102,9 +107,8 @@ fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
 #[test]
 fn a_step_without_a_prediction_does_not_fit() {
     let mut hybrid = fitted(0.1);
-    let first = Changes { first: true, ..Changes::default() };
-    let (before, seen) =
-        planned(&mut hybrid, (0.02, 16.0), first, |step| CostTerms::whole(0.04 / step, 0.0, Source::Network));
+    let cost = |step: f32| CostTerms::whole(0.04 / step, 0.0, Source::Network);
+    let (before, seen) = planned(&mut hybrid, (0.02, 16.0), starts(true), cost);
     hybrid.observe(&seen);
     assert!(before.step < 12.0);
     // In the next scene, steps below 12 have no prediction, and the coarsest step is too slow.
@@ -150,8 +154,7 @@ fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
     for i in 0..300 {
         let nonsense = (1.5 * noise.normal()).exp() as f32;
         let cost = |step: f32| CostTerms::whole(0.06 * nonsense / step, 9.0, Source::Network);
-        let changes = Changes { first: i == 0, ..Changes::default() };
-        let (decision, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
+        let (decision, seen) = planned(&mut hybrid, (0.02, 32.0), starts(i == 0), cost);
         let seconds = (0.002 + 0.058 / decision.step) * (0.03 * noise.normal()).exp() as f32;
         history += i32::from(decision.reason == Reason::History);
         misses += i32::from(i > 5 && seconds > 0.022);
@@ -168,8 +171,7 @@ fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
         let score = |step: f32| if step > 4.0 { 3.0 } else { 0.0 };
         let cost = |step: f32| CostTerms::whole(seconds / step, score(step), Source::Analytic);
         for i in 0..20 {
-            let changes = Changes { first: i == 0, ..Changes::default() };
-            let (d, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
+            let (d, seen) = planned(&mut hybrid, (0.02, 32.0), starts(i == 0), cost);
             assert_eq!(d.reason != Reason::History, trusted || i == 0, "{seconds} s, frame {i}: {d:?}");
             assert_eq!(d.out_of_range, score(d.step));
             hybrid.observe(&Observed { seconds: seconds / d.step, ..seen });
@@ -181,8 +183,7 @@ fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
 fn narrow_limits_do_not_allow_a_finest_step_without_a_bound() {
     let mut hybrid = fitted(1.0);
     let cost = |step: f32| CostTerms::whole(0.019 / step, 0.0, Source::Analytic);
-    let first = Changes { first: true, ..Changes::default() };
-    let (plan, _) = planned(&mut hybrid, (0.02, 2.0), first, cost);
+    let (plan, _) = planned(&mut hybrid, (0.02, 2.0), starts(true), cost);
     assert_eq!(plan.reason, Reason::Fits);
     assert!((plan.step - 2.0f32.sqrt()).abs() < 1e-4, "{plan:?}");
 }
@@ -193,8 +194,7 @@ fn state_survives_saving_and_damaged_state_is_refused() {
     let mut hybrid = make();
     let cost = |step: f32| CostTerms::whole(0.1 / step, 0.0, Source::Analytic);
     for i in 0..50 {
-        let changes = Changes { first: i == 0, ..Changes::default() };
-        let (d, seen) = planned(&mut hybrid, (0.05, 16.0), changes, cost);
+        let (d, seen) = planned(&mut hybrid, (0.05, 16.0), starts(i == 0), cost);
         hybrid.observe(&Observed { seconds: 0.3 / d.step, ..seen });
     }
     let mut bytes = Vec::new();

@@ -166,9 +166,8 @@ mod tests {
         Frame::new(Camera::from_arcball(pose).unwrap(), 64 + i * 37 % 400, 64 + i * 53 % 300).unwrap()
     }
 
-    /// Returns a session that records the frames of a cube.
-    fn recording() -> Session {
-        let mut session = Session::untrained();
+    /// Lets a session record the frames of a cube.
+    fn recording(mut session: Session) -> Session {
         session.set_volume(cube(24), None);
         session.set_transfer(&lobe_at(0.3), None).unwrap();
         session.record(None, 100).unwrap();
@@ -201,10 +200,8 @@ mod tests {
     #[test]
     fn a_session_makes_a_model_of_its_renderer_and_steers_by_it() {
         let mut session = Session::untrained();
-        assert_eq!(
-            (session.recorded(), session.calibrate().unwrap_err().kind()),
-            (None, ErrorKind::NotReady)
-        );
+        assert_eq!(session.recorded(), None);
+        assert_eq!(session.calibrate().unwrap_err().kind(), ErrorKind::NotReady);
         session.record(None, 400).unwrap();
         for edge in [24, 32, 40] {
             session.set_volume(cube(edge), None);
@@ -231,7 +228,7 @@ mod tests {
 
     #[test]
     fn what_was_not_an_ordinary_frame_is_not_kept() {
-        let mut session = recording();
+        let mut session = recording(Session::untrained());
         let flags = |unusual, cancelled| ObserveFlags { unusual, cancelled };
         // Five frames: the first of the session, an ordinary one, an unusual one, a cancelled one, and one
         // that is never observed. Only the second must be recorded.
@@ -253,7 +250,7 @@ mod tests {
 
     #[test]
     fn a_withdrawn_plan_is_not_recorded_as_the_first_frame_of_a_volume() {
-        let mut session = recording();
+        let mut session = recording(Session::untrained());
         play(&mut session, 0..2);
         assert_eq!(session.recorded(), Some(1));
         let withdrawn = session.plan(&frame(2), 1.0).unwrap();
@@ -286,10 +283,7 @@ mod tests {
         for (session, stated) in
             [(Session::untrained(), None), (Session::untrained().with_probe(4, None).unwrap(), Some(4))]
         {
-            let mut session = session;
-            session.set_volume(cube(24), None);
-            session.set_transfer(&lobe_at(0.3), None).unwrap();
-            session.record(None, 100).unwrap();
+            let mut session = recording(session);
             play(&mut session, 0..40);
             let model = session.calibrate().unwrap().file.to_model().unwrap();
             assert_eq!(model.metadata.get(Key::ProbeSide.name()).map(String::as_str), stated.map(|_| "4"));
@@ -299,7 +293,7 @@ mod tests {
 
     #[test]
     fn frames_of_another_probe_are_dropped() {
-        let mut session = recording();
+        let mut session = recording(Session::untrained());
         play(&mut session, 0..10);
         let network = load(&unit_factor(5).to_model().unwrap()).unwrap();
         session.set_predictor(network, HybridOptions::default());
@@ -311,7 +305,7 @@ mod tests {
 
     #[test]
     fn a_transfer_function_that_was_shown_before_the_recording_is_recognized() {
-        let mut session = recording();
+        let mut session = recording(Session::untrained());
         for center in [0.3, 0.6, 0.3] {
             session.set_transfer(&lobe_at(center), None).unwrap();
             play(&mut session, 0..30);
