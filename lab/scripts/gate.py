@@ -99,6 +99,7 @@ RENAMED = {
     "likeness_is_one_for_equal_pictures_and_falls": "sizes_and_likeness_are_those_of_the_image_crates",
     "below_a_file": "files_that_cannot_be_written_are_named",
     "in_a_read_only_folder": "a_file_is_written_whole_and_nothing_is_left_beside_it",
+    "times_that_no_frame_takes_are_refused": "bad_input_is_refused_with_a_reason",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {
