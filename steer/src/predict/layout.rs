@@ -244,21 +244,14 @@ impl InputLayout {
                 }
                 // If there are fewer lobes than the model takes, the tallest is split into equal parts. Their
                 // sum is the same function.
-                let mut tallest = 0;
-                for (i, lobe) in lobes.iter().enumerate() {
-                    if lobe.height > lobes[tallest].height {
-                        tallest = i;
-                    }
-                }
+                let taller = |a: usize, b: usize| if lobes[b].height > lobes[a].height { b } else { a };
+                let tallest = (0..lobes.len()).fold(0, taller);
                 let shares = (1 + wanted - lobes.len()) as f32;
                 for (i, slot) in out.chunks_exact_mut(3).enumerate() {
                     let of = if i < lobes.len() { i } else { tallest };
                     let GaussianLobe { center, width, height } = lobes[of];
-                    slot.copy_from_slice(&[
-                        center,
-                        width,
-                        if of == tallest { height / shares } else { height },
-                    ]);
+                    let height = if of == tallest { height / shares } else { height };
+                    slot.copy_from_slice(&[center, width, height]);
                 }
                 if self.sorted_lobes {
                     sort_lobes(out);
@@ -313,17 +306,13 @@ fn need_probe(features: &[SceneFeature]) -> bool {
 
 fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
     if out.len() != values.len() {
+        let encoded = group == GroupKind::VolumeFeatures;
+        let hint = if encoded { "; encode the volume with this model's VolumeNet" } else { "" };
         bail!(
             MissingInput,
-            "the model's input group {} has size {}, but {} values were given{}",
-            group.name(),
+            "the model's input group {group} has size {}, but {} values were given{hint}",
             out.len(),
-            values.len(),
-            if group == GroupKind::VolumeFeatures {
-                "; encode the volume with this model's VolumeNet"
-            } else {
-                ""
-            }
+            values.len()
         );
     }
     out.copy_from_slice(values);
@@ -367,13 +356,11 @@ fn takes_sorted_lobes(model: &Model) -> Result<bool> {
     match model.metadata.get(Key::LobeOrder.name()).map(|s| s.as_str()) {
         None => Ok(false),
         Some("center") => Ok(true),
-        Some(other) => {
-            bail!(
-                Unsupported,
-                "{} is {other:?}; only \"center\" is accepted, or no entry if lobes keep the caller's order",
-                Key::LobeOrder
-            )
-        }
+        Some(other) => bail!(
+            Unsupported,
+            "{} is {other:?}; only \"center\" is accepted, or no entry if lobes keep the caller's order",
+            Key::LobeOrder
+        ),
     }
 }
 

@@ -129,15 +129,13 @@ impl ModelPredictor {
         }
         let mut spread = filled(width, (f32::NAN, 1.0))?;
         if let Some(norm) = model.prednet.as_ref().and_then(|p| p.input.as_ref()) {
-            let mut at = 0;
+            let mut left = spread.iter_mut().zip(norm.mean.iter().zip(&norm.std));
             for &(kind, size) in &layout.groups {
-                if kind != GroupKind::VolumeFeatures {
-                    let ends = norm.mean[at..at + size].iter().zip(&norm.std[at..at + size]);
-                    for (slot, (&mean, &std)) in spread[at..at + size].iter_mut().zip(ends) {
+                for (slot, (&mean, &std)) in left.by_ref().take(size) {
+                    if kind != GroupKind::VolumeFeatures {
                         *slot = (mean, std);
                     }
                 }
-                at += size;
             }
         }
         let calibration = Stored::of(model)?
