@@ -18,7 +18,7 @@ const MAX_WIDTH: usize = 65_536;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Network<T> {
     widths: Vec<usize>,
-    parameters: Vec<T>,
+    pub(super) parameters: Vec<T>,
 }
 
 /// Place of a layer's parameters in the vector of all parameters.
@@ -119,10 +119,6 @@ impl<T: Real> Network<T> {
         &self.parameters
     }
 
-    pub(crate) fn parameters_mut(&mut self) -> &mut [T] {
-        &mut self.parameters
-    }
-
     /// Returns the same network in another precision.
     pub fn cast<U: Real>(&self) -> Network<U> {
         Network {
@@ -157,7 +153,8 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 /// Buffers for the rows of one task, and the gradient of the loss over these rows.
 #[derive(Clone, Debug)]
 pub(crate) struct Pass<T> {
-    rows: usize,
+    /// Number of rows that the buffers were made for.
+    pub(crate) rows: usize,
     /// Output of every layer, [rows, width] each.
     activations: Vec<Vec<T>>,
     /// Gradient of the loss with respect to the output of a layer.
@@ -180,10 +177,6 @@ impl<T: Real> Pass<T> {
             next_delta: vec![T::zero(); delta],
             gradient: vec![T::zero(); if backward { network.parameters.len() } else { 0 }],
         }
-    }
-
-    pub(crate) fn rows(&self) -> usize {
-        self.rows
     }
 
     pub(crate) fn output(&self) -> &[T] {

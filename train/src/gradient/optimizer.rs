@@ -101,7 +101,7 @@ impl<T: Real> Trainer<T> {
         );
         let count = (rows / ROWS_PER_TASK).clamp(1, MAX_TASKS);
         let bounds = |task: usize| task * rows / count..(task + 1) * rows / count;
-        let same = self.tasks.len() == count && (0..count).all(|t| self.tasks[t].rows() == bounds(t).len());
+        let same = self.tasks.len() == count && (0..count).all(|t| self.tasks[t].rows == bounds(t).len());
         if !same {
             self.tasks = (0..count).map(|t| Pass::new(&self.network, bounds(t).len(), true)).collect();
         }
@@ -183,7 +183,7 @@ impl<T: Real> Trainer<T> {
         let gradient = &self.gradient;
         pool.install(|| {
             self.network
-                .parameters_mut()
+                .parameters
                 .par_chunks_mut(PARAMETERS_PER_TASK)
                 .zip(self.first_moment.par_chunks_mut(PARAMETERS_PER_TASK))
                 .zip(self.second_moment.par_chunks_mut(PARAMETERS_PER_TASK))
