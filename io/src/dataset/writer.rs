@@ -29,6 +29,8 @@ fn check_name(path: &Path) -> Result<()> {
     Ok(())
 }
 
+const BUSY: &str = "another process writes this table; wait until it has ended, or choose another name";
+
 /// Appends frames to a timing table. Each frame is written in one piece and flushed to disk, so that a crash
 /// loses at most the current frame. The table is locked meanwhile: two writers would mix their rows.
 #[derive(Debug)]
@@ -59,7 +61,7 @@ impl Writer {
                 anyhow!("cannot write {}: {e}", path.display())
             }
         })?;
-        lock(&file, path)?;
+        lock_alone(&file, path, BUSY)?;
         write_header(&mut file).with_context(|| format!("cannot write {}", path.display()))?;
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
@@ -93,7 +95,7 @@ impl Writer {
         check_name(path)?;
         let fail = || format!("cannot resume {}", path.display());
         let mut file = OpenOptions::new().read(true).write(true).open(path).with_context(fail)?;
-        lock(&file, path)?;
+        lock_alone(&file, path, BUSY)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).with_context(fail)?;
         let header = header();
@@ -197,14 +199,6 @@ pub fn ensure_no_table(path: &Path) -> Result<()> {
         .with_context(|| format!("cannot read {}", path.display()))?;
     ensure!(start != columns.as_bytes(), "{} is a timing table; choose another name", path.display());
     Ok(())
-}
-
-fn lock(file: &File, path: &Path) -> Result<()> {
-    lock_alone(
-        file,
-        path,
-        "another process writes this table; wait until it has ended, or choose another name",
-    )
 }
 
 fn header() -> String {
