@@ -163,7 +163,8 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
     match magic.as_slice() {
         [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5'] => {}
         [b'N', b'R', b'R', b'D', ..] => {
-            bail!("NRRD version {:?} is not known; accepted are NRRD0001 to NRRD0005", text(&magic))
+            let version = String::from_utf8_lossy(&magic[..magic.len().min(40)]);
+            bail!("NRRD version {version:?} is not known; accepted are NRRD0001 to NRRD0005")
         }
         _ => bail!("not a NRRD file: its first bytes are not \"NRRD\""),
     }
@@ -285,10 +286,6 @@ fn directions(value: &str) -> Result<Vec<Option<f64>>> {
         rest = after.trim_start();
     }
     Ok(found)
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(&bytes[..bytes.len().min(40)]).into_owned()
 }
 
 #[cfg(test)]
