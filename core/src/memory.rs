@@ -16,10 +16,8 @@ pub(crate) fn no_memory() -> Error {
 /// Returns an empty vector with capacity for `len` elements.
 pub fn room<T>(len: usize) -> Result<Vec<T>> {
     let mut out = Vec::new();
-    match out.try_reserve_exact(len) {
-        Ok(()) => Ok(out),
-        Err(_) => Err(no_memory()),
-    }
+    out.try_reserve_exact(len).map_err(|_| no_memory())?;
+    Ok(out)
 }
 
 /// A vector of `len` copies of `value`.
@@ -40,10 +38,7 @@ pub fn chunks<const N: usize, T: bytemuck::Pod>(all: &[T]) -> (&[[T; N]], &[T]) 
 /// Reserves capacity for `len` elements in total. May reserve more, so that a vector that grows step by step
 /// is reallocated only a few times.
 pub fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
-    match vector.try_reserve(len.saturating_sub(vector.len())) {
-        Ok(()) => Ok(()),
-        Err(_) => Err(no_memory()),
-    }
+    vector.try_reserve(len.saturating_sub(vector.len())).map_err(|_| no_memory())
 }
 
 /// Resizes a vector to `len`; new elements are `value`.
