@@ -56,55 +56,53 @@ fn transfer_function() -> *mut entire_transfer_function {
     made(|out| unsafe { entire_transfer_function_from_lobes(&raw const lobe, 1, out) })
 }
 
-const SETTINGS: [entire_setting; 2] = [
-    entire_setting {
-        step: 1.0,
-        width: 32,
-        height: 32,
-        shading: ENTIRE_SHADING_NONE,
-        skipping: ENTIRE_SKIPPING_BLOCKS,
-    },
-    entire_setting {
-        step: 4.0,
-        width: 16,
-        height: 16,
-        shading: ENTIRE_SHADING_NONE,
-        skipping: ENTIRE_SKIPPING_BLOCKS,
-    },
-];
+/// A session that was given a volume and a transfer function, which are freed.
+///
+/// # Safety
+/// `model` is NULL or live.
+unsafe fn session_of(model: *const entire_model, voxels: &[u8]) -> *mut entire_session {
+    let (volume, transfer) = (volume(voxels, ENTIRE_VOXELS_COPY), transfer_function());
+    // SAFETY: `model` is NULL or live as the caller guarantees, the other handles are live, and the output
+    // has room for a handle.
+    unsafe {
+        let session = made(|out| entire_session_new(model, null(), out));
+        ok(entire_session_set_volume(session, volume));
+        ok(entire_session_set_transfer_function(session, transfer));
+        entire_volume_free(volume);
+        entire_transfer_function_free(transfer);
+        session
+    }
+}
+
+const SETTING: entire_setting = entire_setting {
+    step: 1.0,
+    width: 32,
+    height: 32,
+    shading: ENTIRE_SHADING_NONE,
+    skipping: ENTIRE_SKIPPING_BLOCKS,
+};
+const SETTINGS: [entire_setting; 2] =
+    [SETTING, entire_setting { step: 4.0, width: 16, height: 16, ..SETTING }];
 
 /// One render loop: plans, choices, observations, a saved state.
 ///
 /// # Safety
 /// `model` is NULL or live.
 unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
-    let (volume, transfer) = (volume(voxels, ENTIRE_VOXELS_BORROW), transfer_function());
-    let options = init(entire_session_options_init);
     let mut frame = init(entire_frame_init);
     (frame.width, frame.height) = (32, 32);
     // SAFETY: every handle below is live and used by this thread alone, and every output has room for its
     // result.
     unsafe {
-        let session = made(|out| entire_session_new(model, &raw const options, out));
-        ok(entire_session_set_volume(session, volume));
-        ok(entire_session_set_transfer_function(session, transfer));
-        entire_volume_free(volume);
-        entire_transfer_function_free(transfer);
+        let session = session_of(model, voxels);
         for i in 0..frames {
             frame.arcball[1] = 40.0 * i as f32;
             let mut plan: entire_plan = crate::abi::ByValue::defaults();
             let mut index = 99;
             if i % 3 == 2 {
                 let (settings, count) = (SETTINGS.as_ptr(), SETTINGS.len());
-                ok(entire_session_choose(
-                    session,
-                    &raw const frame,
-                    settings,
-                    count,
-                    0.02,
-                    &raw mut index,
-                    &raw mut plan,
-                ));
+                let (chosen, out) = (&raw mut index, &raw mut plan);
+                ok(entire_session_choose(session, &raw const frame, settings, count, 0.02, chosen, out));
                 assert!(index < 2);
             } else {
                 ok(entire_session_plan(session, &raw const frame, 0.02, &raw mut plan));
@@ -160,15 +158,11 @@ fn a_session_follows_a_volume_from_step_to_step() {
             ok(entire_session_set_time_step(session, borrowed));
             let mut found: entire_prediction = crate::abi::ByValue::defaults();
             ok(entire_session_predict(session, &raw const frame, &raw mut found));
-            let alone = volume(&voxels, ENTIRE_VOXELS_COPY);
-            let given = made(|out| entire_session_new(null(), null(), out));
-            ok(entire_session_set_volume(given, alone));
-            ok(entire_session_set_transfer_function(given, transfer));
+            let given = session_of(null(), &voxels);
             let mut wanted: entire_prediction = crate::abi::ByValue::defaults();
             ok(entire_session_predict(given, &raw const frame, &raw mut wanted));
             assert_eq!(found.seconds, wanted.seconds);
             entire_session_free(given);
-            entire_volume_free(alone);
         }
         entire_session_free(session);
         entire_transfer_function_free(transfer);
@@ -179,16 +173,11 @@ fn a_session_follows_a_volume_from_step_to_step() {
 #[test]
 fn a_session_makes_a_model_of_what_it_observes() {
     let voxels: Vec<u8> = (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect();
-    let (volume, transfer) = (volume(&voxels, ENTIRE_VOXELS_COPY), transfer_function());
     let mut frame = init(entire_frame_init);
     // SAFETY: every handle below is live and used by this thread alone, and every output has room for its
     // result.
     unsafe {
-        let session = made(|out| entire_session_new(null(), null(), out));
-        ok(entire_session_set_volume(session, volume));
-        ok(entire_session_set_transfer_function(session, transfer));
-        entire_volume_free(volume);
-        entire_transfer_function_free(transfer);
+        let session = session_of(null(), &voxels);
         let mut model = null_mut();
         assert_eq!(entire_session_calibrate(session, &raw mut model, null_mut()), ENTIRE_NOT_READY);
         assert!(model.is_null());
@@ -220,7 +209,7 @@ fn a_session_makes_a_model_of_what_it_observes() {
 #[test]
 fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
     let options = init(entire_session_options_init);
-    let session_of = |renderer: &std::ffi::CStr, clock: &std::ffi::CStr| {
+    let session_on = |renderer: &std::ffi::CStr, clock: &std::ffi::CStr| {
         // SAFETY: the output has room for a handle, the session is live, and the texts are C strings.
         unsafe {
             let session = made(|out| entire_session_new(null(), &raw const options, out));
@@ -240,7 +229,7 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
     // SAFETY: every handle below is live, every array has the stated length, and every output has room for
     // its result.
     unsafe {
-        let session = session_of(c"a mapper", c"wall");
+        let session = session_on(c"a mapper", c"wall");
         let mut count = 0;
         ok(entire_session_save_state(session, state.as_mut_ptr(), state.len(), &raw mut count));
         state.truncate(count);
@@ -257,12 +246,12 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
         // A refused call changes nothing.
         assert_eq!(taken(session, &state), ENTIRE_OK);
     }
-    assert_eq!(taken(session_of(c"a mapper", c"wall"), &state), ENTIRE_OK);
-    assert_eq!(taken(session_of(c"another mapper", c"wall"), &state), ENTIRE_UNSUPPORTED);
-    assert_eq!(taken(session_of(c"a mapper", c"cpu"), &state), ENTIRE_UNSUPPORTED);
-    assert_eq!(taken(session_of(c"", c""), &state), ENTIRE_UNSUPPORTED);
+    assert_eq!(taken(session_on(c"a mapper", c"wall"), &state), ENTIRE_OK);
+    assert_eq!(taken(session_on(c"another mapper", c"wall"), &state), ENTIRE_UNSUPPORTED);
+    assert_eq!(taken(session_on(c"a mapper", c"cpu"), &state), ENTIRE_UNSUPPORTED);
+    assert_eq!(taken(session_on(c"", c""), &state), ENTIRE_UNSUPPORTED);
     state[20] ^= 1;
-    assert_eq!(taken(session_of(c"a mapper", c"wall"), &state), ENTIRE_INVALID_ARGUMENT);
+    assert_eq!(taken(session_on(c"a mapper", c"wall"), &state), ENTIRE_INVALID_ARGUMENT);
 }
 
 /// A model with the same answer for every frame: exp(`log_seconds`).
@@ -291,18 +280,12 @@ fn a_plan_that_is_refused_uses_no_id() {
     // its result.
     unsafe {
         let model = made(|out| entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out));
-        let options = init(entire_session_options_init);
-        let session = made(|out| entire_session_new(model, &raw const options, out));
+        let session = session_of(model, &voxels);
         entire_model_free(model);
-        let (volume, transfer) = (volume(&voxels, ENTIRE_VOXELS_COPY), transfer_function());
-        ok(entire_session_set_volume(session, volume));
-        ok(entire_session_set_transfer_function(session, transfer));
-        entire_volume_free(volume);
-        entire_transfer_function_free(transfer);
         let mut frame = init(entire_frame_init);
         (frame.width, frame.height) = (32, 32);
         let mut plan: entire_plan = crate::abi::ByValue::defaults();
-        let finest = entire_setting { step: 1.0 / 64.0, ..SETTINGS[0] };
+        let finest = entire_setting { step: 1.0 / 64.0, ..SETTING };
         let mut index = 99;
         ok(entire_session_set_limits(session, finest.step, finest.step));
         for _ in 0..3 {
