@@ -197,20 +197,19 @@ pub fn run(options: &Options) -> Result<()> {
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };
-    let fitted = recipe.make(&context, training, validation)?;
+    let mut fitted = recipe.make(&context, training, validation)?;
     bar.finish_and_clear();
-    let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
-
     // The metrics are those of the stored model, with its weights in their storage format.
-    let model = trained.fitted.file.to_model()?;
+    let model = fitted.file.to_model()?;
+    let layout = Layout::of_model(&model)?;
     let mut results = Vec::new();
     let mut upper = UpperBound::default();
     let mut covered = BTreeMap::new();
     for p in [Part::Validation, Part::Training, Part::Test] {
         let bar = templated_bar(INPUTS_BAR);
-        let rows = trained.layout.rows(&tables, part(p), &pool, &bar)?;
+        let rows = layout.rows(&tables, part(p), &pool, &bar)?;
         bar.finish_and_clear();
-        let predicted = predict_rows(&model, &rows, trained.layout.width())?;
+        let predicted = predict_rows(&model, &rows, layout.width())?;
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
@@ -223,7 +222,7 @@ pub fn run(options: &Options) -> Result<()> {
         }
     }
     results.sort_by_key(|r| r.0);
-    upper.store(&mut trained.fitted.file)?;
+    upper.store(&mut fitted.file)?;
     let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
         note(&format!(
@@ -233,7 +232,7 @@ pub fn run(options: &Options) -> Result<()> {
         ));
     }
     let provenance = json!({
-        "what": trained.fitted.what,
+        "what": fitted.what,
         "paper": "ENTIRE: Learning-based Volume Rendering Time Prediction",
         "data": tables.iter().map(|t| json!({
             "file": t.path.file_name().map(|n| n.to_string_lossy()),
@@ -250,8 +249,8 @@ pub fn run(options: &Options) -> Result<()> {
         "split": split,
         "earlier_splits": earlier,
         "training_frames": part(Part::Training).len(),
-        "settings": trained.fitted.settings,
-        "outcome": trained.fitted.outcome,
+        "settings": fitted.settings,
+        "outcome": fitted.outcome,
         "metrics": results.iter().map(|(p, m)| (p.name(), m)).collect::<BTreeMap<_, _>>(),
         "upper_bound": {
             "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor), "coverage": covered,
@@ -262,26 +261,26 @@ pub fn run(options: &Options) -> Result<()> {
         "program": format!("entire {}", machine::version()),
         "date": machine::now(),
     });
-    trained.fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
-    entire_io::clock::set(&mut trained.fitted.file, clock);
+    fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
+    entire_io::clock::set(&mut fitted.file, clock);
     // A fine-tuned model has the quality law and the names of the renderer of its earlier training.
     for key in [Key::Quality, Key::Renderer, Key::Device, Key::StepReference] {
-        trained.fitted.file.metadata.remove(key.name());
+        fitted.file.metadata.remove(key.name());
     }
-    if let Some(fitted) = &pictures {
-        fitted.quality.store(&mut trained.fitted.file)?;
+    if let Some(law) = &pictures {
+        law.quality.store(&mut fitted.file)?;
     }
     if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
-        trained.fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
-        trained.fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
-        trained.fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
+        fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
+        fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
+        fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
     } else if pictures.is_some() {
         note(
             "the frames have no manifest, so the model does not name the renderer of --pictures; a session \
              that names its renderer ignores the model's quality law",
         );
     }
-    write_whole(&options.out, &trained.fitted.file.to_bytes()?)?;
+    write_whole(&options.out, &fitted.file.to_bytes()?)?;
     let held = covered.get(Part::Test.name()).copied().flatten();
     let tested = match (split.test.is_empty(), leak) {
         (true, _) => {
@@ -290,7 +289,8 @@ pub fn run(options: &Options) -> Result<()> {
         (false, Some(text)) => format!("The errors above are not those of unseen data: {text}."),
         (false, None) => "Test groups were not used in training.".into(),
     };
-    let card = card(options, &trained, (&split, &tested), &tables, &results, (upper, held), noise.as_ref());
+    let made = (&fitted, &layout, clock);
+    let card = card(options, made, (&split, &tested), &tables, &results, (upper, held), noise.as_ref());
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
     for (p, m) in &results {
         println!(
@@ -309,22 +309,16 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(n) = noise {
         println!("noise floor: {}", n.describe());
     }
-    if let Some(fitted) = &pictures {
-        println!("pictures: {}", law_text(fitted, "error"));
+    if let Some(law) = &pictures {
+        println!("pictures: {}", law_text(law, "error"));
     }
     println!(
         "{}; wrote {} in {:.1} s",
-        trained.fitted.outcome,
+        fitted.outcome,
         options.out.display(),
         started.elapsed().as_secs_f64()
     );
     Ok(())
-}
-
-struct Trained {
-    layout: Layout,
-    fitted: FittedModel,
-    clock: Clock,
 }
 
 /// Returns the requested clock, else the clock of the model that training starts from, else [`Clock::Auto`] for frames
@@ -389,14 +383,13 @@ fn check_used(recipe: &Recipe) -> Result<()> {
 /// Returns the model card, in Markdown: paragraphs, lists and tables, separated by blank lines.
 fn card(
     options: &Options,
-    trained: &Trained,
+    (fitted, layout, clock): (&FittedModel, &Layout, Clock),
     (split, tested): (&Split, &str),
     tables: &[Table],
     results: &[(Part, Metrics)],
     (upper, covered): (UpperBound, Option<f64>),
     noise: Option<&NoiseFloor>,
 ) -> String {
-    let Trained { layout, fitted, clock } = trained;
     let lines = |list: Vec<String>| list.join("\n");
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
     let shade = options.shade.map_or(String::new(), |s| format!(" --shade {s}"));
