@@ -5,7 +5,7 @@
 //! information gain (increase of ln det of the information matrix) to a power of its expected seconds. No
 //! candidate needs to be rendered for this choice.
 
-use super::pool::Pool;
+use super::pool::{Candidate, Pool};
 use entire_steer::numeric::dot;
 
 /// Exponent e of a frame's expected seconds: frames are ranked by information gain / seconds^e. With e = 0
@@ -26,7 +26,12 @@ pub(crate) struct Design {
 impl Design {
     /// Returns a design in which no frame is chosen; `costs` are the unit costs, in seconds.
     pub(crate) fn new(pool: &Pool, costs: &[f64]) -> Self {
-        let vectors = vectors(pool, costs);
+        let vector = |c: &Candidate| -> Vec<f64> {
+            let total: f64 = dot(costs, &c.work);
+            let share = |(cost, w): (&f64, &f64)| if total > 0.0 { cost * w / total } else { 0.0 };
+            std::iter::once(1.0).chain(costs.iter().zip(&c.work).map(share)).collect()
+        };
+        let vectors: Vec<Vec<f64>> = pool.candidates.iter().map(vector).collect();
         let width = vectors.first().map_or(0, Vec::len);
         let mut inverse = vec![0.0; width * width];
         for i in 0..width {
@@ -108,21 +113,9 @@ fn random_order(pool: &Pool) -> Vec<usize> {
     out.into_iter().map(|o| o.1).collect()
 }
 
-fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
-    pool.candidates
-        .iter()
-        .map(|c| {
-            let total: f64 = dot(costs, &c.work);
-            let share = |(cost, w): (&f64, &f64)| if total > 0.0 { cost * w / total } else { 0.0 };
-            std::iter::once(1.0).chain(costs.iter().zip(&c.work).map(share)).collect()
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::calibrate::pool::Candidate;
     use entire_io::dataset::TimedFrame;
     use entire_steer::calibrate::PriorModel;
     use entire_steer::numeric::solve;
