@@ -15,41 +15,37 @@ fn tables(names: &[&str]) -> Vec<Table> {
     names.iter().enumerate().map(read).collect()
 }
 
-#[test]
-fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
-    let tables = tables(&["none-others", "vtk-gpu-train", "vtk-gpu-test"]);
-    let [here, there, unseen] = [0, 1, 2].map(|i: usize| TimedFrames::of(&tables[i].frames, Clock::Cpu));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let bar = indicatif::ProgressBar::hidden();
-    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
-    let recipe = |kind| Recipe { kind, ..Recipe::default() };
-    let nothing = Timed { frames: &[], seconds: &[] };
-    let base = recipe(Kind::Analytic).make(&context, here.timed(), nothing).unwrap().file;
-    let frames: Vec<_> = there.frames.iter().copied().step_by(20).collect();
-    let seconds: Vec<f64> = there.seconds.iter().copied().step_by(20).collect();
-    let few = Timed { frames: &frames, seconds: &seconds };
-    let tuned = calibrate_to_frames(std::slice::from_ref(&base), &context, few).unwrap();
-    let error = |file: &ModelFile| {
-        let predicted = predict(&file.to_model().unwrap(), &context, &unseen.frames).unwrap();
-        Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
-    };
-    let (before, after) = (error(&base), error(&tuned));
-    assert!(after < 0.25 && after < 0.5 * before, "{before} as it is, {after} calibrated");
-}
-
-/// RMSE/SD on the frames of the second table, of a model that `fit` makes of the frames of the first one.
+/// RMSE/SD on the frames of the second table, of the model that `fit` makes of the frames of the first one; also the
+/// model.
 fn error(
     tables: &[Table],
     clock: Clock,
     fit: impl Fn(&FitContext<'_>, Timed<'_>) -> anyhow::Result<ModelFile>,
-) -> f64 {
+) -> (f64, ModelFile) {
     let [train, unseen] = [0, 1].map(|i: usize| TimedFrames::of(&tables[i].frames, clock));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let bar = indicatif::ProgressBar::hidden();
     let context = FitContext { tables, pool: &pool, bar: &bar, stop: &|| false };
-    let model = fit(&context, train.timed()).unwrap().to_model().unwrap();
-    let predicted = predict(&model, &context, &unseen.frames).unwrap();
-    Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
+    let file = fit(&context, train.timed()).unwrap();
+    let predicted = predict(&file.to_model().unwrap(), &context, &unseen.frames).unwrap();
+    (Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd, file)
+}
+
+fn unit_costs(context: &FitContext<'_>, frames: Timed<'_>) -> anyhow::Result<ModelFile> {
+    let recipe = Recipe { kind: Kind::Analytic, ..Recipe::default() };
+    Ok(recipe.make(context, frames, Timed { frames: &[], seconds: &[] })?.file)
+}
+
+#[test]
+fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
+    let (before, base) = error(&tables(&["none-others", "vtk-gpu-test"]), Clock::Cpu, unit_costs);
+    let (after, _) = error(&tables(&["vtk-gpu-train", "vtk-gpu-test"]), Clock::Cpu, |context, all| {
+        let frames: Vec<_> = all.frames.iter().copied().step_by(20).collect();
+        let seconds: Vec<f64> = all.seconds.iter().copied().step_by(20).collect();
+        let few = Timed { frames: &frames, seconds: &seconds };
+        calibrate_to_frames(std::slice::from_ref(&base), context, few)
+    });
+    assert!(after < 0.25 && after < 0.5 * before, "{before} as it is, {after} calibrated");
 }
 
 /// The same tables, as if a renderer with this backend on this device had drawn them.
@@ -64,11 +60,8 @@ fn drawn_by(tables: &[Table], backend: &str, device: &str) -> Vec<Table> {
 #[test]
 fn what_converting_stored_values_costs_is_told_from_the_volume() {
     let tables = tables(&["vtk-fixed-train", "vtk-fixed-test"]);
-    let recipe = Recipe { kind: Kind::Analytic, ..Recipe::default() };
-    let nothing = Timed { frames: &[], seconds: &[] };
-    let fit = |context: &FitContext<'_>, frames: Timed<'_>| Ok(recipe.make(context, frames, nothing)?.file);
-    let converting = error(&tables, Clock::Cpu, fit);
-    let plain = error(&drawn_by(&tables, "cpu", "CPU"), Clock::Cpu, fit);
+    let (converting, _) = error(&tables, Clock::Cpu, unit_costs);
+    let (plain, _) = error(&drawn_by(&tables, "cpu", "CPU"), Clock::Cpu, unit_costs);
     assert!(converting < 0.2 && converting < 0.75 * plain, "{converting}, {plain} without");
 }
 
@@ -76,8 +69,8 @@ fn what_converting_stored_values_costs_is_told_from_the_volume() {
 fn the_longest_ray_decides_how_long_a_gpu_takes() {
     let tables = tables(&["none-h100-train", "none-h100-members"]);
     let fit = |context: &FitContext<'_>, frames: Timed<'_>| calibrate_to_frames(&[], context, frames);
-    let gpu = error(&tables, Clock::Device, fit);
+    let (gpu, _) = error(&tables, Clock::Device, fit);
     // In software, no cost is that of a single ray.
-    let software = error(&drawn_by(&tables, "vulkan", "llvmpipe"), Clock::Device, fit);
+    let (software, _) = error(&drawn_by(&tables, "vulkan", "llvmpipe"), Clock::Device, fit);
     assert!(gpu < 0.35 && gpu < 0.6 * software, "{gpu}, {software} as if in software");
 }
