@@ -15,8 +15,7 @@ fn tables(names: &[&str]) -> Vec<Table> {
     names.iter().enumerate().map(read).collect()
 }
 
-/// RMSE/SD on the frames of the second table, of the model that `fit` makes of the frames of the first one; also the
-/// model.
+/// Returns a model that `fit` makes of the frames of the first table, after its RMSE/SD on the second table.
 fn error(
     tables: &[Table],
     clock: Clock,
