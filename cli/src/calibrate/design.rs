@@ -139,8 +139,7 @@ mod tests {
         }
     }
 
-    /// Returns ln det of the information matrix of frames, from its Cholesky factor: a check that does not use
-    /// `Design`.
+    /// Returns ln det of the information matrix of frames, from its Cholesky factor, without `Design`.
     fn log_det(vectors: &[&Vec<f64>]) -> f64 {
         let m = vectors[0].len();
         let mut gram = vec![0.0; m * m];

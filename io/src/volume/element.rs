@@ -20,8 +20,8 @@ pub(crate) enum Element {
 }
 
 impl Element {
-    /// Returns the type with this name. `names` has the names of every type, in the order of this enum: a semicolon
-    /// after each type, commas between the names of one type.
+    /// Returns the type with this name. `names` has the names of every type, in the order of this enum: types
+    /// are separated by semicolons, names of one type by commas.
     pub(super) fn named(names: &str, name: &str) -> Option<Self> {
         use Element::*;
         let types = [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64];
