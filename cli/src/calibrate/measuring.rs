@@ -118,7 +118,8 @@ impl<'a> Measuring<'a> {
         // machines' times.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
-            let groups = self.groups();
+            let same = |a: &Candidate, b: &Candidate| (a.volume, a.factor) == (b.volume, b.factor);
+            let groups = self.pool.candidates.chunk_by(same).count();
             let passes = PASSES.0 as f64;
             let seconds: Vec<f64> = (0..self.pool.candidates.len())
                 .map(|i| {
@@ -147,11 +148,6 @@ impl<'a> Measuring<'a> {
             share = if self.rounds == 1 { 0.6 } else { 0.95 };
         }
         Ok(())
-    }
-
-    fn groups(&self) -> usize {
-        let same = |a: &Candidate, b: &Candidate| (a.volume, a.factor) == (b.volume, b.factor);
-        self.pool.candidates.chunk_by(same).count()
     }
 
     /// Renders the frames of a batch, volume by volume. Every second pass takes the volumes in reverse order,
