@@ -9,7 +9,6 @@ use entire_steer::predict::load;
 use std::path::Path;
 use std::process::Output;
 
-/// Writes three small volumes with different content.
 fn volumes(folder: &Path) {
     for (name, value) in [
         ("a", (|i: usize| (i * 7 % 251) as u8) as fn(usize) -> u8),

@@ -49,7 +49,6 @@ fn frames(path: &Path) -> Vec<String> {
         .collect()
 }
 
-/// Returns a folder, and a small volume with structure in it.
 fn setting() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let volume = dir.path().join("v.nrrd");

@@ -26,7 +26,6 @@ fn setting(renderer: &str) -> tempfile::TempDir {
     dir
 }
 
-/// Paths and bytes of a database's images.
 fn images(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut out = BTreeMap::new();
     for part in std::fs::read_dir(folder.join("db.cdb/image")).unwrap() {
@@ -108,7 +107,6 @@ fn start(folder: &Path, arguments: &[&str]) -> Child {
         .unwrap()
 }
 
-/// The children of a process, on Linux.
 fn children(of: u32) -> Vec<u32> {
     let Ok(processes) = std::fs::read_dir("/proc") else { return Vec::new() };
     let parent = |pid: u32| -> Option<u32> {

@@ -17,7 +17,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::path::Path;
 
-/// The shipped models that predict, by name.
 fn predicting_models() -> Vec<(String, Model)> {
     let name = |p: &Path| p.file_stem().unwrap().to_string_lossy().into_owned();
     files_in("models", ".safetensors")

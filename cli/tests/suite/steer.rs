@@ -5,7 +5,6 @@ use crate::support::{entire, entire_in, files_in, json, stderr, stdout, succeeds
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Returns a folder with a volume, ball.nrrd.
 fn setting() -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     ball::write(&dir.path().join("ball.nrrd"));
@@ -102,7 +101,6 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
 
-/// Checks that the demo writes its files also if the reader of its output closes it.
 #[test]
 fn a_demo_that_nobody_reads_writes_its_report() {
     let dir = setting();

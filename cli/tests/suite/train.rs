@@ -34,7 +34,6 @@ fn noise(n: usize, seed: u64) -> Vec<f64> {
         .collect()
 }
 
-/// Trains a random network of these layer widths to the end.
 fn trained(
     threads: usize,
     widths: &[usize],

@@ -6,7 +6,6 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-/// Runs `entire` in a folder.
 pub(crate) fn entire(folder: &Path, arguments: &[&str]) -> Output {
     entire_in(folder, &[], arguments)
 }
