@@ -1,5 +1,4 @@
-//! A job's database on the disk: finished tasks, from the journal and from answers of workers that the
-//! journal lacks.
+//! A job's database on the disk: finished tasks, from the journal and from answers that the journal lacks.
 
 use super::cinema;
 use super::job::Job;
@@ -77,8 +76,7 @@ impl<'a> Database<'a> {
                 Entry::Done { answer, .. } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
-                        // A task whose picture was missing has been rendered again: its last entry replaces
-                        // earlier entries.
+                        // A task whose picture was missing has been rendered again: its last entry counts.
                         done.insert(task, answer);
                     } else {
                         gone.extend(parse_id(&answer.task));
@@ -95,7 +93,7 @@ impl<'a> Database<'a> {
         })?;
         ensure!(
             options.resume || !begun,
-            "{} has an earlier run; continue it with --resume, or give another output",
+            "{} has images of an earlier run; continue with --resume, or set another `output` in the job file",
             job.output.display()
         );
         let run = run_number(&state).unwrap_or(0) + 1;

@@ -31,8 +31,7 @@ pub(crate) struct Ask<'a> {
     /// its expected seconds.
     pub(crate) blind: bool,
     /// Interval, in requests, at which the answer is a random task of the volume with the fewest sent tasks,
-    /// so that the model of times learns about every volume; 0 for never. The interval has no effect if
-    /// loading is expensive.
+    /// so that the model learns about every volume; 0 for never. No effect if loading is expensive.
     pub(crate) explore: u32,
 }
 
@@ -205,8 +204,7 @@ impl Dispatcher {
         Time(f64::from(key))
     }
 
-    /// The next waiting task of a volume. Removes tasks that were already sent from the end of the volume's
-    /// lane.
+    /// The next waiting task of a volume. Removes sent tasks from the end of the volume's lane.
     fn front(&mut self, v: usize) -> Option<u32> {
         while let Some(&task) = self.lanes[v].last() {
             if self.waits[task as usize] {

@@ -42,8 +42,7 @@ pub struct Summary {
     pub seconds: f64,
 }
 
-/// Queues all tasks that have not ended. With `preview`, every eighth view at the smallest size and the
-/// coarsest step comes first.
+/// Queues all tasks that have not ended; with `preview`, every eighth view, small and coarse, first.
 pub fn queue(planner: &mut Planner, job: &Job, preview: bool) {
     let all = (0..job.len() as u32).filter(|t| planner.state(*t) == State::Idle);
     if !preview {
@@ -338,8 +337,7 @@ impl Drive<'_, '_> {
             // If expected times are only assumed, no task is given up because of them: the engine ends a
             // bundle that takes longer than the limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
-                // Several tasks are bundled only if they are expected to keep to the limit, so this bundle has
-                // one task.
+                // Only tasks that are expected to keep to the limit are bundled, so this bundle has one task.
                 let why = format!(
                     "the task is expected to take {:.0} s, its volume's loading included; the engine runs nothing \
                      longer than {limit:.0} s",
@@ -535,8 +533,7 @@ impl Drive<'_, '_> {
         if self.idle_from.is_some() || self.over < 2 * slots {
             return;
         }
-        // Estimate of the slot seconds that went into the running bundles: half of a bundle's mean time per
-        // slot.
+        // Estimated slot seconds that went into the running bundles: half of a bundle's mean time per slot.
         let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
         let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
         self.planner.overhead = (idle / self.over as f64).clamp(0.001, 60.0);

@@ -1,5 +1,4 @@
-//! Predicted end of a plan, from random draws of the model: the task times of each draw are simulated as a
-//! queue.
+//! Predicted end of a plan from random draws of the model, each simulated as a queue.
 
 use super::{Order, Planner, Running, Time};
 use crate::learn::Draw;
@@ -9,8 +8,7 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Maximum number of tasks whose times are drawn for the expected end; of more tasks, an even sample is
-/// drawn.
+/// Maximum number of tasks with drawn times for the expected end; of more tasks, an even sample is drawn.
 const DRAWN: usize = 4096;
 const DRAWS: usize = 400;
 /// Minimum effective number of weighted draws.
@@ -115,8 +113,7 @@ impl Planner {
         }
     }
 
-    /// Returns the remaining seconds of a bundle in a draw, and the draw's probability that the bundle's
-    /// current task still runs.
+    /// The remaining seconds of a bundle in a draw; the probability that its current task still runs.
     fn drawn_rest(&self, u: &UnderWay<'_>, draw: &Draw, rng: &mut ChaCha8Rng) -> (f64, f64) {
         let Some((first, others)) = u.running.open.split_first() else { return (0.0, 1.0) };
         let others: f64 =
@@ -205,9 +202,8 @@ fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     })
 }
 
-/// Returns the seconds until all tasks of a queue are done, if each goes to the first free slot.
-/// `times`: seconds of the tasks at speed 1, in order; `busy`: seconds until each slot is free;
-/// `speeds`: speed of each slot.
+/// Returns the seconds until all tasks of a queue are done, each on the first free slot. `times`: seconds of
+/// the tasks at speed 1, in order; `busy`: seconds until each slot is free; `speeds`: speed of each slot.
 pub(crate) fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
     let mut last = busy.iter().copied().fold(0.0, f64::max);
     let mut free: BinaryHeap<Reverse<(Time, usize)>> =

@@ -287,8 +287,7 @@ impl Job {
         move |volume| self.tasks_of(volume).map(|t| self.id_with(hashes[volume], self.place(t))).collect()
     }
 
-    /// Path of a volume's file for messages: relative to the job file's folder if the file is inside that
-    /// folder.
+    /// Path of a volume's file for messages: relative to the job file's folder if it is inside that folder.
     pub fn shown(&self, volume: usize) -> String {
         let path = &self.volumes[volume].path;
         path.strip_prefix(&self.folder).unwrap_or(path).display().to_string()
@@ -344,8 +343,7 @@ fn volume_hashes(volumes: &[VolumeFile], renderer: &Renderer) -> Vec<u64> {
     volumes.iter().map(text).map(number).collect()
 }
 
-/// Returns the settings of a renderer that affect pictures, as text. Of a script, its name and content count,
-/// not its folder.
+/// The settings of a renderer that affect pictures; of a script, name and content, not its folder.
 fn settings(renderer: &Renderer) -> Result<String> {
     let mut renderer = renderer.clone();
     let mut script_key = String::new();

@@ -163,8 +163,7 @@ pub enum Renderer {
         #[serde(default = "default_device")]
         device: String,
     },
-    /// A program that renders one image and ends. Its arguments hold placeholders and are passed without a
-    /// shell.
+    /// A program that renders one image and ends. Its arguments hold placeholders; no shell reads them.
     Command {
         /// Program and arguments.
         command: Vec<String>,
@@ -203,8 +202,7 @@ pub struct Predict {
     /// A task list with `task` (an id) and `predicted_s`.
     pub list: Option<PathBuf>,
     /// True if the analytic model predicts the times, unless a model or list is given. Default: true for the
-    /// project's raycaster. If false, expected times are proportional to pixels / step until tasks have been
-    /// measured.
+    /// project's raycaster. If false, pixels / step counts until tasks have been measured.
     pub analytic: Option<bool>,
     /// Number of rays along each side of the analytic model's probe.
     pub probe_side: Option<usize>,
@@ -248,7 +246,7 @@ pub(crate) fn frame(
 /// words), or `termination` is not above 0 and at most 1.
 pub(crate) fn draw_settings(renderer: &Renderer) -> Result<(Draw, Device)> {
     let Renderer::Entire { shade, skip, termination, device } = renderer else {
-        bail!("the renderer is not the project's raycaster, so it has no such settings")
+        bail!("the renderer is not the project's raycaster, so it has no settings of the raycaster")
     };
     let known = |text: &str| {
         let all = Device::value_variants().iter().filter_map(|v| v.to_possible_value());

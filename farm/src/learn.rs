@@ -499,9 +499,8 @@ impl Learner {
                 .collect();
             let variance = means.iter().map(|m| m * m).sum::<f64>() / (PARTS - 1) as f64;
             let expected = self.sigma2 / size as f64;
-            // For independent tasks, the sum of the squared means divided by their variance has a χ²
-            // distribution with 7 degrees of freedom. Drift is assumed only if this sum exceeds its 0.95
-            // quantile, 14.07.
+            // If tasks are independent, the sum of the squared means divided by their variance has a χ²
+            // distribution with 7 degrees of freedom. Drift is assumed only above its 0.95 quantile, 14.07.
             const LIKELY: f64 = 14.07 / (PARTS - 1) as f64;
             if variance > LIKELY * expected {
                 self.drift = (variance - expected).sqrt();
@@ -572,8 +571,7 @@ impl Learner {
         (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 
-    /// Upper bound at `level` on the total seconds of a group of tasks, one after another on a node of speed
-    /// 1, by random draws.
+    /// Upper bound at `level`, by random draws, on the total seconds of some tasks on a node of speed 1.
     pub fn upper(&self, tasks: &[u32], level: f64) -> f64 {
         const DRAWS: usize = 200;
         let mut rng = ChaCha8Rng::seed_from_u64(u64::from(tasks.first().copied().unwrap_or(0)));
@@ -590,8 +588,7 @@ impl Learner {
         sums[((level * DRAWS as f64) as usize).min(DRAWS - 1)]
     }
 
-    /// As [`Learner::draw`], but takes every `stride`-th task of `tasks` and draws only the effects of these
-    /// tasks' volumes.
+    /// As [`Learner::draw`], but draws only the effects of the volumes of every `stride`-th task of `tasks`.
     fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
         let (beta, shift) = self.draw_beta(rng);
         let mut effects = self.effects.clone();

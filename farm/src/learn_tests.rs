@@ -4,8 +4,7 @@ fn rng() -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(3)
 }
 
-/// Returns a model for tasks of 12 volumes, and the true seconds of the tasks: base · 2.5 · e^(effect of the
-/// volume + noise).
+/// A model for tasks of 12 volumes, and the true seconds: base · 2.5 · e^(effect of the volume + noise).
 fn world(noise: f64) -> (Learner, Vec<f64>) {
     let mut rng = rng();
     let effects: Vec<f64> = (0..12).map(|_| 0.2 * normal(&mut rng)).collect();

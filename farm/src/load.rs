@@ -68,8 +68,7 @@ impl Loads {
         let kind = usize::from(warm);
         let (offset, slope) = self.laws[kind];
         let law = offset + slope * self.bytes[volume];
-        // Mean of the volume's own measurements and the value of the affine function, which counts as one
-        // measurement.
+        // Mean of the volume's own measurements and of the affine function, which counts as one measurement.
         let (sum, n) = self.seen[volume][kind];
         (sum + law) / f64::from(n + 1)
     }

@@ -46,8 +46,7 @@ struct Token {
 
 impl Token {
     /// Moves `+` or `-` from the end of the text to the number, if it is the number's sign. `after_number`:
-    /// true if the previous token has a number; `is_there`: true if another name has a number after the given
-    /// text.
+    /// true if the previous token has a number; `is_there`: true if another name has a number after the text.
     fn take_sign(&mut self, after_number: bool, is_there: impl Fn(&str) -> bool) {
         let Some(number) = &mut self.number else { return };
         let mut rest = self.text.chars();

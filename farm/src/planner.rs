@@ -34,8 +34,7 @@ pub enum State {
 pub struct Setting {
     /// Number of slots that work at once.
     pub slots: usize,
-    /// True if each bundle is sent to a given slot, which keeps its volume; else a bundle runs on any free
-    /// slot and loads its volume.
+    /// True if each bundle goes to a slot that keeps its volume; else to any slot, which loads its volume.
     pub bound: bool,
     /// Overhead of a bundle on its slot, seconds.
     pub overhead: f64,

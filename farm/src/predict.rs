@@ -82,8 +82,7 @@ fn of_list(job: &Job, list: &Path) -> Result<Vec<f32>> {
     Ok(out)
 }
 
-/// Prints a note if a model predicts seconds of another clock than wall time. Tasks are measured by wall
-/// time.
+/// Prints a note if a model predicts seconds of another clock than wall time, which tasks are measured by.
 fn note_clock(path: &Path, model: &Model) {
     if let Some(clock) = entire_io::clock::of(model).filter(|c| *c != Clock::Wall) {
         note(&format!(

@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Returns the number of the current run of the database whose state folder is `state`; `None` before the
-/// first run.
+/// Number of the current run of the database with this state folder; `None` before the first run.
 pub(crate) fn run_number(state: &Path) -> Option<u64> {
     std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
 }

@@ -235,7 +235,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
         ("queue, longest predicted first", longest),
         ("queue, mean of 32 random orders", any),
         ("assigned beforehand, all tasks assumed equally long", dealt),
-        ("this run, with loading, bundles and corrections", took),
+        ("this run, with loading, bundles and corrected predictions", took),
     ] {
         table.row(vec![name.into(), format!("{end:.2}").into(), format!("{:.3}", end / bound).into()]);
     }

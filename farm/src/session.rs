@@ -53,8 +53,7 @@ impl Drop for Running {
 }
 
 impl Session {
-    /// Returns a renderer that is not started yet. `command`: program and arguments; `limit`: time limit of a
-    /// task.
+    /// A renderer that is not started yet. `command`: program and arguments; `limit`: time for a task.
     pub(super) fn new(command: Vec<String>, limit: Option<Duration>) -> Self {
         Self { command, limit, running: None, fresh: false, ended: false }
     }
@@ -175,8 +174,7 @@ mod tests {
     #[test]
     fn a_program_that_reads_no_more_is_heard_to_its_last_line() {
         let dir = tempfile::tempdir().unwrap();
-        // The script closes its input before the task is written completely, since the task is longer than a
-        // pipe's buffer.
+        // The script closes its input before the task, which is longer than a pipe's buffer, is written.
         let mut session = shell("printf 'one\ntwo\n{\"task\": \"7\"}\n'; exec 0<&-");
         let log = dir.path().join("log");
         let reply = session.ask(&an_order(&"v".repeat(1 << 20)), &dir.path().join("i.png"), &log).unwrap();

@@ -46,8 +46,7 @@ pub struct Outcome {
     pub loads: usize,
     /// Number of bundles that were lost.
     pub lost: usize,
-    /// Estimates of the end, one for each share of `ask_at` of [`simulate`]: quantiles 0.05, 0.5 and 0.95,
-    /// seconds from the beginning.
+    /// Estimates of the end at each share of `ask_at` of [`simulate`]: quantiles 0.05, 0.5, 0.95, seconds.
     pub said: Vec<[f64; 3]>,
 }
 
@@ -58,8 +57,7 @@ enum Event {
     Lost { bundle: u64, slot: usize },
 }
 
-/// Simulates a plan to its end. `ask_at`: ascending shares of the true work after which the planner estimates
-/// the end.
+/// Simulates a plan. `ask_at`: ascending shares of the true work after which the planner estimates the end.
 pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome {
     let slots = world.speeds.len();
     let mut rng = ChaCha8Rng::seed_from_u64(world.seed);

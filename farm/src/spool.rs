@@ -13,8 +13,7 @@ pub(crate) fn path(state: &Path, bundle: u64) -> PathBuf {
     state.join("spool").join(format!("{bundle}.jsonl"))
 }
 
-/// Returns the complete lines of a spool file; none if the file does not exist. Partial lines of a killed
-/// worker are skipped.
+/// Returns the complete lines of a spool file, none without a file; skips partial lines of a killed worker.
 pub(crate) fn lines(path: &Path) -> Result<Vec<Line>> {
     Follow::default().read(path)
 }

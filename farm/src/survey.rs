@@ -122,7 +122,7 @@ pub fn text(
             None => {
                 out += &format!(
                     "even with {} nodes, the job does not end within {} (95 % quantile); the longest task, \
-                     with the loading of its volume, may take longer than that\n",
+                     with the loading of its volume, may take longer than the deadline\n",
                     MOST.min(all - done),
                     duration(deadline)
                 );

@@ -99,9 +99,8 @@ impl Worker {
         Ok(Self { state: state.to_owned(), output, node, painter })
     }
 
-    /// Reads bundles from standard input, one JSON object per line, until the input is closed. Writes the
-    /// answers to standard output and to the spool. If the input is closed, the current task is finished and
-    /// no other task is begun.
+    /// Reads bundles from standard input, one JSON object per line, until it is closed; then ends after the
+    /// current task. Writes the answers to standard output and to the spool.
     ///
     /// # Errors
     /// When a line is no bundle, or the spool cannot be written.

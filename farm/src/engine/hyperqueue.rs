@@ -22,15 +22,13 @@ const START: Duration = Duration::from_secs(60);
 pub struct Options {
     /// The Python interpreter in which HyperQueue's package is installed.
     pub python: String,
-    /// Number of workers to start, each for one bundle; if a server is given, the assumed number of its
-    /// workers.
+    /// Number of workers to start, each for one bundle; of a given server, the assumed number of workers.
     pub workers: usize,
     /// The folder of a running server; default: a new one is started.
     pub server_dir: Option<String>,
     /// Number of processors of a bundle, and of a worker that is started.
     pub cpus: u32,
-    /// Time limit that bundles are planned for, seconds. Workers of a given server may have this limit; workers
-    /// that are started have none.
+    /// Time limit of a given server's workers, for planning, seconds. Workers that are started have none.
     pub worker_limit: Option<f64>,
 }
 
@@ -69,8 +67,7 @@ fn longest_bundle(limit: f64) -> f64 {
 }
 
 impl HyperQueue {
-    /// Initial estimate of a bundle's overhead on its worker, seconds: start of a process, opening of a
-    /// device.
+    /// Initial estimate of a bundle's overhead, seconds: start of a process, opening of a device.
     pub const OVERHEAD: f64 = 0.05;
 
     /// Starts the script. The script starts a server with workers, or connects to the given server.
@@ -101,7 +98,7 @@ impl HyperQueue {
             })?;
         let input = child.stdin.take();
         let (send, lines) = mpsc::channel();
-        forward(child.stdout.take().context("the script has no standard output")?, send);
+        forward(child.stdout.take().context("the Python program of HyperQueue has no standard output")?, send);
         let spool = Spool::new(&places.state);
         let mut new = Self { places, run, options, child, input, lines, spool, priority: 0 };
         new.wait_until_ready(&log)?;
@@ -169,8 +166,7 @@ impl Engine for HyperQueue {
     }
 
     fn cancel(&mut self) -> Result<()> {
-        // The Python package cannot cancel bundles. Instead, workers end if they find a marker
-        // file before their next task.
+        // The Python package cannot cancel bundles; workers end at a marker file before their next task.
         self.spool.bundles().for_each(|b| super::cancel(&self.places.state, b));
         Ok(())
     }
@@ -184,8 +180,7 @@ impl Engine for HyperQueue {
         }
         // A script that has ended sends no line to wait for.
         std::thread::sleep(wait.saturating_sub(clock.elapsed()));
-        // The spool is read after the script's events, so that it has all answers of the bundles that have
-        // ended.
+        // The spool is read after the script's events, so that it has all answers of ended bundles.
         let mut out = self.spool.poll()?;
         let log = |bundle: u64| tail(&super::log_of(&self.places.state, bundle));
         for line in said {

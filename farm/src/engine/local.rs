@@ -1,5 +1,4 @@
-//! Workers as processes of this machine. Each is persistent, keeps its volume, and gets bundles through a
-//! pipe.
+//! Workers as persistent processes of this machine that keep their volume and get bundles through a pipe.
 
 use super::{Bundle, Engine, Event, Places, STILLBORN};
 use crate::command::leader;
@@ -132,7 +131,7 @@ impl Local {
                 let said = crate::spool::tail(&self.log(slot));
                 ensure!(
                     deaths <= STILLBORN,
-                    "worker {slot} ended {deaths} times in a row before it began another task; the last time \
+                    "worker {slot} ended {deaths} times in a row without beginning a task; the last time \
                      ({status}): {said}; remove the cause and continue with --resume"
                 );
                 if let Some(bundle) = bundle {

@@ -1,5 +1,4 @@
-//! Engines that run bundles: processes of this machine, HyperQueue, Slurm. Engines are installed by the user,
-//! never bundled.
+//! Engines that run bundles: processes of this machine, HyperQueue, Slurm (both installed by the user).
 
 mod hyperqueue;
 mod local;
@@ -114,8 +113,7 @@ pub(crate) fn utf8(word: &OsStr) -> Result<String> {
 pub struct Places {
     /// Folder of the database in which the planner and the workers keep their journals, orders and results.
     pub state: PathBuf,
-    /// Command line of this program: an executable file, then arguments. Its command `farm-worker` runs the
-    /// worker.
+    /// Command line of this program: an executable file, then arguments. `farm-worker` runs the worker.
     pub program: Vec<OsString>,
 }
 

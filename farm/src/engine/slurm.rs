@@ -42,8 +42,7 @@ pub struct Slurm {
     spool: Spool,
     /// Job of each bundle that was sent and has not ended.
     open: BTreeMap<u64, Job>,
-    /// Bundles without a job since the last query, each with the reason. The reason is empty if sbatch was
-    /// not asked.
+    /// Bundles without a job since the last query, each with the reason; empty if sbatch was not asked.
     refused: Vec<(u64, String)>,
     looked: Option<Instant>,
     /// Time of the first query without an answer since the last answer.
@@ -97,8 +96,7 @@ fn ask(program: &str, arguments: &[impl AsRef<OsStr>], input: Option<&str>) -> R
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Seconds of a limit as sinfo prints it, `days-hours:minutes:seconds` or fewer of these; `None` for no
-/// limit.
+/// Seconds of a limit of sinfo, `days-hours:minutes:seconds` or fewer of these; `None` for no limit.
 fn parse_limit(text: &str) -> Option<f64> {
     let (days, rest) = text.split_once('-').map_or((0.0, text), |(d, r)| (d.parse().unwrap_or(0.0), r));
     let parts: Vec<f64> = rest.split(':').map(str::parse).collect::<std::result::Result<_, _>>().ok()?;
@@ -122,9 +120,8 @@ fn partitions(options: &[String], environment: Option<String>) -> Option<String>
 }
 
 /// The longest limit of the partitions that jobs go to, seconds; `None` for no limit. `named`: names of these
-/// partitions, separated by commas; `None` for the default partition. If none of them is listed, the limits
-/// of all listed partitions count. `listed`: lines of sinfo, `PARTITION LIMIT`; an asterisk marks the default
-/// partition.
+/// partitions, separated by commas; `None` for the default one. If none of them is listed, all listed limits
+/// count. `listed`: lines of sinfo, `PARTITION LIMIT`; an asterisk marks the default partition.
 fn longest_request(listed: &str, named: Option<&str>) -> Option<f64> {
     let takes_jobs = |partition: &str| match named {
         Some(names) => names.split(',').any(|name| name == partition.trim_end_matches('*')),
@@ -226,11 +223,10 @@ impl Slurm {
         arguments.extend(self.options.sbatch.iter().cloned());
         let said = ask("sbatch", &arguments, Some(&script))?;
         let id = said.trim().split(';').next().and_then(|t| t.parse().ok());
-        id.with_context(|| format!("sbatch answered {:?}, not with a job's number", said.trim()))
+        id.with_context(|| format!("sbatch answered {:?}; the number of a job is expected", said.trim()))
     }
 
-    /// Queries the queue. Returns the bundles whose jobs were missing or ended in three consecutive queries,
-    /// with the reason.
+    /// Queries the queue. Returns bundles whose jobs were missing or ended in three queries, with reasons.
     fn look(&mut self) -> Result<Vec<(u64, String)>> {
         let queue: BTreeMap<u64, (String, String)> = self
             .queue()?
@@ -326,7 +322,7 @@ impl Engine for Slurm {
         self.open.keys().for_each(|b| super::cancel(&self.places.state, *b));
         let waiting = [format!("--name={}", self.name), "--state=PENDING".into()];
         if let Err(error) = ask("scancel", &waiting, None) {
-            note(&format!("waiting jobs are not canceled and end when they start: {error:#}"));
+            note(&format!("waiting jobs could not be canceled; each ends when it starts: {error:#}"));
         }
         Ok(())
     }

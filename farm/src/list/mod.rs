@@ -110,8 +110,7 @@ pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
-/// Parses CSV. If the first line has no comma but semicolons or tabs, these separate the fields, and numbers
-/// may have decimal commas.
+/// Parses CSV. If the first line has semicolons or tabs but no comma, numbers may have decimal commas.
 fn parse_csv(text: &str) -> Result<Vec<Task>> {
     let first = text.lines().next().unwrap_or("");
     let delimiter = [b',', b';', b'\t'].into_iter().find(|&d| first.as_bytes().contains(&d)).unwrap_or(b',');
