@@ -18,8 +18,7 @@ pub struct Page {
     blocks: Vec<Block>,
 }
 
-/// A block of a page. Texts are plain; the template escapes them. Pictures are PNG files as base64, with
-/// captions.
+/// A block of a page. The template escapes its plain texts. Pictures: PNG as base64, with captions.
 #[derive(Clone, Debug)]
 enum Block {
     Heading(String),

@@ -37,8 +37,7 @@ impl<T: Into<Self>> From<Option<T>> for Cell {
     }
 }
 
-/// Largest number of columns at normal text size on a page; wider tables have smaller text, so that they need
-/// no scrolling.
+/// Largest number of columns at normal text size; wider tables have smaller text, so that none scrolls.
 const WIDE: usize = 8;
 
 /// A table. Each row has as many cells as the heading.
@@ -56,8 +55,7 @@ struct Html<'a> {
 }
 
 impl Table {
-    /// An empty table. `headings` has the headings of the columns, separated by ` | `; a `#` before a heading marks a
-    /// column of numbers.
+    /// An empty table. `headings` are separated by ` | `; a `#` before a heading marks a column of numbers.
     pub fn headed(headings: &str) -> Self {
         let column =
             |h: &str| Column { name: h.strip_prefix('#').unwrap_or(h).into(), number: h.starts_with('#') };
@@ -70,9 +68,8 @@ impl Table {
         self.rows.push(cells);
     }
 
-    /// Marks the best cell of a numeric column (all of them if several are equal). The best value is the
-    /// lowest if `lowest` is true, else the highest. `values` has one entry per row; values that are not
-    /// finite are ignored.
+    /// Marks the best cells of a numeric column: the lowest if `lowest` is true, else the highest. `values`
+    /// has one entry per row; those that are not finite are ignored.
     pub fn mark_best(&mut self, column: usize, values: &[f64], lowest: bool) {
         let sign = if lowest { 1.0 } else { -1.0 };
         let best = values.iter().filter(|v| v.is_finite()).map(|v| v * sign).fold(f64::INFINITY, f64::min);
@@ -83,8 +80,7 @@ impl Table {
         }
     }
 
-    /// Returns the table as text for a terminal. Columns are padded with spaces, best cells are marked with
-    /// an asterisk.
+    /// Returns the table as text for a terminal, padded with spaces; asterisks mark best cells.
     pub fn to_text(&self) -> String {
         let show = |cell: &Cell| format!("{}{}", cell.text, if cell.best { "*" } else { "" });
         let shown: Vec<Vec<String>> = self.rows.iter().map(|row| row.iter().map(show).collect()).collect();

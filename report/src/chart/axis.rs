@@ -52,12 +52,10 @@ impl Axis {
     }
 }
 
-/// Largest distance of a position from the lower end, in axis lengths. Positions beyond it are clamped to
-/// this distance.
+/// Largest distance of a position from the lower end, in axis lengths; positions beyond it are clamped.
 const FAR: f64 = 1e9;
 
-/// Largest magnitude of a drawn value. Larger values are clamped to this magnitude, so that ranges stay
-/// finite.
+/// Largest magnitude of a drawn value; larger ones are clamped, so that ranges stay finite.
 const LARGEST: f64 = 1e300;
 
 /// The range that an axis shows. It implements the drawing library's trait of one coordinate.
@@ -169,8 +167,7 @@ impl Span {
         self.linear_ticks(most)
     }
 
-    /// Returns multiples of 1, 2, 2.5 or 5 times a power of ten. The drawing library's own search does not
-    /// end for some finite ranges.
+    /// Returns multiples of 1, 2, 2.5 or 5 · 10^n. The drawing library's search does not end for some ranges.
     fn linear_ticks(&self, most: usize) -> Vec<f64> {
         let raw = (self.high - self.low) / most as f64;
         let magnitude = 10f64.powf(raw.log10().floor());

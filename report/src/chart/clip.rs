@@ -1,5 +1,4 @@
-//! Lines cut off at the frame. The drawing library moves points outside to the frame's edge, which would bend
-//! lines.
+//! Lines cut off at the frame, since the drawing library moves outside points to the edge, which bends lines.
 
 use super::axis::Span;
 
@@ -27,8 +26,7 @@ pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     parts
 }
 
-/// Returns the part of a segment inside both ranges, and true if this part reaches the segment's end (Liang
-/// and Barsky's clipping).
+/// The part of a segment inside both ranges, and true if it reaches the segment's end (Liang and Barsky).
 fn segment(a: Point, b: Point, x: &Span, y: &Span) -> Option<(Point, Point, bool)> {
     let from = (x.place(a.0), y.place(a.1));
     let by = (x.place(b.0) - from.0, y.place(b.1) - from.1);

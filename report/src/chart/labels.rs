@@ -1,5 +1,4 @@
-//! Placement of the texts of points: each beside its point, clear of other points and texts, inside the
-//! frame.
+//! Placement of the texts of points, each beside its point, clear of others, inside the frame.
 
 /// A rectangle in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]

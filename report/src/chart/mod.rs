@@ -1,5 +1,4 @@
-//! Charts: lines, steps, points, bands, intervals and box plots over linear, logarithmic or categorical
-//! axes, drawn as SVG.
+//! Charts: lines, steps, points, bands, intervals, box plots; linear, logarithmic, categorical axes; as SVG.
 //!
 //! `plotters` draws; `templates/chart.svg` assembles the layers.
 
@@ -27,8 +26,7 @@ pub enum Mark {
     Band(Vec<(f64, f64, f64)>),
     /// Intervals along x as horizontal bars, half a unit of y high: (from, to, y).
     Stretches(Vec<(f64, f64, f64)>),
-    /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile. Boxes of several series are side by side about
-    /// their x.
+    /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile; those of several series are side by side.
     Boxes(Vec<(f64, [f64; 5])>),
 }
 
