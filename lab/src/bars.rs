@@ -36,8 +36,7 @@ impl Bar {
 }
 
 impl std::fmt::Display for Bar {
-    /// Writes `bar NAME VALUE LIMIT ok|short`, then the note in brackets. The value is `-` if it was not
-    /// measured.
+    /// Writes `bar NAME VALUE LIMIT ok|short`, then the note in brackets; `-` without a value.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
         let verdict = if self.ok { "ok" } else { "short" };

@@ -1,5 +1,4 @@
-//! The predictor that steers a replay: the analytic model, fitted to recorded calibration frames, or the
-//! predictor of a model file.
+//! The predictor that steers a replay: the analytic model, fitted to recorded frames, or a model file's.
 
 use anyhow::{Context, Result};
 use entire_cli::steering::calibrate::{Quality, Sample};
@@ -47,8 +46,7 @@ impl Calibrated {
         Self::judged(model.quality(judged), model)
     }
 
-    /// Measures the errors of a given model, which may use features of the volume; each sample has the path
-    /// of its volume.
+    /// Measures the errors of a given model, which may use features of each sample's volume (its path).
     pub(crate) fn given(model: SteeringModel, samples: &[(String, Sample)]) -> Result<Self> {
         let mut codes: BTreeMap<&str, Option<Vec<f32>>> = BTreeMap::new();
         for (volume, _) in samples.iter().filter(|_| model.volume_features().is_some()) {

@@ -53,8 +53,7 @@ pub(crate) fn ship(
                 continue;
             };
             let (mut file, model) = read_model_file(&made.2)?;
-            // The models of a group's further machines serve only as priors of calibrations, and a prior must
-            // be an analytic model.
+            // Models of a group's further machines only serve as priors, which must be analytic models.
             let is_first = study.group(set).next().is_some_and(|first| first.name == set.name);
             if !is_first && AnalyticModel::from_model(&model)?.is_none() {
                 continue;

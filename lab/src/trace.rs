@@ -80,8 +80,7 @@ fn grid(steps: &[f32], index: usize) -> Vec<(f32, f32)> {
     grid
 }
 
-/// True if both lists name the same volumes. Contents of files are compared if both lists have the identities
-/// of the files.
+/// True if both lists name the same volumes, with the same contents if both have the files' identities.
 fn same_volumes(then: &[TraceVolume], now: &[TraceVolume]) -> bool {
     let same = |(a, b): (&TraceVolume, &TraceVolume)| {
         let unknown = a.files.is_empty() || b.files.is_empty();
@@ -403,8 +402,7 @@ mod tests {
         assert_eq!(c.residuals.len(), 4);
         assert!((c.noise(2) - 0.9f64.ln()).abs() < 1e-9 && c.noise(6) == c.noise(2));
         assert!((c.psnr(2.0) - 48.0).abs() < 1e-9);
-        // The time rises from step 1 to step 2, so both points get the geometric mean of their times (isotonic
-        // regression).
+        // The time rises from step 1 to 2, so both points get their geometric mean (isotonic regression).
         let c = Curve::of(&[point(1.0, &[2.0]), point(2.0, &[4.0]), point(4.0, &[1.0])]);
         assert!((c.seconds(1.0) - 8f64.sqrt()).abs() < 1e-9 && c.seconds(1.0) == c.seconds(2.0));
     }

@@ -1,5 +1,4 @@
-//! Gradient-boosted trees of the crate forust-ml, as a reference in studies. No model file holds them and no renderer
-//! uses them.
+//! Gradient-boosted trees of the crate forust-ml, a reference in studies without model files and renderers.
 
 use anyhow::{Result, anyhow, ensure};
 use entire_core::model::Model;

@@ -14,9 +14,8 @@ fn entire() -> Option<PathBuf> {
     path.is_file().then_some(path)
 }
 
-/// Returns options for renderer and clock: the Vulkan device with its time stamps, which are the study's
-/// defaults; the device with wall time if it has no time stamps; the CPU version with wall time if there is
-/// no device.
+/// Options for renderer and clock: the Vulkan device with its time stamps, which are the study's defaults;
+/// with wall time if it has no time stamps; the CPU version with wall time without a device.
 fn setting() -> [&'static str; 4] {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => {

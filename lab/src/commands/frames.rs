@@ -66,8 +66,7 @@ pub(crate) struct Options {
     pub(crate) threads: Option<usize>,
 }
 
-/// Draws `count` calibration frames and returns their indices. `of_frames` has the volume and the ensemble
-/// member of every frame.
+/// Draws `count` frames and returns their indices. `of_frames`: volume and ensemble member of every frame.
 fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let ensemble = |member: &str| member.rsplit_once('/').map_or(String::new(), |(e, _)| e.to_owned());
@@ -121,8 +120,7 @@ impl Found {
     }
 }
 
-/// Returns the geometric mean of the expected median errors in per cent; `None` if a draw has no expected
-/// error.
+/// Geometric mean of the expected median errors in per cent; `None` if a draw has no expected error.
 fn expected_percent(draws: &[&Found]) -> Option<String> {
     let expected: Vec<f64> = draws.iter().map(|f| f.expected).collect::<Option<_>>()?;
     Some(format!("{:.1}", 100.0 * mean(expected.into_iter())))

@@ -38,14 +38,12 @@ pub(crate) fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Settin
     planner
 }
 
-/// Settings of a planner: longest tasks first, each bundle sent to a given slot, which keeps its volume, no
-/// overhead per bundle.
+/// Settings of a planner: longest first, each bundle sent to a slot that keeps its volume, no overhead.
 pub(crate) fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
 }
 
-/// A farm of equal slots. Task i takes `seconds[i]` on volume `volume[i]`; each loading of volume v takes
-/// `load[v]` seconds.
+/// A farm of equal slots: task i takes `seconds[i]` on volume `volume[i]`; loading volume v, `load[v]`.
 pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots: usize) -> World {
     World { seconds, volume, load, speeds: vec![1.0; slots], ..World::default() }
 }

@@ -68,8 +68,7 @@ impl<'a> State<'a> {
         (0..self.ends.len()).fold(0, |m, n| if self.ends[n] > self.ends[m] { n } else { m })
     }
 
-    /// Moves and exchanges tasks of the node that ends last, until the best estimated change does not shorten
-    /// the schedule.
+    /// Moves and exchanges tasks of the node that ends last until the best estimated change does not help.
     fn improve(&mut self) {
         loop {
             let last = self.last();
@@ -86,8 +85,7 @@ impl<'a> State<'a> {
                 }
                 for other in (0..self.node_of.len()).filter(|t| self.node_of[*t] != last) {
                     let node = self.node_of[other];
-                    // If both tasks are of one volume, `end` may be too early. For the best change, the exact
-                    // end is computed below.
+                    // If both are of one volume, `end` may be too early; the exact end follows below.
                     let there = self.ends[node] - self.frees(other) + self.adds(node, task);
                     let here = longest - freed + self.adds(last, other);
                     let end = here.max(there);
@@ -128,9 +126,8 @@ pub(super) fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     out
 }
 
-/// Shortest makespan that the search finds from `starts` random starts. Even starts fill one node after the other,
-/// volume by volume in random order; odd starts assign tasks in random order, each to the node that ends first
-/// with it.
+/// Shortest makespan from `starts` random starts. Even ones fill one node after the other, volume by volume
+/// in random order; odd ones assign tasks in random order, each to the node that ends first with it.
 pub(super) fn best_of(problem: &Problem<'_>, starts: u64) -> f64 {
     (0..starts)
         .into_par_iter()

@@ -19,9 +19,8 @@ struct Asked {
     out: PathBuf,
 }
 
-/// Serves tasks from standard input. A task takes `scale` times the `measured_s` of its entry in the list
-/// (`predicted_s` if that is missing), plus `scale` times `load_s` if its volume differs from that of the task
-/// before.
+/// Serves tasks from standard input. A task takes `scale` times the `measured_s` (else `predicted_s`) of its
+/// entry in the list, plus `scale` times `load_s` if its volume differs from that of the task before.
 pub(crate) fn serve(list: &Path, scale: f64) -> Result<()> {
     let tasks = read_tasks(list)?;
     let times: HashMap<&str, (f64, f64)> = tasks

@@ -10,8 +10,7 @@ use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Cameras of the pictures: rotations rx and ry in degrees, distance in radii. The last camera is
-/// inside the volume.
+/// Cameras of the pictures: rotations rx and ry, degrees; distance, radii. The last is inside the volume.
 const CAMERAS: [(f32, f32, f32); 4] =
     [(0.0, 0.0, 2.5), (25.0, 40.0, 1.6), (-60.0, 130.0, 3.0), (10.0, -75.0, 0.4)];
 
@@ -25,8 +24,7 @@ pub(crate) struct Difference {
     pub(crate) largest: u8,
     /// Mean difference of the channels, on a scale of 0 to 255.
     pub(crate) mean: f64,
-    /// True if device and CPU version took the same number of samples; `None` if one of them does not count
-    /// samples.
+    /// True if device and CPU version took equally many samples; `None` if one of them does not count them.
     pub(crate) same_samples: Option<bool>,
 }
 

@@ -16,9 +16,8 @@ const UNIFORM: &str = "uniform";
 /// Name of the assignment by measured times.
 const GROUND_TRUTH: &str = "GT";
 
-/// Returns the load of the slowest node when tasks are assigned by a predictor's times, divided by the load
-/// of the slowest node when tasks are assigned by measured times. The ratio is the largest over all numbers
-/// of nodes.
+/// Load of the slowest node when tasks are assigned by a predictor's times, divided by that when they are
+/// assigned by measured times; the largest ratio over all numbers of nodes.
 pub(super) fn slowest_node(all: &[Results], predictor: &str) -> Option<f64> {
     let facts = all.iter().filter(|r| r.panel == Panel::Balancing).flat_map(|r| &r.facts);
     facts.filter(|f| f.name == predictor).filter_map(|f| f.values.get("slowest")).copied().reduce(f64::max)

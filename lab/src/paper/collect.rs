@@ -1,5 +1,4 @@
-//! Collects frames of our raycaster, volume by volume: in all modes, of the volume and of its low-resolution
-//! proxy.
+//! Collects frames of our raycaster, volume by volume, in all modes, also of low-resolution proxies.
 
 use super::Work;
 use super::description::{Panel, Paper, RAYCASTER_MODES};

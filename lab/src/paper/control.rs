@@ -152,8 +152,7 @@ fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> 
     out
 }
 
-/// Returns the frames of the first path with abrupt changes (else of the first path) at the median of its
-/// targets.
+/// The frames of the first path with abrupt changes (else the first path) at the median of its targets.
 fn one_path(frames: &[Row]) -> Option<Vec<Row>> {
     let mut names: Vec<&str> = frames.iter().map(|r| r.trace.as_str()).collect();
     names.dedup();
@@ -349,8 +348,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
     }
 }
 
-/// Adds G to the report: the frame time as a function of the ray step, divided by the frame time at the
-/// reference step.
+/// Adds G to the report: the frame time over the ray step, divided by that at the reference step.
 pub(super) fn response_section(of: &[&Results], s: &mut Section) {
     for r in of {
         let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == "G").collect();

@@ -21,8 +21,7 @@ pub(super) const BY_MODALITY: &str = "modality";
 #[serde(deny_unknown_fields)]
 pub(crate) struct Paper {
     pub(crate) title: String,
-    /// True if the study measures only a part of the paper: goals that it does not measure are those of another
-    /// study, and are not printed.
+    /// True if goals that the study does not measure are those of another study, and are not printed.
     #[serde(default)]
     pub(crate) partial: bool,
     pub(crate) clock: String,
@@ -54,8 +53,7 @@ pub(crate) struct Paper {
     pub(crate) depths: Vec<String>,
     /// Name of the PredNet preset with which encoders are compared.
     pub(crate) encoder_depth: String,
-    /// The two architectures of the final selection: the encoder's input side and number of features,
-    /// PredNet's preset.
+    /// The two architectures of the final selection: the encoder's input side and features, PredNet's preset.
     pub(crate) finalists: Vec<(usize, usize, String)>,
     pub(crate) tuning: Tuning,
     pub(crate) orbit: Orbit,
@@ -105,8 +103,7 @@ pub(crate) struct DataSet {
     pub(crate) title: String,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
     pub(crate) modes: Vec<String>,
-    /// True if the data set holds volumes of another kind, on which models of the other data sets are only
-    /// tested.
+    /// True if the volumes are of another kind, on which models of the other data sets are only tested.
     #[serde(default)]
     pub(crate) only_tests: bool,
     #[serde(default)]
@@ -153,8 +150,7 @@ impl Rule {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct MemberSplit {
-    /// Members whose frames decide when training stops. If empty, a tenth of the volumes of all members that
-    /// are not for testing decides.
+    /// Members that decide when training stops; if empty, a tenth of the volumes not for testing decides.
     #[serde(default)]
     pub(crate) validation: BTreeSet<String>,
     pub(crate) test: BTreeSet<String>,
@@ -384,8 +380,7 @@ pub(crate) struct Limits {
     pub(crate) over_constant: BTreeMap<String, f64>,
     /// The ratio of `over_constant` on frames that yt drew, for each data set in `over_constant`.
     pub(crate) yt_over_constant: f64,
-    /// RMSE of the network divided by that of LVRP; checked only if LVRP renders at most 1 / `lvrp_voxels` of
-    /// the volume's voxels.
+    /// RMSE divided by that of LVRP; checked only if LVRP renders at most 1 / `lvrp_voxels` of the voxels.
     pub(crate) over_lvrp: f64,
     /// Voxels of the paper's volumes divided by the voxels that its LVRP renders.
     pub(crate) lvrp_voxels: f64,

@@ -172,8 +172,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Returns the errors of a predictor's runs on all frames, or on those with a twin at low resolution; `None`
-    /// without frames.
+    /// The errors of a predictor's runs on all frames, or on those with a low-resolution twin, if any.
     fn judged(&self, name: &str, runs: &[Vec<f64>], frames: &TimedFrames<'_>) -> Option<Row> {
         let measured = &frames.seconds;
         // The proxy's line and a network may predict times that are not positive.

@@ -34,8 +34,7 @@ pub(crate) struct Material {
     pub(crate) pictures: BTreeMap<String, String>,
 }
 
-/// Reads the results of every step from a folder, and results that the folder lacks from a file written by
-/// [`keep`].
+/// Reads the results of every step from a folder, and missing ones from a file written by [`keep`].
 pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
     let kept = kept.map(read).transpose()?.unwrap_or_default();
     let all = read_all(out, kept.all)?;

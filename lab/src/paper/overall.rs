@@ -76,8 +76,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((chart, what.into()));
 }
 
-/// Returns a table with a row for every data set and mode that has the split, and appends the ratios of each
-/// row in words to `parts`.
+/// A table with a row for every data set and mode with the split; appends each row's ratios to `parts`.
 fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
     let mut table = Table::headed(
         "data set, renderer | tested on | #training frames | #test frames | #network: RMSE, s | \

@@ -1,5 +1,4 @@
-//! Renderings of the data sets: examples, their change over time, and the camera poses of the figure of the
-//! response curve G.
+//! Renderings of the data sets: examples, their change over time, and the poses of the figure of G.
 
 use super::Work;
 use super::collect::protocol;

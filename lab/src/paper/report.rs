@@ -17,8 +17,7 @@ use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Writes report.html and rows.json; returns the bars. `started` is the time at which the report was
-/// begun.
+/// Writes report.html and rows.json of a report that was begun at `started`; returns the bars.
 pub(crate) fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -> Result<Vec<Bar>> {
     make_folder(out)?;
     let lead = format!(

@@ -31,8 +31,7 @@ pub(crate) struct Row {
     pub(crate) sd: f64,
     /// RMSE divided by the RMSE of the constant baseline, [`CONSTANT`].
     pub(crate) over_constant: Option<f64>,
-    /// RMSE divided by the RMSE of the low-resolution proxy, both on the frames that were rendered at low
-    /// resolution.
+    /// RMSE divided by that of the low-resolution proxy, on the frames that were rendered at low resolution.
     pub(crate) over_lvrp: Option<f64>,
     /// Median of |predicted − measured| / measured, mean over the runs.
     pub(crate) mdape: f64,

@@ -29,8 +29,7 @@ use std::time::Instant;
 
 /// Name of the trial without a change.
 pub(super) const AS_IT_IS: &str = "as it is";
-/// Name of the split of all test frames together. The split of one data set has the title of the data
-/// set as name.
+/// Name of the split of all test frames together; that of one data set has the data set's title.
 pub(super) const TOGETHER: &str = "left-out members";
 /// Name under which results list all data sets together.
 const SETS: &str = "all";

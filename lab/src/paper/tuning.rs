@@ -154,8 +154,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
     }
     for Found { name, first, last, set } in &others {
-        // Of another machine's frames, only those of the pre-training data sets are used, so that nothing but the
-        // machine differs.
+        // Of another machine, only the pre-training data sets count, so that only the machine differs.
         let known = |f: &TimedFrame| {
             Path::new(&f.scene.volume).iter().any(|part| pretrained_on.iter().any(|s| part == *s))
         };
@@ -190,8 +189,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
 }
 
 impl Pretrained<'_> {
-    /// Adapts the network and the unit costs to a target with increasing numbers of frames. Measures the errors on
-    /// the target's test frames.
+    /// Adapts the network and the unit costs to a target with increasing numbers of frames, and tests them.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
         let Self { work, runner, context, recipe, network, costs } = self;
         let none = TimedFrames::default();

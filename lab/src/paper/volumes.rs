@@ -45,8 +45,7 @@ pub(crate) struct Place {
     pub(crate) set: DataSet,
     /// Folder to which the names of the data set's volumes are relative.
     pub(crate) root: PathBuf,
-    /// Volumes of the data set, sorted by path; frame numbers depend on the volume's index. Paths are
-    /// relative to `root`.
+    /// Volumes, sorted by path (relative to `root`); frame numbers depend on the volume's index.
     pub(crate) jobs: Vec<Job>,
     /// Splits of the volumes; empty where the set is only for tests.
     pub(crate) splits: Vec<Parts>,

@@ -52,8 +52,7 @@ pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option
         for (target, _) in targets {
             let seconds = |p: &TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
             let fitting: Vec<_> = frame.iter().copied().filter(|p| seconds(p) <= *target).collect();
-            // Counts only frames in which full quality misses the target and a coarser step at full image size
-            // meets it.
+            // Counts only frames in which full quality misses the target and a coarser step meets it.
             let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));
             let (Some(full), false) = (full, fitting.iter().any(|p| p.scale == 1.0 && p.step <= 1.0)) else {
                 continue;

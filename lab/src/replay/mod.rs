@@ -26,8 +26,7 @@ use entire_steer::features::{Changes, VolumeSummary};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Number of frames that are not calm, counted from the start of a path or from a change other than a gradual
-/// motion of the camera.
+/// Number of uncalm frames from a path's start or from a change other than gradual motion of the camera.
 pub const SETTLING: usize = 3;
 
 /// Allowed ray steps of the commands, reference steps. Rules that act on image resolution have their own ranges.

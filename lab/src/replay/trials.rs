@@ -94,8 +94,7 @@ pub(crate) fn play(
         }
     }
     let mean = trial.targets.iter().sum::<f64>() / trial.targets.len() as f64;
-    // The controller with a fixed step uses the step at which the middle frame of the path meets the mean
-    // target.
+    // The fixed step is that at which the middle frame of the path meets the mean target.
     let middle = &trace.curves[trace.curves.len() / 2];
     let fixed = middle.oracle(mean, f64::from(LIMITS.finest), f64::from(LIMITS.coarsest)) as f32;
     let mut outcome = Outcome { frames: Vec::new(), tallies: vec![Tally::default(); players.len()] };

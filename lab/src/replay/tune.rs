@@ -62,8 +62,7 @@ impl Constants {
     }
 }
 
-/// Name of a constant, and the value at which it has no effect, or the least effect that its valid range
-/// allows.
+/// Name of a constant, and the value at which it has no effect, or the least effect in its valid range.
 const WITHOUT: [(&str, f64); 10] = [
     ("full", 0.0),
     ("damping", 10.0),
@@ -121,8 +120,7 @@ pub(crate) fn by_law(recorded: &Replayable, law: Option<f64>) -> Replayable {
     let mut out = recorded.clone();
     let Some(share) = law else { return out };
     for frame in &mut out.trace.frames {
-        // Images smaller than those of TRACE_SCALES may take less than the subtracted time; no controller uses
-        // them.
+        // Images smaller than those of TRACE_SCALES, which no controller uses, may take less than that time.
         frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
         let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
         for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
@@ -147,8 +145,7 @@ pub(crate) struct Course<'a> {
 pub(crate) struct Cost {
     /// Scores with a fitted predictor.
     pub(crate) fitted: Three,
-    /// Share of the frames with a fitted predictor that were coarser than full quality although full quality met the
-    /// target.
+    /// Share of the frames with a fitted predictor that were coarser than full quality, which met the target.
     pub(crate) fitted_coarse: f64,
     /// Share of the calm frames of a fitted predictor at which the step jumps.
     pub(crate) jumps: f64,
@@ -268,8 +265,7 @@ fn difference(paths: usize, before: &[Cost], after: &[Cost]) -> (f64, f64) {
 }
 
 /// Searches from `constants`, with the costs `now`, for at most `rounds` rounds over the constants `tried`
-/// (by index). Returns the constants, their costs, and the changes that were taken. `done` is called after
-/// every tried value.
+/// (by index). Returns constants, costs and taken changes. `done` is called after every tried value.
 pub(crate) fn search(
     courses: &[Course<'_>],
     paths: usize,

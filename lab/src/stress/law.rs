@@ -25,8 +25,7 @@ enum Heard {
     Nothing,
     /// The controller gets the true time, but this number of frames later.
     Late(usize),
-    /// The controller gets the true time, rounded up to whole intervals of a display with 60 frames per
-    /// second.
+    /// The controller gets the true time, rounded up to whole intervals of a 60 Hz display.
     Interval,
 }
 
@@ -180,8 +179,7 @@ fn seen_of(method: ControllerKind, seed: u64, course: Course, script: Script<'_>
     out
 }
 
-/// Two errors of the prediction in ln(seconds): `scene` is constant in a scene, `drift` changes along the
-/// path.
+/// Errors of the prediction in ln(seconds): `scene` is constant in a scene, `drift` changes along the path.
 struct Wrong {
     scene: f64,
     drift: f64,
@@ -291,9 +289,8 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
         }),
         24 => Some(resonance(method)),
         25 => go(strict(0.06, 3, 0.85), &mut |i, n| {
-            // Half of the volume is cropped away, later an occluder covers the volume, later frames take
-            // longer; between these parts, frame times are normal. No change is reported to the
-            // controller.
+            // Half of the volume is cropped away, then an occluder covers it, then frames take longer; in
+            // between, frame times are normal. No change is reported to the controller.
             let factor = match i / 60 {
                 1 => 0.5,
                 3 => 0.3,
@@ -467,8 +464,7 @@ fn bursts(method: ControllerKind) -> Verdict {
     let seen = seen_of(method, 29, (slow.len(), 0.03, Some(0.0)), &mut shot);
     let ends: Vec<usize> = (1..seen.len() - 2).filter(|&i| slow[i - 1] && !slow[i]).collect();
     let begun = |end: usize| (0..end).rev().take_while(|&i| slow[i]).last().unwrap_or(end);
-    // The time of the first frame after a burst shows that the burst has ended, so the step is checked two
-    // frames later.
+    // The first frame after a burst shows that it has ended, so the step is checked two frames later.
     let back = |&&end: &&usize| seen[end + 2].step <= 1.1 * seen[begun(end).saturating_sub(1)].step;
     let share = ends.iter().filter(back).count() as f64 / ends.len() as f64;
     let broken = (share < 0.9)

@@ -1,5 +1,4 @@
-//! Stress scenes, in which methods of holding a frame time are known to fail: each is a script with a rule
-//! for passing.
+//! Stress scenes in which methods of holding a frame time are known to fail: scripts with rules for passing.
 //!
 //! [`law`] has scenes whose frame times are a function of the step, which the script changes; [`world`] has
 //! scenes of real geometry, whose work is counted by the CPU version of the raycaster. Both run on a scripted
@@ -242,9 +241,8 @@ fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
     Bar::at_least(name, (!ours.is_empty()).then_some(passed as f64), all as f64)
 }
 
-/// Bars on the scenes on a scripted clock: entire's controller passes each of them, and at least one other method
-/// fails each of them (else the scene tests nothing). A scene that was not played is neither passed nor failed by any
-/// method.
+/// Bars on the scenes on a scripted clock: entire's controller passes each of them, and at least one other
+/// method fails each (else the scene tests nothing). No method passes or fails a scene that was not played.
 pub(crate) fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
     let harmless = harmless(verdicts);
     vec![
@@ -315,8 +313,7 @@ mod tests {
             .iter()
             .flat_map(|(rival, scenes)| run(scenes, &[*rival], 1000, &progress).unwrap())
             .collect();
-        // Scene 28 is about files and states. All methods read them with the same code, and none is known to fail
-        // the scene.
+        // Scene 28: all methods read files and states with the same code, and none is known to fail.
         assert_eq!(harmless(&verdicts), [28], "{verdicts:#?}");
         let lines: Vec<String> = bars(&verdicts).iter().map(ToString::to_string).collect();
         assert_eq!(

@@ -68,8 +68,7 @@ pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
     models.join(format!("{name}-{}.safetensors", &identity[..8]))
 }
 
-/// Returns the stored model if it has this identity. If `upper` is given, the model's upper bound is updated
-/// to it.
+/// Returns the stored model if it has this identity, with `upper`, if given, as its upper bound.
 pub(super) fn kept(path: &Path, identity: &str, upper: Option<UpperBound>) -> Result<Option<ModelFile>> {
     if !path.exists() {
         return Ok(None);

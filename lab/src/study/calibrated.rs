@@ -1,5 +1,4 @@
-//! Error of a predictor after calibration to a hundred frames of other data, on volumes of that data that were not
-//! used for the calibration.
+//! Error of a predictor on other data, after calibration to a hundred frames of other volumes of that data.
 
 use super::data::OnSet;
 use super::findings::CalibratedResult;

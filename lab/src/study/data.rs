@@ -41,8 +41,7 @@ impl SetTables {
     }
 }
 
-/// Frames for the training of a predictor: frames that its weights are fitted to, and frames that decide when
-/// training stops.
+/// Frames for training a predictor: those that weights are fitted to, and those that decide when it stops.
 pub(super) struct Learned<'a> {
     pub(super) all: TimedFrames<'a>,
     /// Frames that decide when training stops.
@@ -55,8 +54,7 @@ pub(super) struct Learned<'a> {
 pub(super) struct SetData<'a> {
     /// Frames of the training tables.
     pub(super) one_step: Learned<'a>,
-    /// Frames of the training tables and of the tables at other ray steps, for predictors whose inputs
-    /// contain the step.
+    /// Frames of training tables and of tables at other steps, for predictors whose inputs contain the step.
     pub(super) every_step: Learned<'a>,
     /// Frames that determine upper bounds.
     pub(super) bounds: TimedFrames<'a>,
@@ -103,8 +101,7 @@ pub(super) struct OnSet<'a> {
 }
 
 impl<'a> OnSet<'a> {
-    /// Returns the training frames of a recipe: frames at all ray steps if its inputs contain the step, which
-    /// the paper's inputs do not.
+    /// Training frames of a recipe: at all ray steps if its inputs contain the step (the paper's do not).
     pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
         Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
     }

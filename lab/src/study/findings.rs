@@ -16,8 +16,7 @@ const ROUNDS: usize = 200;
 /// Fraction of the bootstrap rounds whose values are inside an interval.
 pub(crate) const LEVEL: f64 = 0.9;
 
-/// Bootstrap intervals over volumes at the level [`LEVEL`]. They state how much an error depends on the choice of test
-/// volumes.
+/// Bootstrap intervals over volumes at [`LEVEL`]: how much an error depends on the choice of test volumes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Intervals {
     pub(crate) rmse_over_sd: (f64, f64),
@@ -79,8 +78,7 @@ pub(crate) struct SplitResult {
     pub(crate) set: String,
     pub(crate) split: String,
     pub(crate) predictor: String,
-    /// Table in which the predictor is listed ([`super::Named::panel`]); `baseline` for the constant and the
-    /// proxy.
+    /// Table that lists the predictor ([`super::Named::panel`]); `baseline` for the constant and the proxy.
     pub(crate) panel: String,
     pub(crate) metrics: Metrics,
     /// Intervals of RMSE/SD and of the median error.
@@ -105,8 +103,7 @@ pub(crate) struct Findings {
     /// Errors on the training tables.
     pub(crate) fits: Vec<Fit>,
     pub(crate) latencies: Vec<(String, String, Latency)>,
-    /// RMSE with eight-bit weights divided by the RMSE with the weights as stored, on the main split, by set
-    /// and predictor.
+    /// RMSE with eight-bit weights divided by that with stored ones, on the main split, by set and predictor.
     pub(crate) eight_bit: Vec<(String, String, f64)>,
     /// Noise floor and number of frames, by set and split.
     pub(crate) noise: Vec<(String, String, NoiseFloor, usize)>,

@@ -104,8 +104,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> Chart {
             front.push(p);
         }
     }
-    // Only predictors on the frontier, the selected one and the paper's networks are labeled: other points are too
-    // close to each other.
+    // Only the frontier, the selected predictor and the paper's networks are labeled; others are too close.
     let selected = found.selected.get(set);
     let named = |&(cold, error, name): &(f64, f64, &str)| {
         let text = match () {

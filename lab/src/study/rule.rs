@@ -1,5 +1,4 @@
-//! The rule that selects a predictor. It uses errors of cross-validation on the training tables, and no test
-//! frame.
+//! The rule that selects a predictor: by cross-validation on the training tables, without test frames.
 
 use super::description::{SELECTED, main_panel};
 use super::{Findings, Named, Study};
@@ -7,8 +6,7 @@ use entire_core::model::Model;
 use entire_core::scene::Shading;
 use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 
-/// Factor on an error of cross-validation: a predictor beats another one if its error is below this factor
-/// times the other's error.
+/// A predictor beats another one if its error of cross-validation is below this factor times the other's.
 const WORTH: f64 = 0.95;
 
 pub(crate) const SENTENCE: &str = "Rule of selection: a predictor is excluded if another predictor's error is more than 5 % lower on \
@@ -25,8 +23,7 @@ struct Contender {
     size: (usize, usize),
 }
 
-/// Index of the smallest contender that no other one beats on every machine; the first of several equally small ones.
-/// `None` without contenders.
+/// Index of the smallest contender (of equal ones, the first) that no other one beats on every machine.
 fn choose(contenders: &[Contender]) -> Option<usize> {
     let beats = |a: &Contender, b: &Contender| a.errors.iter().zip(&b.errors).all(|(a, b)| *a < WORTH * b);
     let good = |c: &&(usize, &Contender)| !contenders.iter().any(|other| beats(other, c.1));
@@ -64,8 +61,7 @@ pub(crate) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Opti
     choose(&contenders).map(|place| named[place])
 }
 
-/// Returns the predictor that ships under `name` in the study's list; for `selected`, the one that the rule
-/// selects.
+/// Returns the predictor that ships under `name`; for `selected`, the one that the rule selects.
 pub(crate) fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &'a str) -> Option<&'a str> {
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }
@@ -105,8 +101,7 @@ mod tests {
         // The larger predictor is 10 % better on one machine only.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.98], 400, 11)])), Some(0));
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.94], 400, 11)])), Some(1));
-        // Of equally large predictors that no other predictor beats on every machine, the one with the fewest
-        // rays is chosen.
+        // Of equally large predictors that no other one beats on every machine, the one with the fewest rays.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([1.03, 1.2], 15, 7), ([1.3, 1.3], 15, 4)])), Some(1));
         assert_eq!(choose(&of(&[([f64::INFINITY, 1.0], 1, 1), ([1.0, 0.9], 9, 9)])), Some(1));
         assert_eq!(choose(&[]), None);

@@ -35,8 +35,7 @@ pub(crate) enum Bounds<'a> {
     Crossed(&'a Crossed),
 }
 
-/// Results of a cross-validation: training frames, each predicted by a model that was trained without its group
-/// (ensemble member or volume).
+/// Results of a cross-validation: frames, each predicted by a model trained without its member or volume.
 pub(crate) struct Crossed {
     pub(super) predicted: Vec<f64>,
     pub(super) measured: Vec<f64>,
@@ -97,8 +96,7 @@ pub(crate) struct Runner<'a> {
 }
 
 impl Runner<'_> {
-    /// Trains a predictor, or reads the stored one if it was trained on the same data by the same recipe. Returns the
-    /// model and its path.
+    /// Trains a predictor, or reads one stored with the same data and recipe. Returns the model and its path.
     pub(crate) fn made(
         &self,
         key: &str,
@@ -229,8 +227,7 @@ impl Runner<'_> {
         Ok(out)
     }
 
-    /// Trains a predictor and tests it on every split. A predictor that cannot be trained is left out, with the
-    /// reason.
+    /// Trains a predictor and tests it on every split; notes the reason if it cannot be trained.
     pub(super) fn made_and_judged(
         &self,
         on: &OnSet<'_>,
@@ -249,8 +246,7 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// Trains a predictor for a set and cross-validates it if required. Also returns its upper bound and its errors on
-    /// the training tables.
+    /// Trains a predictor for a set and cross-validates it if required; with upper bound and training errors.
     fn on_set(
         &self,
         on: &OnSet<'_>,

@@ -79,23 +79,20 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
                     assert_eq!(f.finest_step, f.oracle_step, "{place}");
                 }
                 ActsOn::ImageResolution { coarsest } => {
-                    // The range of s is the rule's own, as far as images were recorded; limits of the ray
-                    // step do not apply.
+                    // The range of s is the rule's own, within the recorded images; step limits do not apply.
                     let coarsest = f64::from(coarsest).min(16.0);
                     assert!((1.0..=1.0001 * coarsest).contains(&f.step), "{place}");
                     assert!(close(f.seconds, noise * seconds(f.step)), "{place}");
                     assert!(close(f.psnr, recorded.images.as_ref().unwrap()[index].psnr(f.step)), "{place}");
-                    // A tenth of the pixels meets the target; Unreal and Filament draw at least a fourth of
-                    // the pixels.
+                    // A tenth of the pixels meets the target; Unreal and Filament draw at least a fourth.
                     assert!(close(f.finest_step, coarsest.min(10.0)), "{place}");
                 }
             }
         }
         let last = frames.last().unwrap();
         match player.kind {
-            // VTK's rule draws the first frame at half of the largest image sample distance; here, the smallest
-            // recorded image (s = 16) limits this distance. The distance of a later frame depends on the time
-            // of the frame before.
+            // VTK's rule draws the first frame at half of the largest image sample distance, here that of the
+            // smallest image (s = 16). The distance of a later frame depends on the time of the frame before.
             ControllerKind::VtkFixedPoint => {
                 assert!(close(frames[0].step, 16.0) && frames[20].step > 7.0, "{:?}", frames[20]);
                 assert!(close(last.ssim, recorded.images.as_ref().unwrap()[0].ssim(last.step)));

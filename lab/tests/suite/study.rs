@@ -64,8 +64,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     std::fs::write(at.join("study.json"), description.to_string()).unwrap();
 
     let (output, text) = study(at, &["--bars"]);
-    // One bar is about a predictor and tables that the study lacks: it is missed (`short`), and the command
-    // fails.
+    // One bar is about a predictor and tables that the study lacks: it is `short`, and the command fails.
     assert_eq!(output.status.code(), Some(1), "{text}");
     let bars: Vec<Vec<&str>> =
         text.lines().filter(|l| l.starts_with("bar ")).map(|l| l.split(' ').collect()).collect();
@@ -78,8 +77,7 @@ fn a_small_study_goes_from_tables_to_bars() {
         let (value, limit): (f64, f64) = (b[2].parse().unwrap(), b[3].parse().unwrap());
         assert_eq!(b[4] == "ok", value <= limit, "{b:?}");
     }
-    // An analytic model with a factor is far better than the constant baseline, even after eight epochs on
-    // two hundred frames.
+    // An analytic model with a factor is far better than the constant, even after eight epochs on 200 frames.
     assert!(bar("small/member/best-rmse-over-sd")[2].parse::<f64>().unwrap() < 0.5, "{text}");
 
     let found = &read_json(&at.join("out/study.json"))["findings"];

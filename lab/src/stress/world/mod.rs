@@ -235,8 +235,7 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         broken.push(format!("the coarsest step misses the target in {} frames", seen.len() - feasible));
     }
     if number == 12 {
-        // The first frame of an image size also sets the target of this size, so it is not compared with its
-        // bound.
+        // The first frame of an image size also sets its target, so it is not compared with its bound.
         seen.iter_mut().for_each(|s| s.first = false);
     }
     Ok(judge(number, method, &seen, world.limits, broken))

@@ -66,8 +66,7 @@ pub(super) struct Shot {
     pub(super) lobes: Vec<GaussianLobe>,
     pub(super) camera: Arcball,
     pub(super) size: (u32, u32),
-    /// Size at which the CPU version draws the frame. Its counts of work are scaled to `size`, which may be
-    /// too large to draw.
+    /// Size at which the CPU version draws; its counts of work are scaled to `size`, which may be too large.
     pub(super) drawn: (u32, u32),
     /// Factor on the seconds that no predictor models.
     pub(super) speed: f64,
