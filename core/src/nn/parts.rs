@@ -67,25 +67,19 @@ impl DenseParts {
     /// # Errors
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first invalid index.
     pub(crate) fn check(&self, name: &str) -> Result<()> {
-        if self.inputs == 0 || self.outputs == 0 {
+        let (inputs, outputs) = (self.inputs, self.outputs);
+        let (weights, biases) = (self.weight.len(), self.bias.len());
+        if inputs == 0 || outputs == 0 {
             bail!(
                 InvalidTensor,
-                "{name}.weight has shape [{}, {}]: both sizes must be at least 1",
-                self.outputs,
-                self.inputs
+                "{name}.weight has shape [{outputs}, {inputs}]: both sizes must be at least 1"
             );
         }
-        if self.outputs.checked_mul(self.inputs) != Some(self.weight.len()) {
-            bail!(
-                InvalidTensor,
-                "{name}.weight holds {} numbers, expected {} x {}",
-                self.weight.len(),
-                self.outputs,
-                self.inputs
-            );
+        if outputs.checked_mul(inputs) != Some(weights) {
+            bail!(InvalidTensor, "{name}.weight holds {weights} numbers, expected {outputs} x {inputs}");
         }
-        if self.bias.len() != self.outputs {
-            bail!(InvalidTensor, "{name}.bias holds {} numbers, expected {}", self.bias.len(), self.outputs);
+        if biases != outputs {
+            bail!(InvalidTensor, "{name}.bias holds {biases} numbers, expected {outputs}");
         }
         check_finite(&self.weight, name, "weight")?;
         check_finite(&self.bias, name, "bias")

@@ -1,7 +1,7 @@
 //! VolumeNet's encoder: reduces a volume to a short feature vector.
 
 use super::Resampler;
-use super::parts::VolumeNetParts;
+use super::parts::{ConvBlockParts, VolumeNetParts};
 use super::resample::Exact;
 use crate::Result;
 use crate::error::bail;
@@ -212,48 +212,39 @@ pub(crate) fn check(parts: &VolumeNetParts) -> Result<()> {
     }
     for (i, block) in parts.blocks.iter().enumerate() {
         let name = alloc::format!("volumenet.encoder.{i}.conv");
-        if block.inputs != channels || block.outputs == 0 || block.input_edge != edge {
+        let &ConvBlockParts { inputs, outputs, kernel, stride, padding, input_edge, output_edge, .. } = block;
+        if inputs != channels || outputs == 0 || input_edge != edge {
             bail!(
                 InvalidTensor,
-                "{name} takes {} channels of edge {} and gives {} channels; the layer before it gives \
-                 {channels} channels of edge {edge}",
-                block.inputs,
-                block.input_edge,
-                block.outputs
+                "{name} takes {inputs} channels of edge {input_edge} and gives {outputs} channels; the layer \
+                 before it gives {channels} channels of edge {edge}"
             );
         }
-        let padded = block.padding.checked_mul(2).and_then(|p| p.checked_add(edge));
+        let padded = padding.checked_mul(2).and_then(|p| p.checked_add(edge));
         let output = match padded {
-            Some(padded) if (1..=padded).contains(&block.stride) && (1..=padded).contains(&block.kernel) => {
-                (padded - block.kernel) / block.stride + 1
+            Some(padded) if (1..=padded).contains(&stride) && (1..=padded).contains(&kernel) => {
+                (padded - kernel) / stride + 1
             }
             _ => 0,
         };
-        if output == 0 || output != block.output_edge {
+        if output == 0 || output != output_edge {
             bail!(
                 InvalidTensor,
-                "{name}: kernel {}, stride {}, padding {} on an edge of {edge} give an edge of {output}, not {}",
-                block.kernel,
-                block.stride,
-                block.padding,
-                block.output_edge
+                "{name}: kernel {kernel}, stride {stride}, padding {padding} on an edge of {edge} give an edge \
+                 of {output}, not {output_edge}"
             );
         }
-        let wanted = [block.outputs, block.inputs, block.kernel, block.kernel, block.kernel]
+        let wanted = [outputs, inputs, kernel, kernel, kernel]
             .iter()
             .try_fold(1usize, |product, &n| product.checked_mul(n));
-        if wanted != Some(block.weight.len()) || block.bias.len() != block.outputs {
+        let (weights, biases) = (block.weight.len(), block.bias.len());
+        if wanted != Some(weights) || biases != outputs {
             bail!(
                 InvalidTensor,
-                "{name}: {} weights and {} biases do not fit {} x {} x {}³",
-                block.weight.len(),
-                block.bias.len(),
-                block.outputs,
-                block.inputs,
-                block.kernel
+                "{name}: {weights} weights and {biases} biases do not fit {outputs} x {inputs} x {kernel}³"
             );
         }
-        (edge, channels) = (output, block.outputs);
+        (edge, channels) = (output, outputs);
     }
     let flat = edge.checked_mul(edge).and_then(|e| e.checked_mul(edge)).and_then(|e| e.checked_mul(channels));
     if flat != Some(parts.fc.inputs) {
@@ -283,7 +274,7 @@ mod tests {
     use super::*;
     use crate::ErrorKind;
     use crate::nn::conv3d::reference;
-    use crate::nn::{ConvBlockParts, DenseParts, Dtype, random};
+    use crate::nn::{DenseParts, Dtype, random};
     use crate::scene::VolumeOptions;
     use alloc::vec;
 
