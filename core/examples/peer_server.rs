@@ -175,11 +175,8 @@ fn encoding<'a>(options: &'a Options, name: &str) -> Result<Case<'a>, Problem> {
         let view = if from_floats {
             // The network maps this range to [-1, 1], so the floats stay unchanged, as in the other
             // libraries.
-            VolumeView::with(
-                Scalars::F32(&volume),
-                [128; 3],
-                VolumeOptions { range: Some((-1.0, 1.0)), ..VolumeOptions::default() },
-            )
+            let options = VolumeOptions { range: Some((-1.0, 1.0)), ..VolumeOptions::default() };
+            VolumeView::with(Scalars::F32(&volume), [128; 3], options)
         } else {
             VolumeView::new(Scalars::U8(&bytes), [128; 3])
         };

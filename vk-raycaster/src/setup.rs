@@ -185,12 +185,8 @@ mod tests {
     #[test]
     fn eye_and_advance_are_in_voxels() {
         let data = vec![0u8; 8 * 4 * 2];
-        let view = VolumeView::with(
-            Scalars::U8(&data),
-            [8, 4, 2],
-            VolumeOptions { spacing: [1.0, 2.0, 4.0], ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { spacing: [1.0, 2.0, 4.0], ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::U8(&data), [8, 4, 2], options).unwrap();
         let volume = PreparedVolume::new(&view).geometry;
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
         let frame = Frame { step: 0.5, ..Frame::new(camera, 4, 4).unwrap() };

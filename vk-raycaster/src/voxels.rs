@@ -179,12 +179,8 @@ mod tests {
     #[test]
     fn narrower_ranges_clamp_before_interpolation() {
         let words = [0u16, 100, 200, 60000];
-        let v = VolumeView::with(
-            Scalars::U16(&words),
-            [4, 1, 1],
-            VolumeOptions { range: Some((100.0, 200.0)), ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { range: Some((100.0, 200.0)), ..VolumeOptions::default() };
+        let v = VolumeView::with(Scalars::U16(&words), [4, 1, 1], options).unwrap();
         let p = PreparedVolume::new(&v);
         assert_eq!([0, 1, 2, 3].map(|i| position(&p, i).round()), [0.0, 0.0, 255.0, 255.0]);
     }
@@ -195,12 +191,8 @@ mod tests {
         let p = PreparedVolume::new(&VolumeView::new(Scalars::U16(&v), [4, 1, 1]).unwrap());
         assert_eq!(position(&p, 3), 0.0);
         let data: Vec<u8> = (0..60).collect();
-        let view = VolumeView::with(
-            Scalars::U8(&data[16..]),
-            [2, 2, 2],
-            VolumeOptions { strides: Some([1, 3, 12]), ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { strides: Some([1, 3, 12]), ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::U8(&data[16..]), [2, 2, 2], options).unwrap();
         match PreparedVolume::new(&view).voxels {
             Voxels::U8(v) => assert_eq!(v, [16, 17, 19, 20, 28, 29, 31, 32]),
             _ => panic!("bytes stay bytes"),
@@ -210,12 +202,8 @@ mod tests {
     #[test]
     fn geometry_is_relative_to_the_smallest_spacing() {
         let data = [0u8; 8];
-        let v = VolumeView::with(
-            Scalars::U8(&data),
-            [4, 2, 1],
-            VolumeOptions { spacing: [0.5, 1.0, 4.0], ..VolumeOptions::default() },
-        )
-        .unwrap();
+        let options = VolumeOptions { spacing: [0.5, 1.0, 4.0], ..VolumeOptions::default() };
+        let v = VolumeView::with(Scalars::U8(&data), [4, 2, 1], options).unwrap();
         let p = PreparedVolume::new(&v);
         assert_eq!(p.geometry.relative_spacing, [1.0, 2.0, 8.0]);
         assert!((p.geometry.reference_step() - f64::from(v.shape().reference_step)).abs() < 1e-7);

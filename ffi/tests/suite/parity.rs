@@ -73,12 +73,8 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
     }
 
     let voxels = toy_volume();
-    let view = VolumeView::with(
-        Scalars::U8(&voxels),
-        [5, 7, 11],
-        VolumeOptions { spacing: [1.0, 2.0, 7.0], ..VolumeOptions::default() },
-    )
-    .unwrap();
+    let options = VolumeOptions { spacing: [1.0, 2.0, 7.0], ..VolumeOptions::default() };
+    let view = VolumeView::with(Scalars::U8(&voxels), [5, 7, 11], options).unwrap();
     let encoder = VolumeNet::new(model.volumenet.as_ref().unwrap()).unwrap();
     let mut features = vec![0.0; encoder.feature_len()];
     encoder.encode(&view, &mut encoder.scratch(), Executor::Serial, &mut features).unwrap();

@@ -57,12 +57,8 @@ fn a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways() {
             if i >= 20 {
                 assert!(error.abs() < 0.15, "block {block} frame {i}: {error}");
             }
-            correction.observe(
-                &terms(&parts),
-                clean * (1.0 + 0.05 * (noise.uniform() - 0.5)),
-                Standing::Same,
-                1.0,
-            );
+            let seconds = clean * (1.0 + 0.05 * (noise.uniform() - 0.5));
+            correction.observe(&terms(&parts), seconds, Standing::Same, 1.0);
         }
     }
 }
@@ -78,12 +74,8 @@ fn single_spikes_barely_move_it() {
         let error = (correction.apply(&terms(&parts)).seconds / clean).ln();
         assert!(i < 20 || error.abs() < 0.12, "frame {i}: {error}");
         let spike = if i % 25 == 24 { 50.0 } else { 1.0 };
-        correction.observe(
-            &terms(&parts),
-            clean * spike * (1.0 + 0.04 * (noise.uniform() - 0.5)),
-            Standing::Same,
-            1.0,
-        );
+        let seconds = clean * spike * (1.0 + 0.04 * (noise.uniform() - 0.5));
+        correction.observe(&terms(&parts), seconds, Standing::Same, 1.0);
     }
 }
 
