@@ -614,13 +614,8 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
         );
     }
     if let Some(i) = inputs.iter().position(|v| !v.is_finite()) {
-        refuse!(
-            ENTIRE_INVALID_ARGUMENT,
-            "input {} of row {} is {}; inputs must be finite",
-            i % expected,
-            i / expected,
-            inputs[i]
-        );
+        let (column, row, value) = (i % expected, i / expected, inputs[i]);
+        refuse!(ENTIRE_INVALID_ARGUMENT, "input {column} of row {row} is {value}; inputs must be finite");
     }
     Ok(())
 }

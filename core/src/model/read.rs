@@ -217,14 +217,10 @@ impl Source<'_> {
             Ok(names) => names,
             Err(e) => bail!(InvalidModel, "{key} is not a JSON array of names: {e}"),
         };
-        if names.len() != group.size {
-            bail!(
-                InvalidModel,
-                "{key} names {} features, but the group {:?} has size {}",
-                names.len(),
-                group.name,
-                group.size
-            );
+        let InputGroup { name, size } = group;
+        if names.len() != *size {
+            let count = names.len();
+            bail!(InvalidModel, "{key} names {count} features, but the group {name:?} has size {size}");
         }
         let mut seen = BTreeSet::new();
         if let Some(name) = names.iter().find(|name| !seen.insert(name.as_str())) {
@@ -346,12 +342,8 @@ impl Source<'_> {
         let beta = self.vector(&format!("{name}.bn.bias"), outputs)?;
         let mean = self.vector(&format!("{name}.bn.running_mean"), outputs)?;
         let variance = self.vector(&format!("{name}.bn.running_var"), outputs)?;
-        if let Some(c) = variance.iter().position(|&v| v < 0.0) {
-            bail!(
-                InvalidTensor,
-                "{name}.bn.running_var[{c}] is {}: a variance cannot be negative",
-                variance[c]
-            );
+        if let Some((c, v)) = variance.iter().enumerate().find(|(_, v)| **v < 0.0) {
+            bail!(InvalidTensor, "{name}.bn.running_var[{c}] is {v}: a variance cannot be negative");
         }
         let mut folded = room(weight.len())?;
         let mut folded_bias = room(outputs)?;
@@ -445,12 +437,8 @@ impl TensorData<'_> {
             ),
         };
         if let Some(i) = values.iter().position(|v| !v.is_finite()) {
-            bail!(
-                InvalidTensor,
-                "{name}{} is {}: every number in a model must be finite",
-                index_of(i, &self.shape),
-                values[i]
-            );
+            let (index, value) = (index_of(i, &self.shape), values[i]);
+            bail!(InvalidTensor, "{name}{index} is {value}: every number in a model must be finite");
         }
         Ok((values, dtype))
     }

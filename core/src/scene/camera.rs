@@ -103,12 +103,7 @@ impl Camera {
                 "the volume's center is too far from the eye for a radius of {radius}: their quotient is not finite"
             );
         }
-        let view = Mat4::from_cols(
-            r.x_axis.extend(0.0),
-            r.y_axis.extend(0.0),
-            r.z_axis.extend(0.0),
-            eye_of_center.extend(1.0),
-        );
+        let view = Mat4 { w_axis: eye_of_center.extend(1.0), ..Mat4::from_mat3(r) };
         Ok(Self { view, lens: Lens::DEFAULT })
     }
 

@@ -488,12 +488,7 @@ fn describe_device(
         reported: DeviceLimits {
             name: text(core.device_name_as_c_str().ok()),
             driver,
-            api_version: format!(
-                "{}.{}.{}",
-                (version >> 22) & 0x7f,
-                (version >> 12) & 0x3ff,
-                version & 0xfff
-            ),
+            api_version: format!("{}.{}.{}", version >> 22 & 0x7f, version >> 12 & 0x3ff, version & 0xfff),
             is_software: core.device_type == vk::PhysicalDeviceType::CPU,
             max_image_3d: limits.max_image_dimension3_d,
             max_storage_buffer: u64::from(limits.max_storage_buffer_range),
