@@ -273,9 +273,9 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
     };
     let target = ms(record.target);
     let why = match record.reason {
-        Reason::Fits => format!("the finest setting that is expected to fit {target}"),
+        Reason::Fits => format!("a setting that is expected to fit {target}"),
         Reason::Damped => {
-            format!("approaches the step that fits {target} gradually, because nothing changed abruptly")
+            format!("gradually approaches the step that fits {target}, because nothing changed abruptly")
         }
         Reason::Held => {
             format!("the setting of the last frame, which still fits {target} and is close to the best")

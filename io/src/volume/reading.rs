@@ -106,7 +106,7 @@ impl FromStr for Range {
             "data" => Ok(Self::Data),
             pair => match numbers_in(pair)?[..] {
                 [low, high] => Ok(Self::Given(low, high)),
-                _ => Err("two numbers separated by a comma are expected, or data".to_owned()),
+                _ => Err("two numbers separated by a comma, data, or auto are expected".to_owned()),
             },
         }
     }
@@ -209,8 +209,8 @@ pub(super) fn hide_fill(
     Ok(if found {
         let list = list(&values);
         Some(format!(
-            "{hidden} of {all} voxels ({share:.1} %) hold {list}, far from all other values ({low} to \
-             {high}), which is taken as a fill value: these voxels are shown as the low end of the range. \
+            "{list} is taken as a fill value, since it is far from all other values ({low} to {high}): the \
+             {hidden} of {all} voxels ({share:.1} %) with this value are shown as the low end of the range. \
              With `--fill none`, they are shown as data"
         ))
     } else if !missing.is_empty() {
