@@ -120,8 +120,9 @@ impl Report {
         if self.others.busy() {
             out.push(format!(
                 "the machine was busy: other programs used {:.1} processors on average; during {:.0} of \
-                 {:.0} seconds they used more than {} processors, and repeats rendered in these seconds are \
-                 used only for frames without other repeats; calibrate again on a quiet machine",
+                 {:.0} seconds they used more than {} processors, and a repeat rendered in these seconds is \
+                 used only if its frame has no repeat from the other seconds; calibrate again on a quiet \
+                 machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,
@@ -244,8 +245,8 @@ pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
          (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - 1)^{image_exponent:.2}, where s is the ray step \
          and d is the number of pixels between rays; {:.0} % of the time at full quality depends on the \
          number of rays only. At equal time, the error is {:.2} times the smallest one if this formula \
-         chooses step and image size, and {} times if only the step is changed, which saves at most {:.0} % \
-         of the time",
+         chooses step and image size, and {} times if only the step is changed. A coarser step alone saves \
+         at most {:.0} % of the time",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,

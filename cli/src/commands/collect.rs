@@ -89,8 +89,7 @@ pub(crate) struct Options {
     /// Ray steps, in reference steps; each frame gets one of them at random.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
     pub(crate) steps: Vec<f32>,
-    /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost as much as large
-    /// ones.
+    /// Enlarge every volume by this factor, trilinearly, so that small volumes cost as much as large ones.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
     /// Render every volume resampled to EDGE voxels per side, a low-resolution proxy, with the cameras,

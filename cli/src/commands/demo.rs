@@ -82,8 +82,8 @@ pub(crate) struct Options {
     /// device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
-    /// Enlarge the volume by this factor at load, trilinearly; default: 2 for volumes of fewer than 160³
-    /// voxels, else 1.
+    /// Enlarge the volume by this factor, trilinearly; default: 2 for volumes of fewer than 160³ voxels,
+    /// else 1.
     #[arg(long, value_name = "FACTOR")]
     pub(crate) enlarge: Option<usize>,
     /// Coarsest image of entire's controller, in pixels between rays along each side; this controller
@@ -275,10 +275,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
-        "Every frame was drawn under every controller before the next one began, in rotating order, so that \
-         load by other programs affected all controllers alike. Each frame was also drawn at the reference \
-         step; the time of that drawing counts for no controller. Changes of the transfer function are not \
-         part of frame times."
+        "Every frame was drawn under every controller before the next frame began, in rotating order, so \
+         that load by other programs affected all controllers alike. Each frame was also drawn at the \
+         reference step; the time of that drawing counts for no controller. Changes of the transfer function \
+         are not part of frame times."
             .to_owned(),
         format!(
             "The fixed step ({:.2}) is the step at which the median random scene meets the target. OLP takes \
@@ -291,7 +291,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     ];
     if factor != 1 {
         remarks.push(format!(
-            "The volume was enlarged trilinearly by {factor} along every axis at load, so that its frames \
+            "The volume was enlarged trilinearly by {factor} along every axis, so that its frames \
              cost as much as those of larger volumes."
         ));
     }

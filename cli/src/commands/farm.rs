@@ -60,8 +60,8 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t)]
     pub engine: EngineOption,
     /// Number of bundles (groups of tasks) that run at once: workers of this machine or of HyperQueue, nodes
-    /// of Slurm. Default: the processors of this machine; for Slurm, the nodes that Slurm lists, but not with
-    /// --dry-run or --openjd.
+    /// of Slurm. Default: the processors of this machine; for Slurm, the nodes that Slurm lists, but with
+    /// --dry-run or --openjd the processors of this machine.
     #[arg(long, value_name = "N")]
     pub slots: Option<usize>,
     /// Continue an unfinished database.

@@ -12,9 +12,9 @@ use std::path::PathBuf;
 ///
 /// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either
 /// may be missing, not both), and optionally `task` (a name), `volume` (the data it needs) and `load_s`
-/// (seconds to load that data). All seconds are wall time on a node of speed 1; `entire predict` names the
-/// clock of its seconds; seconds of another clock are wrong by a factor. Writes the assignment or the order
-/// as CSV or JSON, by the file's ending.
+/// (seconds to load that data). All seconds are wall time on a node of speed 1. `entire predict` names the
+/// clock of its seconds: seconds of a clock other than wall time are wrong by a factor. Writes the assignment
+/// or the order as CSV or JSON, by the file's ending.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv

@@ -28,9 +28,9 @@ use std::path::{Path, PathBuf};
 ///
 /// First some random frames of the volume are rendered at several steps, to measure the time saved by coarser
 /// steps; the predictor is not fitted to these frames. Then the path is played: every frame is drawn under
-/// every controller before the next one begins, in rotating order. Each frame is also drawn at the reference
-/// step; the time of that drawing counts for no controller. The folder of --out gets frames.csv (every frame
-/// under every controller), summary.json and report.html.
+/// every controller before the next frame begins, in rotating order. Each frame is also drawn at the
+/// reference step; the time of that drawing counts for no controller. The folder of --out gets frames.csv
+/// (every frame under every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer skull.nrrd --generate switches --target 30fps --out out/steer
@@ -124,7 +124,7 @@ pub(crate) struct Options {
     /// own ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub(crate) limits: (f32, f32),
-    /// Enlarge the volume by this factor at load, trilinearly.
+    /// Enlarge the volume by this factor, trilinearly.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
     /// Seed of the random scenes.
@@ -371,6 +371,6 @@ fn write_table(
 pub(super) fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
     let [x, y, z] = volume.dims();
     let enlarged =
-        if factor == 1 { String::new() } else { format!(", enlarged trilinearly x{factor} at load") };
+        if factor == 1 { String::new() } else { format!(", enlarged trilinearly x{factor}") };
     format!("{shown}: {x} x {y} x {z} voxels{enlarged}")
 }

@@ -68,14 +68,15 @@ pub struct Options {
     /// from its weights.
     #[arg(long, value_name = "SAFETENSORS")]
     pub fine_tune: Option<PathBuf>,
-    /// Model file with the VolumeNet that encodes volumes; it is also written into the new file.
+    /// Model file with the VolumeNet that encodes volumes; the VolumeNet is also written into the new file.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
     /// Group of frames that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub split: GroupBy,
     /// Members or volumes (as --split says) for validation. If neither these nor --test-groups are named, a
-    /// random tenth of the groups is taken for validation, and another tenth for testing.
+    /// random tenth of the groups is taken for validation, and another tenth for testing. If only one of the
+    /// two is named, the other part is empty.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub validation_groups: Vec<String>,
     /// Members or volumes for testing; see --validation-groups.
@@ -164,7 +165,8 @@ pub fn run(options: &Options) -> Result<()> {
             ),
             false => {
                 "no --validation-groups: the loss of the training frames decides when training stops, and \
-                 the upper bound is fitted to the training frames, so other frames exceed the bound too often"
+                 the upper bound is fitted to the training frames, so more than 5 % of other frames may \
+                 exceed the bound"
                     .into()
             }
         });
@@ -482,7 +484,7 @@ fn card(
     if upper.log_factor.is_finite() {
         md.push(format!(
             "Upper bound of level {UPPER_LEVEL}: {:.2} times the prediction, computed from the validation \
-             frames (or the training frames, if there are no others){}.",
+             frames (from the training frames if there are no validation frames){}.",
             upper.factor().max(1.0),
             covered.map_or(String::new(), |c| format!("; {:.1} % of the test frames took less", 100.0 * c))
         ));

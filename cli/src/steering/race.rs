@@ -84,8 +84,8 @@ pub(crate) fn machine_model_for(
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
     if let Some(why) = of_another_kind(&path, &file, renderer.backend(), &renderer.device()) {
         entire_io::files::note(&format!(
-            "{why}; `entire calibrate --shade {shading}` with the same --device makes a model of this device; \
-             with --out, the present model is kept"
+            "{why}; `entire calibrate --shade {shading}` with the same --device makes a model of this \
+             device, which replaces the present model unless --out names another file"
         ));
         return Ok((None, asked));
     }

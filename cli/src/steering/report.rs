@@ -269,8 +269,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     page.chart(
         &chart,
         "Measured time of every frame under every controller. The shaded area reaches from the target to the \
-         frame's time at the reference step. All controllers draw the same frame before the next one begins, \
-         in rotating order.",
+         frame's time at the reference step. All controllers draw the same frame before the next frame \
+         begins, in rotating order.",
     );
 
     if !playback.switches.is_empty() {
@@ -304,8 +304,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         });
         page.chart(
             &chart,
-            "Image sample distance of each controller. Only controllers that act on image resolution change \
-             this distance, and entire's controller, if it may coarsen the image.",
+            "Image sample distance of each controller. Two kinds of controllers change this distance: those \
+             that act on image resolution, and entire's controller if it may coarsen the image.",
         );
     }
 

@@ -32,7 +32,7 @@ const FRAMES: [usize; 6] = [3, 10, 20, 40, 160, 500];
 /// over draws and types of machine).
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
-/// Measure the error of calibrations to few and many frames, on another type of machine.
+/// Measure the error of calibrations to few and many frames, with priors of other types of machine.
 ///
 /// Each table and each prior is of one type of machine. A model is calibrated to frames of one type, with the
 /// models of the other types as priors. A draw takes one member of each ensemble, at most nine of their

@@ -71,7 +71,7 @@ pub(crate) struct Options {
     #[arg(long, conflicts_with = "calibration")]
     pub(crate) resume: bool,
     /// Ray steps of the grid at full image size, reference steps, ascending; at least two. Smaller images are
-    /// drawn for the default steps only.
+    /// drawn only if the steps are the default ones.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
     pub(crate) steps: Vec<f32>,
     /// Number of renderings of every point of the grid.
@@ -86,7 +86,7 @@ pub(crate) struct Options {
     /// The clock of frame times.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
-    /// Enlarge the volumes by this factor at load, trilinearly.
+    /// Enlarge the volumes by this factor, trilinearly.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
 }
