@@ -85,8 +85,8 @@ pub(crate) unsafe fn read_struct<T: ByValue>(at: *const T) -> Result<T, Failure>
     if unknown.iter().any(|&byte| byte != 0) {
         refuse!(
             ENTIRE_STRUCT_SIZE,
-            "{}.struct_size is {size} and fields beyond the {} bytes that this library knows are set; \
-             use a library as new as the header, or leave them zero",
+            "{}.struct_size is {size}, and fields beyond the {} bytes that this library knows are set; \
+             use a library as new as the header, or set these fields to zero",
             T::NAME,
             size_of::<T>()
         );

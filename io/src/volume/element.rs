@@ -122,7 +122,7 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
         _ => return Ok(()),
     };
     bail!(
-        "{}{} need {expected} bytes, {found}; it is cut short or its header is wrong",
+        "{}{} need {expected} bytes, {found}; the file is cut short or its header is wrong",
         stream.prefix(),
         described(dims, element)
     )
@@ -252,8 +252,8 @@ pub(crate) fn parse_voxels(
     let (Remaining::Exact(most) | Remaining::AtMost(most)) = stream.remaining();
     ensure!(
         most.saturating_add(1) / 2 >= voxels as u64,
-        "{}{x} x {y} x {z} voxels as text need at least {} bytes, the data has {most}; it is cut short or its header \
-             is wrong",
+        "{}{x} x {y} x {z} voxels as text need at least {} bytes, the data has {most}; the file is cut \
+             short or its header is wrong",
         stream.prefix(),
         (voxels as u64).saturating_mul(2) - 1
     );

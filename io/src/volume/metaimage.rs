@@ -86,7 +86,7 @@ fn voxels(
         Ok(size) => stream.skip(size - begin)?,
         // -1: the voxels are the last bytes of the file.
         Err(_) if !header.binary => {
-            bail!("MetaImage HeaderSize -1 is for binary data alone; state the number of bytes")
+            bail!("MetaImage HeaderSize -1 is accepted only for binary data; state the number of bytes")
         }
         // HeaderSize is -1 and the voxels are compressed. They begin right after the header or at the start
         // of the data file, so nothing is skipped.

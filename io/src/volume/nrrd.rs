@@ -133,7 +133,7 @@ fn voxels(
         Some(Encoding::Bzip2) => stream.bunzip(),
         Some(Encoding::Hex | Encoding::Text) if header.byte_skip < 0 => {
             bail!(
-                "NRRD \"byte skip: {}\" is for binary encodings; state the number of bytes",
+                "NRRD \"byte skip: {}\" is accepted only for binary encodings; state the number of bytes",
                 header.byte_skip
             )
         }

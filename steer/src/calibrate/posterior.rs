@@ -88,8 +88,9 @@ impl PriorModel {
             let Some(model) = AnalyticModel::from_model(&file.to_model()?)? else {
                 bail!(
                     Unsupported,
-                    "a calibration starts from unit costs, the analytic models that `entire calibrate` and \
-                     `entire train --model-kind analytic` make; this model is of another kind: give another one, or none"
+                    "a calibration starts from the unit costs of an analytic model; this model is of \
+                     another kind. Give a model that `entire calibrate` or `entire train --model-kind \
+                     analytic` made, or none"
                 );
             };
             let own = model.costs();

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 _FOLDER = Path(__file__).parent / "models"
 _REASONS = {
-    "fits": "the finest step expected to meet the target, with its upper bound within the tolerance; "
-    "a coarser step if no step has such a bound",
+    "fits": "the finest step that is expected to meet the target and whose upper bound is within the "
+    "tolerance; if no step has such a bound, a coarser step than the finest that is expected to meet the target",
     "damped": "approaches the best step gradually, since nothing changed abruptly",
     "held": "the last step still fits and is close to the best",
     "finest allowed": "the finest allowed step is expected to meet the target",

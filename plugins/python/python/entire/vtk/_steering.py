@@ -493,8 +493,8 @@ class Steering:
     def _warn_of_still_frames(self, window: Any) -> None:
         if self.always is None and window.GetOffScreenRendering():
             text = (
-                f"none of {_STILL_FRAMES} frames was steered: without interaction, all frames of the off-screen window "
-                f"are still frames; hold(..., always=True) steers every frame"
+                f"none of {_STILL_FRAMES} frames was steered: without interaction, every frame of the off-screen "
+                f"window is a still frame; hold(..., always=True) steers every frame"
             )
             self.notes.append(text)
             log.warning("%s", text)
