@@ -3,7 +3,7 @@
 //! engines run.
 
 use super::search::{Problem, best_of, shuffled};
-use super::tables::{HELD_OUT, tasks};
+use super::tasks::{HELD_OUT, tasks_of_table};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use entire_farm::dispatch::Order;
@@ -175,7 +175,7 @@ pub(crate) fn all(folder: &Path) -> Result<Vec<Bar>> {
     let (first, last, peak) = at_scale(folder)?;
     let mut pools = Vec::new();
     for (table, model) in HELD_OUT {
-        pools.push((table.to_owned(), tasks(table, model)?));
+        pools.push((table.to_owned(), tasks_of_table(table, model)?));
     }
     for (name, pool) in &pools {
         let (worst, nodes) = worst_static(pool)?;

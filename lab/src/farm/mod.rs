@@ -4,7 +4,6 @@ pub(crate) mod bars;
 mod compare;
 mod search;
 pub(crate) mod stand_in;
-mod tables;
 mod tasks;
 
 pub(crate) use compare::{compare, second_measurement};
