@@ -1,16 +1,23 @@
-//! The predictor that steers a replay: the analytic model, fitted to recorded frames, or a model file's.
+//! Calibration samples of recorded timing tables, and the predictor that steers a replay: the analytic model,
+//! fitted to such samples, or a model file's.
 
 use anyhow::{Context, Result};
-use entire_cli::steering::calibrate::{Quality, Sample};
+use entire_cli::steering::calibrate::{Quality, Sample, response};
 use entire_cli::steering::model::SteeringModel;
+use entire_cli::steering::rivals::StepResponse;
 use entire_core::scene::{Scalars, VolumeView};
+use entire_io::dataset::{Clock, TimedFrame, read_tables};
 use entire_io::files::open_volume;
+use entire_io::options::thread_pool;
 use entire_io::volume::Reading;
 use entire_steer::control::Prior;
+use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::{AnalyticModel, UnitCosts};
+use entire_train::inputs;
+use indicatif::ProgressBar;
 use serde::Serialize;
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
 
 /// Number of scenes of which one is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
@@ -70,4 +77,48 @@ impl Calibrated {
     pub(crate) fn prior(&self) -> Prior {
         Prior::Fitted { log_sd: self.held_out.log_sd as f32 }
     }
+}
+
+/// Returns one calibration sample for each frame of the timing tables, with the name of its volume. Frames with the same
+/// volume, camera, image size and transfer function have the same scene number. Scene features come from the default
+/// probe.
+pub(crate) fn samples_by_volume(tables: &[PathBuf]) -> Result<Vec<(String, Sample)>> {
+    let tables = read_tables(tables)?;
+    let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();
+    let clock = [Clock::Cpu, Clock::Auto]
+        .into_iter()
+        .find(|c| frames.iter().all(|f| f.seconds(*c).is_some()))
+        .context(
+            "the calibration tables share no clock: every frame needs seconds_cpu, or every frame needs the \
+             time of one other clock",
+        )?;
+    let pool = thread_pool(None)?;
+    let mut numbers: HashMap<String, usize> = HashMap::new();
+    let scenes: HashMap<(usize, u64), usize> = frames
+        .iter()
+        .map(|f| {
+            let s = &f.scene;
+            let key = format!("{} {:?} {} {} {:?}", s.volume, s.camera, s.width, s.height, s.lobes);
+            let next = numbers.len();
+            ((f.table, f.number), *numbers.entry(key).or_insert(next))
+        })
+        .collect();
+    let side = Some(PROBE_SIDE);
+    inputs::measure(&tables, &frames, side, None, &pool, &ProgressBar::hidden(), |frame, inputs| {
+        let sample = Sample {
+            scene: scenes[&(frame.table, frame.number)],
+            features: inputs.features.clone(),
+            setting: inputs.setting,
+            camera: inputs.camera,
+            lobes: frame.scene.lobes.clone(),
+            seconds: frame.seconds(clock).context("a frame without a time")?,
+        };
+        Ok((frame.scene.volume.clone(), sample))
+    })
+}
+
+/// G, the curve of frame time over the step, from samples.
+pub(crate) fn response_of(samples: &[Sample]) -> Result<StepResponse> {
+    response(samples)
+        .context("G, the curve of frame time over step, needs scenes that were timed at several steps")
 }

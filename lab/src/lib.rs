@@ -2,7 +2,6 @@
 //! is not published; the program for users is in `entire-cli`.
 
 mod bars;
-mod calibration;
 mod child;
 pub mod command_line;
 mod commands;

@@ -2,8 +2,7 @@
 //! prints the steering bars.
 
 use crate::bars;
-use crate::calibration::{response_of, samples_by_volume};
-use crate::fitted::{Calibrated, no_volume};
+use crate::fitted::{Calibrated, no_volume, response_of, samples_by_volume};
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{

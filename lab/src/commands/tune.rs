@@ -1,8 +1,7 @@
 //! `entire-lab tune`: search of the controller's constants on recorded paths.
 
 use super::replay::Paths;
-use crate::calibration::samples_by_volume;
-use crate::fitted::Calibrated;
+use crate::fitted::{Calibrated, samples_by_volume};
 use crate::replay::tune::{Constants, Cost, Course, LAWS, Removed, TRIED, by_law, costs, removed, search};
 use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};

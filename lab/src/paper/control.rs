@@ -5,7 +5,7 @@ use super::Work;
 use super::description::Panel;
 use super::results::{Curve, Fact, Results, write};
 use super::section::Section;
-use crate::calibration::{response_of, samples_by_volume};
+use crate::fitted::{response_of, samples_by_volume};
 use crate::replay::Replayable;
 use crate::trace::Trace;
 use anyhow::{Context, Result};

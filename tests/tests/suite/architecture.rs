@@ -228,7 +228,6 @@ const CLI: &Rooms = &[
 
 const LAB: &Rooms = &[
     ("bars", &[]),
-    ("calibration", &[]),
     ("child", &[]),
     ("gpu", &["child"]),
     ("latency", &[]),
@@ -240,23 +239,10 @@ const LAB: &Rooms = &[
     ("replay", &["bars", "fitted", "trace"]),
     ("study", &["bars", "latency", "trees"]),
     ("ship", &["latency", "study"]),
-    ("paper", &["bars", "calibration", "child", "latency", "replay", "study", "trace"]),
+    ("paper", &["bars", "child", "fitted", "latency", "replay", "study", "trace"]),
     (
         "commands",
-        &[
-            "bars",
-            "calibration",
-            "farm",
-            "fitted",
-            "gpu",
-            "latency",
-            "paper",
-            "replay",
-            "ship",
-            "stress",
-            "study",
-            "trace",
-        ],
+        &["bars", "farm", "fitted", "gpu", "latency", "paper", "replay", "ship", "stress", "study", "trace"],
     ),
     ("command_line", &["commands"]),
 ];
