@@ -76,31 +76,31 @@ quantities! {
     ShadowSamples, "shadow_samples", "samples", 1.0, yes, yes,
         "samples along shadow rays with single scattering, otherwise 0";
     LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays, plus the samples for which rays wait while another ray of their group of \
-         eight adjacent rays shades: because their own sample is transparent, or because they have ended";
+        "samples along shadow rays, counted for groups of eight adjacent rays: while one ray of a group \
+         shades, the samples for which the other rays of the group wait count, too";
     FarSkips, "far_skips", "jumps", 1.0, yes, yes,
-        "jumps whose reads miss the caches: skips times the far share, which is the share of reads that miss \
-         the caches";
+        "jumps whose reads miss the caches: `skips` times the far share, which is the share of reads that \
+         miss the caches";
     FarSamples, "far_samples", "samples", 1.0, yes, yes,
-        "samples whose reads miss the caches: lane samples times the far share";
+        "samples whose reads miss the caches: `lane_samples` times the far share";
     TouchedVoxels, "touched_voxels", "voxels", 1.0, yes, yes,
         "voxels that the frame brings into the caches at least once: 1 / (1 / n + 1 / (64 r)) for n voxels of the \
          volume and r reads that no neighboring ray shares";
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
-        "reads of the skip map that miss the caches: segments times the far share";
+        "reads of the skip map that miss the caches: `segments` times the far share";
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
-        "local samples whose reads miss the caches: local samples times the far share of shading, which is \
+        "local samples whose reads miss the caches: `local_samples` times the far share of shading, which is \
          the share of the reads of shading that miss the caches";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
         "lane shadow samples for rays that are eight reference steps apart, times the far share of shading";
     FarX, "far_x", "samples", 1.0, yes, yes,
-        "samples times the far share, times the share of crossed voxel borders that are normal to x; rays \
+        "`samples` times the far share, times the share of crossed voxel borders that are normal to x; rays \
          along an axis read slowly if adjacent voxels of this axis are far apart in memory";
     FarY, "far_y", "samples", 1.0, yes, yes, "as far_x, for borders normal to y";
     FarZ, "far_z", "samples", 1.0, yes, yes, "as far_x, for borders normal to z";
     RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,
-        "samples, if a renderer with lookup tables must shift or scale the volume's values; 0 for integers \
-         whose minimum is 0 and whose maximum is at most 32767";
+        "`samples`, if a renderer with lookup tables must shift or scale the volume's values; otherwise 0, for \
+         integers whose minimum is 0 and whose maximum is at most 32767";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
         "work times unit cost, summed over all kinds of work, with the unit costs of the model file, or \
          those of a software renderer if the file has none";
@@ -115,7 +115,7 @@ quantities! {
     MeanChord, "mean_chord", "reference steps", 1.0, no, yes,
         "mean length of the box along the rays that meet it";
     TerminatedShare, "terminated_share", "1", 0.01, no, yes, "share of rays that end early";
-    Divergence, "divergence", "1", 0.01, yes, yes, "lane samples divided by samples, minus 1";
+    Divergence, "divergence", "1", 0.01, yes, yes, "`lane_samples` divided by `samples`, minus 1";
     OccupiedShare, "occupied_share", "1", 0.0001, no, no,
         "share of blocks that are not empty under the transfer function";
     VisibleShare, "visible_share", "1", 0.001, no, no, "share of voxels with any opacity";
@@ -130,11 +130,11 @@ quantities! {
     LongestShadowSamples, "longest_shadow_samples", "samples", 1.0, yes, yes,
         "samples along the shadow rays of the ray with the most such samples";
     FarLongestSamples, "far_longest_samples", "samples", 1.0, yes, yes,
-        "longest samples times the far share";
+        "`longest_samples` times the far share";
     FarLongestSegments, "far_longest_segments", "segments", 1.0, yes, yes,
-        "longest segments times the far share";
+        "`longest_segments` times the far share";
     FarLongestShadowSamples, "far_longest_shadow_samples", "samples", 1.0, yes, yes,
-        "longest shadow samples times the far share of shading";
+        "`longest_shadow_samples` times the far share of shading";
 }
 
 impl SceneQuantity {
