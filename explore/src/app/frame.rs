@@ -151,7 +151,7 @@ impl App {
         state.steer.set_volume(summary, steering);
         state.bricks = match scene.raycaster.bricks() {
             1 => "in one texture".to_owned(),
-            n => format!("in {n} bricks: larger than the device's textures"),
+            n => format!("in {n} bricks, since one texture of the device is too small for the volume"),
         };
         state.facts = Some(scene.facts.clone());
         state.histogram = Some(scene.histogram.clone());

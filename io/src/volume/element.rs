@@ -156,8 +156,8 @@ pub(crate) fn expect_end(
             Remaining::AtMost(_) => format!("{} or more", expected + behind),
         };
         bail!(
-            "{prefix}{voxels} need {expected} bytes, the data has {found}; check sizes and type in the header, and \
-             save a second volume to a file of its own"
+            "{prefix}{voxels} need {expected} bytes, the data has {found}; check sizes and type in the header, \
+             or, if the file holds a second volume, save each volume to a file of its own"
         );
     }
     Ok(Some(format!(

@@ -182,7 +182,7 @@ pub(super) fn hide_fill(
             (low, high) = (low.min(v), high.max(v));
         }
     }
-    ensure!(low <= high, "every finite voxel holds a fill value ({fill}); give other values, or none");
+    ensure!(low <= high, "every finite voxel holds a fill value ({fill}); give --fill other values, or none");
     let shown = match reading.range {
         Range::Given(from, _) => low.min(from.floor()),
         Range::Default if matches!(data, VolumeData::U8(_)) => 0.0,
