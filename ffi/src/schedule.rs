@@ -5,7 +5,7 @@ use crate::guard::guard;
 use crate::limits::{ENTIRE_MAX_NODES, ENTIRE_MAX_TASKS, ENTIRE_MAX_TASKS_TIMES_NODES, at_most};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, refuse};
+use crate::result::{Failure, collected, refuse};
 use entire_steer::schedule::assign_longest_first;
 
 /// Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
@@ -32,7 +32,7 @@ pub unsafe extern "C" fn entire_schedule(
         let times = slice(seconds, task_count, "seconds")?;
         let equal;
         let speeds = if speeds.is_null() {
-            equal = equal_speeds(node_count)?;
+            equal = collected(std::iter::repeat_n(1.0, node_count))?;
             equal.as_slice()
         } else {
             slice(speeds, node_count, "speeds")?
@@ -64,11 +64,4 @@ fn check_counts(tasks: usize, nodes: usize) -> Result<(), Failure> {
         );
     }
     Ok(())
-}
-
-fn equal_speeds(nodes: usize) -> Result<Vec<f64>, Failure> {
-    let mut speeds = Vec::new();
-    speeds.try_reserve_exact(nodes)?;
-    speeds.resize(nodes, 1.0);
-    Ok(speeds)
 }

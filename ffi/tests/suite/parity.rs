@@ -37,10 +37,6 @@ fn rows(columns: usize) -> Vec<f32> {
     rows
 }
 
-fn toy_volume() -> Vec<u8> {
-    (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect()
-}
-
 #[test]
 #[ignore = "needs the C program that `make test-ffi` builds, named in ENTIRE_C_PARITY"]
 fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
@@ -72,7 +68,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
         wanted.extend(seconds);
     }
 
-    let voxels = toy_volume();
+    let voxels: Vec<u8> = (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect();
     let options = VolumeOptions { spacing: [1.0, 2.0, 7.0], ..VolumeOptions::default() };
     let view = VolumeView::with(Scalars::U8(&voxels), [5, 7, 11], options).unwrap();
     let encoder = VolumeNet::new(model.volumenet.as_ref().unwrap()).unwrap();

@@ -460,7 +460,7 @@ impl Session {
             bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");
         };
         self.features.measure(volume, transfer, frame)?;
-        self.note_cast(frame);
+        self.cast_for = self.ladder.map(|_| ladder::Cast::of(frame));
         Ok(())
     }
 

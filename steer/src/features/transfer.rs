@@ -95,7 +95,7 @@ pub struct TransferSummary {
     interior: Interior,
     /// Share of each cell's blocks that are not empty; no elements unless cells hold several blocks. Valid
     /// only for cells that are not empty and whose word is computed.
-    occupied: Vec<f32>,
+    pub(super) occupied: Vec<f32>,
     /// Packed word of each cell, see [`packed`].
     cells: Vec<u32>,
     /// Bits of the present edit's number in a cell's word. Never 0, because newly allocated words are 0.
@@ -190,7 +190,12 @@ impl TransferSummary {
         self.interior.fit(interior, volume.cells);
         self.grid = volume.cells;
         self.distance_ready = false;
-        self.begin_edit();
+        // A new number invalidates the cells' words, which were computed under the preceding table.
+        let edits = self.edits % (packed::EDITS - 1) + 1;
+        if edits < self.edits {
+            self.cells.fill(0);
+        }
+        (self.edits, self.edit) = (edits, packed::edit(edits));
         if let Some(table) = table {
             self.read_table(table);
         }
@@ -243,15 +248,6 @@ impl TransferSummary {
         self.occupied_share = (sum / n as f64) as f32;
     }
 
-    /// Invalidates the cells' words, which were computed under the preceding table.
-    fn begin_edit(&mut self) {
-        let edits = self.edits % (packed::EDITS - 1) + 1;
-        if edits < self.edits {
-            self.cells.fill(0);
-        }
-        (self.edits, self.edit) = (edits, packed::edit(edits));
-    }
-
     /// Optical properties of a cell; `None` where it is empty. Where rounding carries a ray out of the grid,
     /// `cell` is too large, and the result is that of the last cell, as for packets of rays.
     #[inline(always)]
@@ -300,23 +296,11 @@ impl TransferSummary {
         (&self.cells, self.edit)
     }
 
-    /// Share of each cell's blocks that are not empty, where cells hold several blocks; otherwise an empty
-    /// slice.
-    #[inline(always)]
-    pub(super) fn occupied_shares(&self) -> &[f32] {
-        &self.occupied
-    }
-
     /// Hash of the table's opacities; tables with different opacities are very unlikely to collide.
     #[cfg(feature = "calibrate")]
     pub(crate) fn fingerprint(&self) -> u64 {
         let unit = u64::from(self.unit_distance.to_bits());
         self.entries.iter().fold(unit, |sum, [alpha, _]| mixed(sum, u64::from(alpha.to_bits())))
-    }
-
-    /// Number of cells.
-    pub(super) fn cell_count(&self) -> usize {
-        self.cells.len()
     }
 
     /// True where a cell is not empty; false outside the grid.

@@ -35,7 +35,7 @@ pub(super) struct Cast {
 }
 
 impl Cast {
-    fn of(frame: &Frame) -> Self {
+    pub(super) fn of(frame: &Frame) -> Self {
         let camera = &frame.camera;
         Self {
             setting: Setting { step: 1.0, ..Setting::from(frame) },
@@ -132,11 +132,6 @@ impl Session {
             let finest = self.finest_probe_side();
             self.recording.iter_mut().for_each(|recording| recording.set_probe_side(finest));
         }
-    }
-
-    /// Stores the view for which rays were cast, if the probe is refined.
-    pub(super) fn note_cast(&mut self, frame: &Frame) {
-        self.cast_for = self.ladder.map(|_| Cast::of(frame));
     }
 
     /// Measures a frame with the finest probe.

@@ -224,7 +224,7 @@ impl<'a> March<'a> {
     pub(super) fn compute(&mut self, cells: &[i32; 16], mut lanes: u32) {
         while lanes != 0 {
             let cell = cells[lanes.trailing_zeros() as usize] as usize;
-            self.transfer.compute(self.volume, cell.min(self.transfer.cell_count() - 1));
+            self.transfer.compute(self.volume, cell.min(self.transfer.words().0.len() - 1));
             lanes &= lanes - 1;
         }
     }

@@ -245,7 +245,7 @@ impl<S: Simd> Packet<'_, '_, S> {
     /// Share of each cell's blocks that are occupied.
     #[inline(always)]
     fn share(&self, index: S::I) -> S::F {
-        match self.march.transfer.occupied_shares() {
+        match self.march.transfer.occupied.as_slice() {
             [] => self.simd.splat(1.0),
             shares => self.simd.as_f(self.simd.gather(bytemuck::cast_slice(shares), index)),
         }

@@ -159,10 +159,11 @@ impl VolumeSummary {
             let (a, b) = (clean(bound[0]), clean(bound[1]));
             let (lo, hi) = (a.min(b), a.max(b));
             smallest = smallest.min(lo);
-            summary.low[i] = entry_below(lo);
-            summary.high[i] = entry_above(hi);
+            summary.low[i] = (lo * 255.0) as u8;
+            summary.high[i] = ceil_entry(hi * 255.0);
             for (k, q) in summary.quantiles[i].iter_mut().enumerate() {
-                *q = entry_near(lo + (hi - lo) * k as f32 / QUANTILES as f32);
+                let nearest = (lo + (hi - lo) * k as f32 / QUANTILES as f32) * 255.0 + 0.5;
+                *q = nearest as u8;
             }
         }
         summary.remapped = scalar_type == ScalarType::F32 || smallest > 0.0;
@@ -282,16 +283,4 @@ fn count(cells: [usize; 3], dims: [usize; 3]) -> Result<usize> {
 fn ceil_entry(position: f32) -> u8 {
     let below = position as u8;
     if f32::from(below) < position { below.saturating_add(1) } else { below }
-}
-
-fn entry_below(s: f32) -> u8 {
-    (s * 255.0) as u8
-}
-
-fn entry_above(s: f32) -> u8 {
-    ceil_entry(s * 255.0)
-}
-
-fn entry_near(s: f32) -> u8 {
-    (s * 255.0 + 0.5) as u8
 }
