@@ -141,7 +141,7 @@ impl Options {
 pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(s) if (5.0..=3600.0).contains(&s) => Ok(s),
-        _ => Err("wall seconds are expected, 5 to 3600".to_owned()),
+        _ => Err("a number of wall seconds from 5 to 3600 is expected".to_owned()),
     }
 }
 

@@ -179,11 +179,11 @@ fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     };
     let (predicting, reacting) = (hybrid.min(algorithm1), olp.min(pid));
     let outcome = if hybrid < reacting && algorithm1 < reacting {
-        "both predicting controllers were closer than the reactive ones"
+        "both predicting controllers were closer to the target than the reactive ones"
     } else if predicting < reacting {
-        "one of the two predicting controllers was closer than the reactive ones"
+        "one of the two predicting controllers was closer to the target than the reactive ones"
     } else {
-        "neither predicting controller was closer than the reactive ones in this run"
+        "neither predicting controller was closer to the target than the reactive ones in this run"
     };
     format!(
         "In the first {SWITCH_FRAMES} frames after each abrupt switch, the mean distance from the target was \
@@ -356,7 +356,7 @@ mod tests {
         let say = |errors: [f64; 5]| verdict(&names, &errors.map(metrics));
         assert!(
             say([0.9, 0.5, 0.6, 0.2, 0.1])
-                .ends_with("both predicting controllers were closer than the reactive ones.")
+                .ends_with("both predicting controllers were closer to the target than the reactive ones.")
         );
         assert!(say([0.9, 0.5, 0.6, 0.55, 0.1]).contains("one of the two"));
         assert!(say([0.9, 0.1, 0.6, 0.2, 0.2]).contains("neither predicting"));

@@ -42,7 +42,7 @@ pub(crate) struct Options {
 fn parse_milliseconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(ms) if (0.1..=1000.0).contains(&ms) => Ok(ms),
-        _ => Err("milliseconds of a frame are expected, 0.1 to 1000".to_owned()),
+        _ => Err("a frame time from 0.1 to 1000 milliseconds is expected".to_owned()),
     }
 }
 
