@@ -136,14 +136,13 @@ impl Found {
         let mut worst =
             Table::headed("volume | shading | #camera | #largest difference / 255 | #mean | same samples");
         for d in &self.pictures {
-            let same = d.same_samples.map(|s| if s { "yes" } else { "no" });
             worst.row(vec![
                 d.volume.as_str().into(),
                 d.shading.as_str().into(),
                 d.camera.to_string().into(),
                 d.largest.to_string().into(),
                 format!("{:.4}", d.mean).into(),
-                same.into(),
+                d.same_samples.map(|s| if s { "yes" } else { "no" }).into(),
             ]);
         }
         page.table(
@@ -155,10 +154,7 @@ impl Found {
             let mut numbers = Table::headed("quantity | value");
             for group in ["limits", "timestamps", "numbers"] {
                 for (name, value) in probe[group].as_object().into_iter().flatten() {
-                    numbers.row(vec![
-                        name.as_str().into(),
-                        value.to_string().trim_matches('"').to_owned().into(),
-                    ]);
+                    numbers.row(vec![name.as_str().into(), value.to_string().trim_matches('"').into()]);
                 }
             }
             page.table(&numbers, "As `entire probe` prints them.");

@@ -178,13 +178,10 @@ fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
         if points.is_empty() {
             continue;
         }
-        let chart = Chart::new(
-            title(paper, r),
-            Axis::linear("share of the training frames"),
-            Axis::linear("RMSE, s"),
-        )
-        .series(Series::new("± standard deviation", Mark::Band(band)).color(0))
-        .series(Series::new("mean over runs", Mark::Line(points)).color(0));
+        let x = Axis::linear("share of the training frames");
+        let chart = Chart::new(title(paper, r), x, Axis::linear("RMSE, s"))
+            .series(Series::new("± standard deviation", Mark::Band(band)).color(0))
+            .series(Series::new("mean over runs", Mark::Line(points)).color(0));
         s.charts.push((chart, "Each run uses another random selection of the training frames.".into()));
     }
     each(paper, of, s);
@@ -300,7 +297,10 @@ fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
 }
 
 fn codes(of: &[&Results], s: &mut Section) {
-    for chart in ["features, own", "features, shipped"] {
+    for (chart, encoder) in [
+        ("features, own", "each data set's own encoder"),
+        ("features, shipped", "the shipped encoder of all data sets"),
+    ] {
         let curves: Vec<&Curve> =
             of.iter().filter(|r| r.mode != super::description::YT).flat_map(|r| &r.curves).collect();
         let mut seen = BTreeSet::new();
@@ -309,17 +309,9 @@ fn codes(of: &[&Results], s: &mut Section) {
         if of.is_empty() {
             continue;
         }
-        let what = if chart.ends_with("own") {
-            "each data set's own encoder"
-        } else {
-            "the shipped encoder of all data sets"
-        };
-        let mut drawn = Chart::new(
-            format!("Feature vectors by {what}"),
-            Axis::linear("feature 1"),
-            Axis::linear("feature 2"),
-        )
-        .size(860.0, 420.0);
+        let title = format!("Feature vectors by {encoder}");
+        let mut drawn =
+            Chart::new(title, Axis::linear("feature 1"), Axis::linear("feature 2")).size(860.0, 420.0);
         for (i, c) in of.iter().enumerate() {
             let points = c.points.iter().map(|p| (p.0, p.1, String::new())).collect();
             drawn = drawn.series(Series::new(c.name.as_str(), Mark::Points(points)).color(i));
@@ -333,11 +325,9 @@ fn codes(of: &[&Results], s: &mut Section) {
 
 fn tuning(of: &[&Results], s: &mut Section) {
     for r in of {
-        let machine = if r.set == MACHINES {
-            &format!(" The pre-training frames were measured on: {}.", r.machine)
-        } else {
-            ""
-        };
+        let machine = (r.set == MACHINES)
+            .then(|| format!(" The pre-training frames were measured on: {}.", r.machine))
+            .unwrap_or_default();
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x != SORTED).map(|c| c.chart.as_str()).collect();
         for name in names {
@@ -371,13 +361,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
         let points =
             r.curves.iter().filter(|c| c.x != SORTED).flat_map(|c| c.points.iter().map(move |p| (c, p)));
         for (c, (frames, rmse)) in points {
-            let frames = frames.to_string();
-            few.row(vec![
-                c.chart.as_str().into(),
-                c.name.as_str().into(),
-                frames.into(),
-                seconds(*rmse).into(),
-            ]);
+            let cells = [c.chart.clone(), c.name.clone(), frames.to_string(), seconds(*rmse)];
+            few.row(cells.map(Into::into).to_vec());
         }
         if !r.curves.is_empty() {
             let what = "Each model was trained on some frames of the target. `fine-tuned` is the pre-trained \
@@ -490,13 +475,10 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
             let (low, high) = r.over_constant_interval(row)?;
             Some((x(row)?, low, high))
         });
-        let chart = Chart::new(
-            "Error by the number of frames learned from",
-            Axis::log("frames"),
-            Axis::log("network over the mean of 15 %"),
-        )
-        .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
-        .series(Series::new("mean over runs", Mark::Line(line)).color(0));
+        let (x, y) = (Axis::log("frames"), Axis::log("network over the mean of 15 %"));
+        let chart = Chart::new("Error by the number of frames learned from", x, y)
+            .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
+            .series(Series::new("mean over runs", Mark::Line(line)).color(0));
         frames.charts.push((chart, "All networks were trained on the same volumes.".into()));
     }
     let all = [

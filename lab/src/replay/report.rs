@@ -106,11 +106,7 @@ impl Results<'_> {
             ];
             for k in &shown {
                 let s = o.tallies[*k].score();
-                row.extend([
-                    percent(s.all.missed).into(),
-                    percent(s.all.deviation).into(),
-                    percent(s.all.quality).into(),
-                ]);
+                row.extend([s.all.missed, s.all.deviation, s.all.quality].map(|v| percent(v).into()));
             }
             table.row(row);
         }
