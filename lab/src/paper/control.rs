@@ -362,7 +362,7 @@ pub(super) fn response_section(of: &[&Results], s: &mut Section) {
         }
         if !shown.is_empty() {
             let what = "Each line has the times of one scene at different steps, divided by the time of this \
-                        scene at the reference step. G is the median of the scenes.";
+                        scene at the reference step. G is the median over the scenes.";
             s.charts.push((drawn, what.into()));
             s.summary = format!("{} curves", shown.len() - 1);
         }

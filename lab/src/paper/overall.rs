@@ -33,7 +33,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
             if !of.iter().any(|r| r.set == set.name && r.mode == *mode) {
                 s.notes.push(format!(
                     "Not measured: {}. The command `entire-lab paper collect --data DATA --data-sets {} \
-                     --modes {mode}` collects its frames.",
+                     --modes {mode}` collects the frames.",
                     title_of(paper, &set.name, mode),
                     set.name
                 ));
@@ -136,7 +136,7 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((
         Chart::new("Rendering times", axis(), Axis::log("seconds"))
             .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(times)).color(0)),
-        "Each box shows the percentiles of the frame times of a data set and renderer.".into(),
+        "Each box shows percentiles of the frame times for one data set and one renderer.".into(),
     ));
     let mut chart = Chart::new("Squared errors", axis(), Axis::log("seconds squared"));
     for (k, name) in [NETWORK, OURS].into_iter().enumerate() {
@@ -147,7 +147,8 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
             .collect();
         chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
     }
-    let what = "Each box shows the percentiles of the squared errors of all runs";
+    let what = "Each box shows percentiles of a predictor's squared errors for one data set and one renderer, \
+                over all runs";
     s.charts.push((chart, format!("{what}. The test volumes follow the paper's rule: {RULE}.")));
     s.summary = format!("{} distributions of times and squared errors", shown.len());
 }
