@@ -131,7 +131,7 @@ impl Script {
 fn event(line: &str) -> Result<(u64, Action)> {
     let mut fields: Map<String, Value> = serde_json::from_str(line)?;
     let frame =
-        fields.remove("frame").context("`frame` is missing, the frame before which the action runs")?;
+        fields.remove("frame").context("`frame` is missing; give the frame before which the action runs")?;
     let frame = serde_json::from_value(frame).context("`frame`")?;
     let mut names: Vec<&str> = fields.keys().map(String::as_str).collect();
     names.sort_unstable();

@@ -343,7 +343,7 @@ fn open_spool(path: &Path) -> Result<File> {
 fn append(spool: &mut File, line: &Line) -> Result<()> {
     let mut text = serde_json::to_vec(line)?;
     text.push(b'\n');
-    spool.write_all(&text).context("cannot write the spool; free disk space and continue with --resume")
+    spool.write_all(&text).context("cannot write the spool file; free disk space and continue with --resume")
 }
 
 /// Writes a line to standard output. A closed output is no error, since the spool has the answers.

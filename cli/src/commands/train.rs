@@ -360,7 +360,7 @@ fn check_used(recipe: &Recipe) -> Result<()> {
     let given: Vec<&str> = options.into_iter().filter(|o| o.1).map(|o| o.0).collect();
     ensure!(
         recipe.kind != Kind::Analytic || given.is_empty(),
-        "{} is for networks; --model-kind analytic has none: leave it out, or choose another kind",
+        "{0} is for networks; --model-kind analytic has none: leave {0} out, or choose another kind",
         given.join(", ")
     );
     ensure!(
