@@ -93,7 +93,7 @@ impl<'a> Database<'a> {
         })?;
         ensure!(
             options.resume || !begun,
-            "{} has images of an earlier run; continue with --resume, or set another `output` in the job file",
+            "{} was begun by an earlier run; continue with --resume, or set another `output` in the job file",
             job.output.display()
         );
         let run = run_number(&state).unwrap_or(0) + 1;
