@@ -147,8 +147,8 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
             .collect();
         chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
     }
-    let what = "Each box shows percentiles of a predictor's squared errors for one data set and one renderer, \
-                over all runs";
+    let what = "Each box shows percentiles of a predictor's squared errors for one data set and one \
+                renderer, over all runs";
     s.charts.push((chart, format!("{what}. The test volumes follow the paper's rule: {RULE}.")));
     s.summary = format!("{} distributions of times and squared errors", shown.len());
 }

@@ -85,8 +85,8 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section) {
                  that varies."
             }
             Panel::Samples => {
-                " A number in the column `predictor` is a share of the training frames: the network was \
-                 trained on this share."
+                " A number in the column `predictor` is the share of the training frames on which the \
+                 network was trained."
             }
             _ => "",
         };
@@ -182,7 +182,7 @@ fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
         let chart = Chart::new(title(paper, r), x, Axis::linear("RMSE, s"))
             .series(Series::new("± standard deviation", Mark::Band(band)).color(0))
             .series(Series::new("mean over runs", Mark::Line(points)).color(0));
-        s.charts.push((chart, "Each run uses another random selection of the training frames.".into()));
+        s.charts.push((chart, "Each run uses its own random selection of the training frames.".into()));
     }
     each(paper, of, s);
 }
@@ -258,7 +258,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
         }
     }
     let what = "The table has the mean PSNR (peak signal-to-noise ratio) of reconstructed volumes. For the \
-                shipped encoders, the validation and test volumes are whole ensemble members.";
+                shipped encoders, the validation and test volumes are whole ensemble members. For the other \
+                encoders, they are those of the split on which the encoder was trained.";
     s.tables.push((table, what.into()));
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
 }
@@ -365,8 +366,9 @@ fn tuning(of: &[&Results], s: &mut Section) {
             few.row(cells.map(Into::into).to_vec());
         }
         if !r.curves.is_empty() {
-            let what = "Each model was trained on some frames of the target. `fine-tuned` is the pre-trained \
-                        network, and `from nothing` is a new network. The RMSE is the median of the runs.";
+            let what = "Each model was trained on some frames of the renderer, device or data set in the \
+                        column `target`. `fine-tuned` is the pre-trained network, and `from nothing` is a new \
+                        network. The RMSE is the median of the runs.";
             s.tables.push((few, format!("{what}{machine}")));
         }
     }
@@ -382,8 +384,8 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
         for name in &names {
             let chart = Chart::new(*name, Axis::linear(SORTED), Axis::log("seconds"));
             let chart = lines(chart, r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name));
-            let what = "Each chart has the measured times of the test frames of one target, and the times \
-                        that the models of the first run predict.";
+            let what = "Each chart has the measured times of the test frames of one renderer, device or data \
+                        set, and the times that the models of the first training run predict.";
             s.charts.push((chart, what.into()));
         }
         all.extend(names);
