@@ -98,7 +98,7 @@ impl HyperQueue {
             })?;
         let input = child.stdin.take();
         let (send, lines) = mpsc::channel();
-        forward(child.stdout.take().context("the Python program of HyperQueue has no standard output")?, send);
+        forward(child.stdout.take().context("HyperQueue's Python program has no standard output")?, send);
         let spool = Spool::new(&places.state);
         let mut new = Self { places, run, options, child, input, lines, spool, priority: 0 };
         new.wait_until_ready(&log)?;
