@@ -320,12 +320,8 @@ impl Chart {
         let slot = 0.76 / sharers;
         let offset = (mine - (sharers - 1.0) / 2.0) * slot;
         match &series.mark {
-            Mark::Line(points) => {
-                draw_line(&mut plot, &clip(points, x, y), stroke(color, 1.8))?;
-            }
-            Mark::Steps(points) => {
-                draw_line(&mut plot, &clip(&steps(points), x, y), stroke(color, 1.8))?;
-            }
+            Mark::Line(points) => draw_line(&mut plot, &clip(points, x, y), stroke(color, 1.8))?,
+            Mark::Steps(points) => draw_line(&mut plot, &clip(&steps(points), x, y), stroke(color, 1.8))?,
             Mark::Points(points) => {
                 let radius = units(if points.len() > 60 { 2.2 } else { 4.0 });
                 let places = points.iter().map(|p| (p.0, p.1)).filter(|p| x.shows(p.0) && y.shows(p.1));
@@ -349,10 +345,7 @@ impl Chart {
             Mark::Boxes(points) => {
                 let pixel = (x.high - x.low) / (layout.right - layout.left);
                 let half = (slot * 0.36).min(26.0 * pixel);
-                for (px, q) in points {
-                    if q.iter().any(|v| !seen(&(*px, *v))) {
-                        continue;
-                    }
+                for (px, q) in points.iter().filter(|(px, q)| q.iter().all(|v| seen(&(*px, *v)))) {
                     let at = px + offset;
                     let (left, right) = (at - half, at + half);
                     plot.draw_series([Rectangle::new([(left, q[1]), (right, q[3])], fill(0.3))])?;
