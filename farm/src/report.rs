@@ -36,9 +36,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     let mut quarantined: BTreeMap<String, (String, String)> = BTreeMap::new();
     for entry in super::journal::entries(&job.state())? {
         match entry {
-            Entry::Run { at, engine, slots, .. } => {
-                runs.push(run(at, engine, slots));
-            }
+            Entry::Run { at, engine, slots, .. } => runs.push(run(at, engine, slots)),
             Entry::Done { answer, .. } => {
                 quarantined.remove(&answer.task);
                 // Images that another farm rendered may precede the first run of this one.
@@ -115,17 +113,13 @@ fn lanes(done: &[Answer]) -> (Vec<usize>, Vec<String>) {
     for i in order {
         let answer = &done[i];
         let node = free.entry(&answer.node).or_default();
-        let lane = match node.iter_mut().find(|(_, end)| *end <= answer.begin + 1e-3) {
-            Some(lane) => lane,
-            None => {
-                names.push(format!("{}{}", answer.node, ".".repeat(usize::from(!node.is_empty()))));
-                node.push((names.len() - 1, 0.0));
-                let at = node.len() - 1;
-                &mut node[at]
-            }
-        };
-        lane.1 = answer.end;
-        out[i] = lane.0;
+        let at = node.iter().position(|(_, end)| *end <= answer.begin + 1e-3).unwrap_or_else(|| {
+            names.push(format!("{}{}", answer.node, ".".repeat(usize::from(!node.is_empty()))));
+            node.push((names.len() - 1, 0.0));
+            node.len() - 1
+        });
+        node[at].1 = answer.end;
+        out[i] = node[at].0;
     }
     (out, names)
 }
