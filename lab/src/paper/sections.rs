@@ -367,8 +367,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
         }
         if !r.curves.is_empty() {
             let what = "Each model was trained on some frames of the renderer, device or data set in the \
-                        column `target`. `fine-tuned` is the pre-trained network, and `from nothing` is a new \
-                        network. The RMSE is the median of the runs.";
+                        column `target`. `fine-tuned` is the pre-trained network, and `from nothing` is a \
+                        new network. The RMSE is the median of the runs.";
             s.tables.push((few, format!("{what}{machine}")));
         }
     }
