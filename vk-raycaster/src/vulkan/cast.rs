@@ -2,7 +2,7 @@
 
 use super::engine::Cast;
 use super::picture::{Picture, Region};
-use super::recording::{IMAGE_BYTES, Output, Tile, record_tile, tiles};
+use super::recording::{IMAGE_BYTES, Output, record_tile, tiles};
 use super::{Brick, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_counts, brick_order};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
@@ -50,15 +50,11 @@ impl VulkanRaycaster {
     /// [`crate::Renderer::render`].
     pub fn render_to(&mut self, frame: &Frame, region: Region, picture: &mut Picture) -> Result<FrameTime> {
         region.check(frame)?;
-        if region.x + region.width > picture.width() || region.y + region.height > picture.height() {
+        let (Region { x, y, width, height }, across, down) = (region, picture.width(), picture.height());
+        if x + width > across || y + height > down {
             return Err(Error::new(format!(
-                "the region of {} x {} pixels at {}, {} reaches beyond the picture of {} x {}",
-                region.width,
-                region.height,
-                region.x,
-                region.y,
-                picture.width(),
-                picture.height()
+                "the region of {width} x {height} pixels at {x}, {y} reaches beyond the picture of \
+                 {across} x {down}"
             )));
         }
         if !picture.is_of(&self.shared_device()) {
@@ -83,7 +79,7 @@ impl VulkanRaycaster {
         let edge = self.tile[class];
         let cut = tiles(region.width, region.height, edge);
         for (i, &place) in cut.iter().enumerate() {
-            let tile = Tile { x: region.x + place.x, y: region.y + place.y, ..place };
+            let tile = Region { x: region.x + place.x, y: region.y + place.y, ..place };
             let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
             let mut begin = 0.0;
             loop {
@@ -130,7 +126,7 @@ impl VulkanRaycaster {
 }
 
 /// Copies a finished tile into the image.
-fn join(rgba: &mut [u8], width: u32, tile: Tile, found: &[u8]) {
+fn join(rgba: &mut [u8], width: u32, tile: Region, found: &[u8]) {
     let row_bytes = tile.width as usize * 4;
     for (y, row) in found.chunks_exact(row_bytes).enumerate() {
         let start = ((tile.y as usize + y) * width as usize + tile.x as usize) * 4;

@@ -4,7 +4,8 @@ mod play;
 mod waiting;
 
 use super::gpu::{Gpu, NamedCall};
-use super::recording::{Command, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
+use super::picture::Region;
+use super::recording::{Command, IMAGE_BYTES, Target, WORK_BYTES, record_slices};
 use super::resources::{Buffer, Image, Owned, Shape, owned};
 use crate::error::{Error, Result};
 use crate::setup::FrameSetup;
@@ -46,7 +47,7 @@ pub(crate) struct Cast<'a> {
     /// Name of the pass in error messages.
     pub(crate) pass: &'a str,
     pub(crate) key: ShaderKey,
-    pub(crate) tile: Tile,
+    pub(crate) tile: Region,
     /// True if rays continue where an earlier dispatch left them.
     pub(crate) windowed: bool,
     /// Index of the sampled brick of the volume.
@@ -282,7 +283,7 @@ impl Engine {
     /// Casts the rays of a tile and waits for the result.
     pub(crate) fn cast(&mut self, cast: &Cast<'_>, commands: &[Command]) -> Result<CastTile<'_>> {
         self.drain()?;
-        let pixels = u64::from(cast.tile.width) * u64::from(cast.tile.height);
+        let pixels = cast.tile.pixels();
         let counting = cast.key.counting != 0;
         self.reserve_tile(pixels, counting, cast.windowed)?;
         self.prepare_pipeline(cast.key)?;

@@ -1,5 +1,6 @@
 //! Commands of a submission, as plain data that can be tested without a device. The engine executes them.
 
+use super::picture::Region;
 use crate::setup::FrameSetup;
 use ash::vk;
 
@@ -44,7 +45,7 @@ pub(crate) enum Command {
     Dispatch { groups: [u32; 2] },
     /// Copies the image into a rectangle of a picture on the device; the picture's other contents are lost if
     /// it is `fresh`.
-    CopyToPicture { image: vk::Image, fresh: bool, tile: Tile },
+    CopyToPicture { image: vk::Image, fresh: bool, tile: Region },
     /// Copies the image, and the work counts if there are any, to the buffer that the host reads.
     ReadBack { image_bytes: u64, work_bytes: u64 },
 }
@@ -73,26 +74,17 @@ pub(crate) enum Output {
     Picture { image: vk::Image, fresh: bool },
 }
 
-/// A rectangle of the image, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Tile {
-    pub(crate) x: u32,
-    pub(crate) y: u32,
-    pub(crate) width: u32,
-    pub(crate) height: u32,
-}
-
 /// Cuts an image into tiles of at most `edge` × `edge` pixels, row by row.
-pub(crate) fn tiles(width: u32, height: u32, edge: u32) -> Vec<Tile> {
+pub(crate) fn tiles(width: u32, height: u32, edge: u32) -> Vec<Region> {
     let starts = |side: u32| (0..side).step_by(edge as usize);
-    let tile = |x, y| Tile { x, y, width: edge.min(width - x), height: edge.min(height - y) };
+    let tile = |x, y| Region { x, y, width: edge.min(width - x), height: edge.min(height - y) };
     starts(height).flat_map(|y| starts(width).map(move |x| tile(x, y))).collect()
 }
 
 /// Records one tile of a frame, with the table if the step or the transfer function changed.
 pub(crate) fn record_tile(
     setup: &FrameSetup,
-    tile: Tile,
+    tile: Region,
     table: Option<Vec<u8>>,
     timestamps: bool,
     counting: bool,
@@ -125,7 +117,6 @@ pub(crate) fn record_tile(
     if timestamps {
         commands.push(Command::Timestamp(1));
     }
-    let pixels = u64::from(tile.width) * u64::from(tile.height);
     commands.push(Command::BufferBarrier(Hazard::ShaderToTransfer));
     if let Output::Picture { image, fresh } = output {
         commands.push(Command::CopyToPicture { image, fresh, tile });
@@ -133,8 +124,8 @@ pub(crate) fn record_tile(
     if output == Output::Host || counting && output != Output::Device {
         commands.extend([
             Command::ReadBack {
-                image_bytes: pixels * IMAGE_BYTES,
-                work_bytes: if counting { pixels * WORK_BYTES } else { 0 },
+                image_bytes: tile.pixels() * IMAGE_BYTES,
+                work_bytes: if counting { tile.pixels() * WORK_BYTES } else { 0 },
             },
             Command::BufferBarrier(Hazard::TransferToHost),
         ]);
@@ -156,12 +147,13 @@ pub(crate) fn record_slices(target: Target, depth: u32, first_slice: u32, slices
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bytemuck::Zeroable;
 
     #[test]
     fn tiles_cover_every_pixel_once() {
         for (w, h, edge) in [(1, 1, 8), (100, 7, 32), (64, 64, 64), (65, 129, 64), (8192, 8192, 1024)] {
             let tiles = tiles(w, h, edge);
-            let area: u64 = tiles.iter().map(|t| u64::from(t.width) * u64::from(t.height)).sum();
+            let area: u64 = tiles.iter().map(Region::pixels).sum();
             assert_eq!(area, u64::from(w) * u64::from(h));
             assert!(
                 tiles
@@ -178,10 +170,9 @@ mod tests {
 
     #[test]
     fn a_tile_writes_before_it_casts_and_reads_back_after() {
-        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
-        let tile = Tile { x: 16, y: 32, width: 33, height: 9 };
+        let tile = Region { x: 16, y: 32, width: 33, height: 9 };
         let table = vec![0; 64];
-        let c = record_tile(&setup, tile, Some(table), true, true, Output::Host);
+        let c = record_tile(&FrameSetup::zeroed(), tile, Some(table), true, true, Output::Host);
         let write =
             position(&c, |c| matches!(c, Command::WriteSetup(s) if s.tile_x == 16 && s.tile_height == 9));
         let copied = position(&c, |c| *c == Command::FinishCopy { target: Target::Table });
@@ -200,9 +191,8 @@ mod tests {
 
     #[test]
     fn without_clock_table_and_counts_nothing_is_recorded_for_them() {
-        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
-        let c =
-            record_tile(&setup, Tile { x: 0, y: 0, width: 8, height: 8 }, None, false, false, Output::Host);
+        let tile = Region { x: 0, y: 0, width: 8, height: 8 };
+        let c = record_tile(&FrameSetup::zeroed(), tile, None, false, false, Output::Host);
         assert!(
             !c.iter()
                 .any(|c| matches!(c, Command::Timestamp(_) | Command::ResetTimestamps | Command::CopyTable))
@@ -212,26 +202,24 @@ mod tests {
 
     #[test]
     fn a_picture_on_the_device_is_copied_to_and_not_read_back() {
-        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
-        let tile = Tile { x: 8, y: 16, width: 8, height: 4 };
+        let tile = Region { x: 8, y: 16, width: 8, height: 4 };
         let output = Output::Picture { image: vk::Image::null(), fresh: true };
-        let c = record_tile(&setup, tile, None, true, false, output);
+        let c = record_tile(&FrameSetup::zeroed(), tile, None, true, false, output);
         let cast = position(&c, |c| matches!(c, Command::Dispatch { .. }));
         let wait = position(&c, |c| *c == Command::BufferBarrier(Hazard::ShaderToTransfer));
         let copy = Command::CopyToPicture { image: vk::Image::null(), fresh: true, tile };
         assert!(cast < wait && wait < position(&c, |c| *c == copy));
         assert!(!c.iter().any(|c| matches!(c, Command::ReadBack { .. })));
         // Counts are read nevertheless.
-        let c = record_tile(&setup, tile, None, true, true, output);
+        let c = record_tile(&FrameSetup::zeroed(), tile, None, true, true, output);
         assert!(c.contains(&Command::ReadBack { image_bytes: 128, work_bytes: 512 }));
     }
 
     #[test]
     fn rays_that_another_dispatch_continues_are_not_read_back() {
-        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
-        let tile = Tile { x: 0, y: 0, width: 8, height: 8 };
+        let tile = Region { x: 0, y: 0, width: 8, height: 8 };
         for counting in [false, true] {
-            let c = record_tile(&setup, tile, None, true, counting, Output::Device);
+            let c = record_tile(&FrameSetup::zeroed(), tile, None, true, counting, Output::Device);
             assert!(!c.iter().any(|c| matches!(c, Command::ReadBack { .. })), "{c:?}");
         }
     }

@@ -240,16 +240,11 @@ fn pack_rows(voxels: &[u8], [nx, ny, nz]: [usize; 3], first_row: usize, out: &mu
 
 /// Returns the shape of the table's image.
 pub(crate) fn table_shape(fetch: VoxelFetch) -> Shape {
-    match fetch {
-        VoxelFetch::Packed => {
-            let format = vk::Format::R32G32B32A32_UINT;
-            Shape { extent: [PACKED_TEXELS as u32, 1, 0], format, storage: true }
-        }
-        _ => {
-            let format = vk::Format::R32G32B32A32_SFLOAT;
-            Shape { extent: [TABLE_LEN as u32, 1, 0], format, storage: false }
-        }
-    }
+    let (texels, format, storage) = match fetch {
+        VoxelFetch::Packed => (PACKED_TEXELS, vk::Format::R32G32B32A32_UINT, true),
+        _ => (TABLE_LEN, vk::Format::R32G32B32A32_SFLOAT, false),
+    };
+    Shape { extent: [texels as u32, 1, 0], format, storage }
 }
 
 /// Returns the shape of the skip map's image.
