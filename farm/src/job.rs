@@ -222,7 +222,7 @@ impl Job {
         Ok(job)
     }
 
-    fn dims(&self) -> [usize; 5] {
+    pub(crate) fn dims(&self) -> [usize; 5] {
         [self.volumes.len(), self.cameras.len(), self.transfers.len(), self.sizes.len(), self.steps.len()]
     }
 

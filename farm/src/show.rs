@@ -77,12 +77,8 @@ fn text(view: &View) -> String {
     let left = view.eta.map(|e| (e - view.elapsed).max(0.0));
     let mut out = format!("{:.2}/s", view.rate);
     if left.iter().all(|l| l.is_finite()) {
-        out += &format!(
-            ", {} left (90 % interval {} to {})",
-            duration(left[1]),
-            duration(left[0]),
-            duration(left[2])
-        );
+        let [low, middle, high] = left.map(duration);
+        out += &format!(", {middle} left (90 % interval {low} to {high})");
     }
     if view.quarantined > 0 {
         out += &format!(", {} quarantined", view.quarantined);

@@ -62,15 +62,11 @@ pub fn text(
         0 => String::new(),
         n => format!(", {n} given up"),
     };
+    let [volumes, views, transfers, sizes, steps] = job.dims();
     let mut out = format!(
-        "{} tasks: {} volumes x {} views x {} transfer functions x {} sizes x {} steps; {done} of {all} \
-         done{given_up}\n",
-        job.len(),
-        job.volumes.len(),
-        job.cameras.len(),
-        job.transfers.len(),
-        job.sizes.len(),
-        job.steps.len(),
+        "{} tasks: {volumes} volumes x {views} views x {transfers} transfer functions x {sizes} sizes x \
+         {steps} steps; {done} of {all} done{given_up}\n",
+        job.len()
     );
     let bytes: u64 = job.volumes.iter().map(|v| v.bytes).sum();
     out += &format!(

@@ -317,14 +317,10 @@ fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
     ensure!(whole, "the renderer wrote {} bytes that are no PNG image", bytes.len());
     ensure!(bytes.ends_with(b"IEND\xaeB`\x82"), "the renderer's PNG image is cut off");
     let side = |at: usize| u32::from_be_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-    let found = [side(16), side(20)];
+    let ([width, height], [w, h]) = ([side(16), side(20)], size);
     ensure!(
-        found == size,
-        "the renderer's image has {} x {} pixels; {} x {} were requested",
-        found[0],
-        found[1],
-        size[0],
-        size[1]
+        [width, height] == size,
+        "the renderer's image has {width} x {height} pixels; {w} x {h} were requested"
     );
     Ok(())
 }
