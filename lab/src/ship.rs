@@ -211,17 +211,14 @@ fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Res
     let distilled: Vec<_> =
         stored["data"].as_array().into_iter().flatten().filter(|d| d["renderer"] == "teacher").collect();
     for d in &distilled {
-        let word = |key: &str| d[key].as_str().unwrap_or("not known").to_owned();
+        let word = |key: &str| d[key].as_str().unwrap_or("not known");
+        let [device, file, hash] = ["device", "file", "fnv1a"].map(word);
         let _ = writeln!(
             md,
             "- distilled: {} random frames of the training volumes (seed {}), which were not rendered: \
-             their seconds are predictions of {} \
-             (`{}`, FNV-1a {}; `make distill` makes this file)",
-            d["frames"],
-            d["seed"],
-            word("device"),
-            word("file"),
-            word("fnv1a")
+             their seconds are predictions of {device} \
+             (`{file}`, FNV-1a {hash}; `make distill` makes this file)",
+            d["frames"], d["seed"]
         );
     }
     for t in training.iter().filter(|_| distilled.is_empty()) {

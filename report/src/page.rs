@@ -86,16 +86,15 @@ impl Page {
 /// # Errors
 /// When the length of the pixel buffer does not fit the size.
 pub fn encode_png(picture: &Image) -> Result<Vec<u8>> {
-    let rgb: Vec<u8> = picture.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    let Image { width, height, ref rgba } = *picture;
+    let rgb: Vec<u8> = rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
     ensure!(
-        rgb.len() == 3 * picture.width as usize * picture.height as usize,
-        "a {} x {} picture came with {} bytes; 4 per pixel are needed",
-        picture.width,
-        picture.height,
-        picture.rgba.len()
+        rgb.len() == 3 * width as usize * height as usize,
+        "a {width} x {height} picture came with {} bytes; 4 per pixel are needed",
+        rgba.len()
     );
     let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, picture.width, picture.height);
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(png::ColorType::Rgb);
     let mut writer = encoder.write_header().context("cannot encode a PNG")?;
     writer.write_image_data(&rgb).context("cannot encode a PNG")?;

@@ -107,15 +107,12 @@ fn foretold(pools: &[(String, Vec<Task>)]) -> Result<(f64, f64)> {
         let mut planner = plan(&base, &volume, Loads::known(load.clone()), setting(slots));
         let world = World { bound: true, ..world(truth, volume, load, slots) };
         let out = simulate(&mut planner, &world, &[0.1]);
-        let said = out.said.first().context("no end was predicted")?;
-        let hit = (said[0]..=said[2]).contains(&out.makespan);
+        let [low, middle, high] = *out.said.first().context("no end was predicted")?;
+        let hit = (low..=high).contains(&out.makespan);
         hits += u32::from(hit);
-        errors.push((said[1] / out.makespan - 1.0).abs());
+        errors.push((middle / out.makespan - 1.0).abs());
         println!(
-            "eta: run {run}, {name}, {slots} nodes: {:.3} ({:.3} to {:.3}) s, the end {:.3} s{}",
-            said[1],
-            said[0],
-            said[2],
+            "eta: run {run}, {name}, {slots} nodes: {middle:.3} ({low:.3} to {high:.3}) s, the end {:.3} s{}",
             out.makespan,
             if hit { "" } else { ", missed" }
         );

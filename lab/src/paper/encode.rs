@@ -130,14 +130,8 @@ pub(crate) fn encode(work: &Work<'_>, places: &[Place], threads: Option<usize>) 
             parts_of.iter().all(|p| p.root == root),
             "the data sets lie in several folders; an encoder of all data sets needs them in one folder"
         );
-        println!(
-            "encode {} of {}: {}, {}³, F = {}",
-            i + 1,
-            encoders.len(),
-            encoder.set,
-            encoder.size,
-            encoder.features
-        );
+        let Encoder { set, size, features, .. } = encoder;
+        println!("encode {} of {}: {set}, {size}³, F = {features}", i + 1, encoders.len());
         train(work, encoder, &parts_of, &root, threads)?;
     }
     Ok(())

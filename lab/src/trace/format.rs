@@ -137,20 +137,14 @@ impl Trace {
                 "frame {i} has {} points at scale 1; at least two with ascending steps are needed",
                 full.len()
             );
-            for p in frame {
+            for TracePoint { step, scale, seconds, psnr, ssim } in frame {
                 ensure!(
-                    !p.seconds.is_empty() && p.seconds.iter().all(|t| t.is_finite() && *t > 0.0),
-                    "frame {i}, step {}: seconds are {:?}; every repeat must be finite and positive",
-                    p.step,
-                    p.seconds
+                    !seconds.is_empty() && seconds.iter().all(|t| t.is_finite() && *t > 0.0),
+                    "frame {i}, step {step}: seconds are {seconds:?}; every repeat must be finite and positive"
                 );
                 ensure!(
-                    p.step > 0.0 && p.scale > 0.0 && p.psnr.is_finite() && (0.0..=1.0).contains(&p.ssim),
-                    "frame {i}, step {}: scale {}, psnr {} and ssim {} must be numbers in range",
-                    p.step,
-                    p.scale,
-                    p.psnr,
-                    p.ssim
+                    *step > 0.0 && *scale > 0.0 && psnr.is_finite() && (0.0..=1.0).contains(ssim),
+                    "frame {i}, step {step}: scale {scale}, psnr {psnr} and ssim {ssim} must be numbers in range"
                 );
             }
         }
