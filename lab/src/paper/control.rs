@@ -323,8 +323,8 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         let paths = r.frames.get("paths").map_or(0, |f| f[2]);
         let caption = format!(
             "All controllers play {paths} recorded paths of {} with up to four targets. The quality is the \
-             oracle's step (or reduction of the image) divided by that of the controller. The oracle knows \
-             the time of every step.",
+             oracle's ray step (or reduction of the image) divided by that of the controller. The oracle \
+             knows the recorded time of every ray step.",
             r.set
         );
         s.tables.push((table, caption));
@@ -361,8 +361,8 @@ pub(super) fn response_section(of: &[&Results], s: &mut Section) {
             drawn = drawn.series(Series::new(name, Mark::Line(c.points.clone())).color(usize::from(!own)));
         }
         if !shown.is_empty() {
-            let what = "Each line has the times of one scene at different steps, divided by the time of this \
-                        scene at the reference step. G is the median over the scenes.";
+            let what = "Each line has the times of one scene at different ray steps, divided by the time of \
+                        this scene at the reference step. G is the median over the scenes.";
             s.charts.push((drawn, what.into()));
             s.summary = format!("{} curves", shown.len() - 1);
         }

@@ -258,8 +258,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
         }
     }
     let what = "The table has the mean PSNR (peak signal-to-noise ratio) of reconstructed volumes. For the \
-                shipped encoders, the validation and test volumes are whole ensemble members. For the other \
-                encoders, they are those of the split on which the encoder was trained.";
+                shipped encoders, the validation and test volumes are whole ensemble members. For any \
+                other encoder, these volumes are those of the split on which it was trained.";
     s.tables.push((table, what.into()));
     s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
 }
