@@ -304,12 +304,8 @@ impl At<'_> {
                 results.curves.push(Curve::new(experiment, name, axis, points));
             };
             curve(MEASURED, &of.seconds);
-            if let Some(p) = by_network.first() {
-                curve(NETWORK, p);
-            }
-            if let Some(p) = by_ours.first() {
-                curve(OURS, p);
-            }
+            curve(NETWORK, &by_network[0]);
+            curve(OURS, &by_ours[0]);
             let proxy = by_proxy(&self.loaded.low, line, &of.frames);
             if let Some(p) = proxy.into_iter().collect::<Option<Vec<f64>>>() {
                 curve(super::results::LVRP, &p);
