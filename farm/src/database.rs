@@ -44,8 +44,7 @@ pub struct Database<'a> {
 }
 
 impl<'a> Database<'a> {
-    /// Opens the database of a job: makes its folders, locks it, reads its journal, and adds the tasks that
-    /// workers have finished since the last driver ended.
+    /// Opens a job's database: makes folders, locks it, reads its journal, and adds tasks that workers ended.
     ///
     /// # Errors
     /// When the database has an earlier run and `resume` is not set, another driver is running, or a file
@@ -275,8 +274,7 @@ impl<'a> Database<'a> {
     }
 }
 
-/// The tasks that a job's journal lists as finished and whose pictures exist, with their seconds; and, with
-/// `None`, the tasks that were given up.
+/// Finished tasks of a job's journal whose pictures exist, with their seconds; with `None`, those given up.
 ///
 /// # Errors
 /// When the journal cannot be read.

@@ -64,8 +64,7 @@ pub(crate) struct Dispatcher {
     holders: Vec<u32>,
     /// The key of each volume's next task, and the volume.
     heap: BinaryHeap<(Time, Reverse<usize>)>,
-    /// True for each volume with an entry in the heap. The seconds of an entry may be outdated; they are
-    /// checked when the entry is taken.
+    /// True for each volume with an entry in the heap, whose seconds are checked when it is taken.
     listed: Vec<bool>,
     pending: usize,
     asked: u32,

@@ -92,8 +92,7 @@ struct Drive<'a, 'b> {
     down: Option<String>,
 }
 
-/// Runs a job to its end and returns the result. `base`: ln of the base seconds of every task; `start` starts
-/// an engine for the run with the given number.
+/// Runs a job. `base`: ln of the base seconds of every task; `start` starts an engine for a run's number.
 ///
 /// # Errors
 /// When the engine cannot be used, the disk is full, or Ctrl-C is pressed; finished tasks stay finished.
@@ -190,8 +189,7 @@ impl Drive<'_, '_> {
             );
             self.take()?;
             let reordered = self.planner.refresh();
-            // Sends new bundles before the journal is flushed, so that slots do not wait for the disk. Until
-            // the flush, the spool keeps the finished tasks.
+            // Bundles are sent before the flush: slots do not wait; until then the spool has the results.
             while self.send()? {}
             let flushed = self.flush();
             self.unless_full(flushed)?;
@@ -275,8 +273,7 @@ impl Drive<'_, '_> {
         })
     }
 
-    /// Flushes the journal to the disk. Then the spool files of ended bundles are not needed any more, and all
-    /// files of these bundles are removed.
+    /// Flushes the journal to the disk; then removes the files of ended bundles, whose results it has.
     fn flush(&mut self) -> Result<()> {
         self.database.journal.flush()?;
         let state = self.database.job.state();
@@ -303,8 +300,7 @@ impl Drive<'_, '_> {
         self.full.get_or_insert(format!("the disk of {} is full", self.database.job.output.display()));
     }
 
-    /// Sends bundles to free slots, unless the disk is full. Returns true if all of them were quarantined
-    /// instead, so that slots are still free.
+    /// Sends bundles to free slots, unless the disk is full. True if slots are free: all were quarantined.
     fn send(&mut self) -> Result<bool> {
         if self.full.is_some() {
             return Ok(false);
@@ -334,8 +330,7 @@ impl Drive<'_, '_> {
                 upper_s = self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead;
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
-            // If expected times are only assumed, no task is given up because of them: the engine ends a
-            // bundle that takes longer than the limit.
+            // No task is given up for an assumed time: the engine ends a bundle at its limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
                 // Only tasks that are expected to keep to the limit are bundled, so this bundle has one task.
                 let why = format!(
@@ -522,8 +517,7 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// Measures the overhead per bundle if bundles are not bound to slots: the time in which slots were idle,
-    /// divided by the number of ended bundles.
+    /// If bundles are not bound to slots, measures their overhead: idle seconds of slots / ended bundles.
     fn measure_overhead(&mut self, now: f64) {
         let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
         if self.planner.pending() == 0 {

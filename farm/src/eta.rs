@@ -32,8 +32,7 @@ impl Planner {
     /// the model is weighted by the probability that all running tasks still run. Otherwise the estimate
     /// would rely on finished tasks only, and tasks that finish first tend to be short.
     pub fn eta(&self, now: f64) -> [f64; 3] {
-        // Tasks whose times were measured since the last fit tend to be long. A fit without them would
-        // predict an end that is too early.
+        // Tasks measured since the last fit tend to be long; without them, the end would be too early.
         if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
             let mut copy = self.clone();
             copy.learner.refit();

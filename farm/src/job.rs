@@ -274,8 +274,7 @@ impl Job {
         volume * each..(volume + 1) * each
     }
 
-    /// Returns a function that computes the task ids of a volume from earlier identities of its files.
-    /// `then`: these identities, keyed by [`Job::shown`].
+    /// Computes the task ids of a volume from earlier identities `then`, keyed by [`Job::shown`].
     pub(crate) fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
         let mut volumes = self.volumes.clone();
         for (i, volume) in volumes.iter_mut().enumerate() {

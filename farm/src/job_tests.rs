@@ -98,8 +98,7 @@ fn characters_of_the_folder_are_no_pattern() {
 fn semi_spheres_are_even_and_above() {
     let poses = cameras(&[CamerasEntry::SemiSphere { views: 200, distances_radii: vec![2.0] }]).unwrap();
     assert!(poses.iter().all(|p| (0.0..=90.0).contains(&p.rx)));
-    // Each view covers an equal area of the upper half sphere. The circle at 30 degrees halves this area, so
-    // half of the views must lie above the circle.
+    // Each view covers an equal area of the half sphere, half of which lies above the circle at 30 degrees.
     assert_eq!(poses.iter().filter(|p| p.rx > 30.0).count(), 100);
     let half = poses.iter().filter(|p| p.ry < 180.0).count();
     assert!((95..=105).contains(&half), "{half}");

@@ -17,8 +17,7 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    /// Opens the journal of a state folder, calls `each` for its entries, and cuts off a partial last line of
-    /// a killed writer.
+    /// Opens a state folder's journal, calls `each` for its entries, and cuts off a partial last line.
     ///
     /// # Errors
     /// When another driver holds the lock, a line is damaged, or a file cannot be read.

@@ -22,8 +22,7 @@ use rayon::prelude::*;
 const FIXED: usize = 9;
 /// Prior standard deviations of the coefficients of the [`FIXED`] features.
 const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
-/// Prior standard deviation of the constant if neither a model nor a list gives base times. The constant is
-/// ln of a common factor of all base times.
+/// Prior standard deviation of the constant (ln of a common factor) if no model or list gives base times.
 const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
 /// Prior standard deviation of the constant if a model or list, perhaps of another machine, gives base times.
 pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
@@ -31,8 +30,7 @@ pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
 const PRIOR_TRANSFER: f64 = 0.3;
 /// Maximum number of transfer functions; with more of them, none has a coefficient.
 const MAX_TRANSFERS: usize = 64;
-/// Prior standard deviation of the residual and of the volume effects, in units of ln seconds; and the weight
-/// of these priors, as a number of observations.
+/// Prior standard deviation of residual and volume effects, ln seconds; weight as a number of observations.
 const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
 /// Prior standard deviation of the volume effects when a model or a list is given: the largest value of a
 /// shipped model on held-out volumes. `entire evaluate` gave 0.03 to 0.07 on the tables local-timestep,
@@ -258,8 +256,7 @@ impl Learner {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
 
-    /// Divisor of the residual's standard deviation for a task: above 1 for tasks longer than the average; 1
-    /// without a model or list.
+    /// Divisor of a residual's standard deviation: above 1 for long tasks; 1 without a model or list.
     fn calm(&self, task: usize) -> f64 {
         if !self.shape.has_model() {
             return 1.0;
@@ -453,8 +450,7 @@ impl Learner {
         if self.nodes.len() < 2 {
             return;
         }
-        // Variance of the nodes' residuals beyond the errors of their tasks. With one time per node, this
-        // variance and the errors cannot be told apart.
+        // Variance of the nodes' residuals beyond their tasks' errors; unknown with one time per node.
         let of_nodes: f64 =
             sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
         let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);

@@ -74,8 +74,7 @@ fn slow_nodes_are_told_from_long_tasks_and_a_hung_task_spoils_nothing() {
 
 #[test]
 fn the_posterior_is_that_of_the_whole_system() {
-    // Compares with the solution of the dense system of all unknowns: elimination of volumes by a Schur
-    // complement must give the same values.
+    // Compares with the dense system of all unknowns: eliminating volumes must give the same values.
     let (mut learner, truth) = world(0.1);
     observe(&mut learner, &truth, (0..1200).step_by(11).take(60));
     let d = learner.beta.len();

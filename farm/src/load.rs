@@ -37,8 +37,7 @@ impl Loads {
         let slot = &mut self.seen[volume][kind];
         slot.0 += seconds;
         slot.1 += 1;
-        // Weighted least squares on the mean times of the volumes. If sizes are about equal, or slope or
-        // offset would be negative, only a slope is fitted.
+        // Weighted least squares on mean times; only a slope for equal sizes or a negative parameter.
         let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (bytes, seen) in self.bytes.iter().zip(&self.seen) {
             let (sum, count) = (seen[kind].0, f64::from(seen[kind].1));

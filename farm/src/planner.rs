@@ -1,5 +1,4 @@
-//! The plan during a run: waiting and running tasks, their expected times, and the predicted end. Driver and
-//! simulator use the same planner.
+//! The plan during a run, of driver and simulator: tasks, their expected times, the predicted end.
 
 use super::dispatch::{Ask, Dispatcher, Order, Time};
 use super::learn::{Learner, Shape};

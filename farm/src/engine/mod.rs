@@ -45,8 +45,7 @@ impl Bundle {
 pub enum Event {
     /// A line that a worker wrote: the number of its bundle, and the line.
     Line(u64, Line),
-    /// A bundle was lost with its worker, or refused: the number of the bundle, and the reason. A loss
-    /// without a reason does not count as a failure.
+    /// A bundle was lost with its worker, or refused: its number, and the reason (none: no failure).
     Lost(u64, String),
     /// A slot has a new worker, which holds no volume.
     Fresh(usize),
@@ -127,8 +126,7 @@ impl Places {
         self.command(&utf8(self.state.as_os_str())?, &bundle.to_string())
     }
 
-    /// As [`Places::worker`]; `state` and `bundle` are put in place of the state folder and the bundle's
-    /// number, for example a template's variables.
+    /// As [`Places::worker`], with `state` and `bundle` (for example variables) for state folder and number.
     pub(crate) fn command(&self, state: &str, bundle: &str) -> Result<Vec<String>> {
         let mut line = self.program.iter().map(|word| utf8(word)).collect::<Result<Vec<_>>>()?;
         line.extend(["farm-worker", state, "--bundle", bundle].map(String::from));

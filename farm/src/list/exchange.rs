@@ -7,8 +7,7 @@ const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the longest load.
 const LEAST_GAIN: f64 = 1.0e-6;
 
-/// Change of one round: the node that ends last gives the task `give` to the node `to`, and takes the task
-/// `take`, if any, from the node `to`.
+/// A round's change: the node that ends last gives the task `give` to the node `to` and takes `take`, if any.
 struct Change {
     give: usize,
     to: usize,
