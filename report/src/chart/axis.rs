@@ -139,8 +139,7 @@ impl Span {
         }
     }
 
-    /// Returns powers of ten and, if there is space, round multiples of them. The drawing library has no
-    /// ticks within a decade, where frame times often are.
+    /// Powers of ten and, if there is space, round ticks within a decade, which the drawing library lacks.
     fn log_ticks(&self, most: usize) -> Vec<f64> {
         let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
         let stride = ((last - first) as usize).div_ceil(most).max(1) as i32;
@@ -213,8 +212,7 @@ impl Ranged for Span {
     }
 }
 
-/// Returns the label of a tick, with as few digits as distinguish it from its neighbors at distance `step`.
-/// Values below 1e-4 and from 1e6 on have an exponent.
+/// The label of a tick: as few digits as neighbors at distance `step` need; exponents below 1e-4, from 1e6.
 fn tick_label(value: f64, step: f64) -> String {
     if value.abs() < step.abs() * 1e-6 {
         return "0".into();

@@ -18,8 +18,7 @@ pub(super) const PALETTE: [(u32, u32); 11] = [
     (0x111111, 0xf2f2f2),
 ];
 
-/// Dashes of lines (lengths of dash and gap in pixels), so that printed lines differ: solid for the first and
-/// the last color, different for all others.
+/// Dashes of lines (dash and gap, pixels) for print: solid for first and last color, different for others.
 pub(super) const DASHES: [&[u32]; 11] = [
     &[],
     &[7, 3],
