@@ -11,8 +11,7 @@ use entire_steer::predict::{GroupKind, Inputs, load};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// Bytes that are read and written before each cold call, as in the benchmarks of inference and of the probe: more than
-/// the first two cache levels hold.
+/// Bytes that are read and written before each cold call: more than the first two cache levels hold.
 const EVICTED_BYTES: usize = 8 << 20;
 
 const FRAMES: u64 = 200;
@@ -41,8 +40,7 @@ const FRAMES_PER_TRANSFER: f64 = 30.0;
 const TURN: f32 = 3.0;
 
 impl Latency {
-    /// Returns the seconds of a prediction with cold caches, averaged over a session in which every 30th
-    /// frame has a new transfer function.
+    /// Seconds of a cold prediction in a session in which every 30th frame has a new transfer function.
     pub(crate) fn with_changes(&self) -> f64 {
         self.cold + self.transfer / FRAMES_PER_TRANSFER
     }

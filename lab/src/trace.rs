@@ -138,8 +138,7 @@ const KEEP_EVERY: Duration = Duration::from_secs(5);
 
 /// Draws every frame of a path at every point of the grid, except frames that `begun` holds.
 ///
-/// `keep` saves the trace; it is called every few seconds and at the end, also if the renderer fails. The trace is
-/// incomplete if `stop` returned true.
+/// `keep` saves the trace every few seconds and at the end; it is incomplete after a failure or `stop`.
 pub(crate) fn record(
     recording: &Recording<'_>,
     renderer: &mut dyn Renderer,

@@ -1,5 +1,4 @@
-//! A renderer that draws nothing and sleeps for listed times, so that engines can be tested with recorded times. It
-//! uses the session protocol of `entire farm`.
+//! A renderer that sleeps for listed times, to test engines; it uses the session protocol of `entire farm`.
 
 use anyhow::{Context, Result};
 use entire_farm::read_tasks;

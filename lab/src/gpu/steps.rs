@@ -179,8 +179,7 @@ pub(crate) fn probe(device: &str) -> Step {
     Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }
 }
 
-/// Returns the steering step, which plays a path with three switches of the transfer function under several
-/// controllers with the same target.
+/// The steering step: a path with three switches of the transfer function under several controllers.
 pub(crate) fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, extent: Extent) -> Step {
     let (device, clock) = device;
     let mut steer = words(&["steer", &volume.to_string_lossy(), "--generate", "switches"]);

@@ -148,8 +148,7 @@ fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
     Some(rmse(&format!("without {FEATURE_VECTOR}"))? / rmse(NETWORK)?)
 }
 
-/// Returns a note with the ratio to the constant prediction that was measured on fewer frames than the study's
-/// description specifies.
+/// A note with the ratio to the constant that was measured on fewer frames than the description says.
 fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     let of = |r: &&Results| r.panel == Panel::Overall && r.set == set && r.mode == BASE_MODE;
     let found = all.iter().find(of)?;
@@ -271,8 +270,7 @@ mod tests {
             overall(maestroex, "local", "volumes", Some(0.3)),
             overall(nyx, YT, "members", Some(0.21)),
         ];
-        // The interval is by bootstrap over two volumes: a quarter of the draws have the first volume only,
-        // and a quarter the second volume only.
+        // A quarter of the bootstrap draws have the first of two volumes only, and a quarter the second only.
         assert_eq!(of(&paper, &all, name), "0.1600 0.2000 ok (interval: 0.1000 to 0.2000)");
         let name = "maestroex_bubbles/network-over-constant";
         assert_eq!(of(&paper, &all, name), "0.3000 0.2600 short (interval: 0.1000 to 0.2000)");

@@ -1,5 +1,4 @@
-//! The paper's use case 1, steering: results of recorded paths of a data set under every controller, with the
-//! paper's network and with our predictor.
+//! Use case 1, steering: recorded paths under every controller, with the paper's network and our predictor.
 
 use super::Work;
 use super::description::Panel;

@@ -393,11 +393,9 @@ pub(crate) struct Limits {
     pub(crate) psnr: f64,
     /// Number of data sets whose volumes must reach the signal-to-noise ratio `psnr`.
     pub(crate) data_sets: usize,
-    /// Mean distance from the target of Algorithm 1 with the network, divided by that of OLP: in the first frame after
-    /// a change, and in all frames.
+    /// Mean distance from the target of Algorithm 1 over that of OLP: in first frames after a change, in all.
     pub(crate) algorithm1_over_olp: (f64, f64),
-    /// Load of the slowest node if the network's times assign tasks, divided by the load of the slowest node
-    /// if measured times assign tasks.
+    /// Load of the slowest node by the network's times, divided by that by measured times.
     pub(crate) slowest_node: f64,
     /// Seconds within which the report must be written.
     pub(crate) report_seconds: f64,

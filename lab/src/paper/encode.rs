@@ -36,8 +36,7 @@ pub(crate) struct Encoder {
 }
 
 impl Encoder {
-    /// The study's encoders of a data set, or of [`ALL`]: of every input side and length of the feature
-    /// vector, then those of the capacity sweep.
+    /// The study's encoders of a data set or [`ALL`]: of every side and length, then the capacity sweep.
     pub(crate) fn of_set(asked: &Encoders, set: &str) -> Vec<Self> {
         let one = |size: usize, features: usize, channels: &[usize]| Self {
             set: set.to_owned(),

@@ -72,8 +72,7 @@ impl Loaded {
         Ok(index)
     }
 
-    /// The frames of a split: of each validation volume only as many as the description says, of each test volume all
-    /// that were measured.
+    /// The frames of a split: of a validation volume the described number, of a test volume all.
     pub(super) fn split(&self, work: &Work<'_>, parts: &Parts, clock: Clock) -> SplitFrames<'_> {
         let of = |names: &BTreeSet<String>, most: u32| {
             let each = u64::from(work.paper.frames.training);

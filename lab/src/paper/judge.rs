@@ -74,8 +74,7 @@ impl At<'_> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
 
-    /// Evaluates the baselines on some frames, and returns a judge to which predictors can be added. The
-    /// low-resolution proxy is fitted to `training`.
+    /// Evaluates the baselines on some frames (the proxy is fitted to `training`) and returns a judge.
     pub(super) fn judge<'f>(
         &self,
         split: &str,

@@ -1,5 +1,4 @@
-//! Errors of the network, our predictor and the baselines for every data set and mode, with test volumes by the
-//! paper's rule and by the other split.
+//! Errors of the network, our predictor and the baselines by data set and mode, on both splits.
 
 use super::description::{BY_VOLUMES, Paper, Rule};
 use super::interval;

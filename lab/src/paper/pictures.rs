@@ -20,8 +20,7 @@ use std::process::Command;
 const SIDE: u32 = 192;
 /// The transfer function: a faint veil and two shells.
 const LOBES: &str = "0.3 0.003 0.012;0.6 0.003 0.04;0.88 0.006 0.6";
-/// Poses (rotations rx and ry, degrees) for the figure of G, the curve of frame time over ray step. The paper's
-/// figure also has three poses.
+/// Poses (rotations rx and ry, degrees) for the figure of G; the paper's figure also has three.
 const POSES: [(f32, f32); 3] = [(15.0, 20.0), (35.0, 140.0), (60.0, -100.0)];
 
 pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {

@@ -356,8 +356,7 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Trains networks with the layers of `preset` and the encoder of `network`. If both are those of the
-    /// study's main network, returns its stored models.
+    /// Trains networks with the layers of `preset` and the encoder of `network`, or reads the main ones.
     fn with_layers(
         &self,
         preset: &str,

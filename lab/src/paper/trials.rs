@@ -164,8 +164,7 @@ fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Resul
         .collect()
 }
 
-/// Trials of the paper's recipe on growing numbers of labels of each volume. The validation volumes are always the
-/// same, and all their chosen labels are used.
+/// Trials of the recipe on growing numbers of labels of each volume, with the same validation volumes.
 fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
     let path = &work.paper.trials.labels;
     if !path.exists() {

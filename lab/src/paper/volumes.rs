@@ -66,8 +66,7 @@ impl Place {
         Ok(Some(Self { set: set.clone(), root, jobs, splits }))
     }
 
-    /// Returns the number of frames of a volume: that of training volumes if a split trains on the volume,
-    /// else that of held-out volumes.
+    /// Number of frames of a volume: a training volume's if a split trains on it, else a held-out volume's.
     pub(crate) fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
         let name = job.name();
         let learned = self.splits.iter().any(|s| s.training.contains(&name));

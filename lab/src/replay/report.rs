@@ -35,8 +35,7 @@ fn tenths(v: f64) -> Option<String> {
     Some(format!("{v:.1}"))
 }
 
-/// A column of the table of scores: heading, value, text of the value, and true if the lowest value is the
-/// best (`None` if no value is marked as the best).
+/// A column of scores: heading, value, text, and true if the lowest value is the best (`None`: no mark).
 type Figure = (&'static str, fn(&Score) -> f64, fn(f64) -> Option<String>, Option<bool>);
 
 const FIGURES: [Figure; 13] = [

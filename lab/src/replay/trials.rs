@@ -67,8 +67,7 @@ pub(crate) fn trials_of_all(traces: &[Replayable], targets: &[(f64, &str)]) -> (
     (out, unplayed)
 }
 
-/// Returns a target that depends on the trace alone: halfway, in ln(seconds), between its median frame times
-/// at the finest and at the coarsest allowed step.
+/// A target of the trace: halfway, in ln(seconds), between its median times at finest and coarsest step.
 fn own_target(trace: &Replayable) -> Option<f64> {
     let middle = |step: f32| {
         let mut seconds: Vec<f64> = trace.curves.iter().map(|c| c.seconds(f64::from(step))).collect();
@@ -125,8 +124,7 @@ mod tests {
     use crate::trace::Trace;
     use std::path::Path;
 
-    /// Returns a recorded path of the repository with other frame times, which `seconds` computes from the
-    /// frame's index and its recorded seconds.
+    /// A recorded path with other frame times: `seconds` of the frame's index and recorded seconds.
     fn path(name: &str, seconds: impl Fn(usize, f64) -> f64) -> Replayable {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut trace = Trace::open(&root.join(format!("data/steer/traces/{name}.json.gz"))).unwrap();
@@ -140,8 +138,7 @@ mod tests {
     #[test]
     fn no_path_is_left_out_without_a_word() {
         let targets = [(1.0 / 30.0, "30fps"), (1.0 / 60.0, "60fps"), (1.0 / 90.0, "90fps")];
-        // The first path is faster than every target; some targets are useful for the second path; the times
-        // of the third path do not depend on the step.
+        // The first path is faster than every target; the times of the third do not depend on the step.
         let paths = [
             path("banana-resize", |_, s| s),
             path("castro-cuts", |_, s| s),

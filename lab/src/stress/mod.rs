@@ -90,8 +90,7 @@ pub(crate) struct Limits {
     pub(crate) run: usize,
     /// Lower limit of the mean of the oracle's step divided by the chosen step.
     pub(crate) quality: f64,
-    /// Lower limit of the share of first frames after a change that take no longer than their upper bound,
-    /// for methods with upper bounds.
+    /// Lower limit of the share of first frames after a change within their upper bound, if they have one.
     pub(crate) inside: f64,
 }
 

@@ -92,8 +92,7 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &Low, out: &mut Findings) -> Result<()>
     Ok(())
 }
 
-/// Returns the seconds of the frames of `tables` as rendered on 64³ voxels, by table and frame number; empty
-/// if the set names no tables of such frames.
+/// Seconds of the frames of `tables` on 64³ voxels, by table and frame number; empty without such tables.
 pub(super) fn low_resolution(set: &Set, tables: &[Table], clock: Clock) -> Result<Low> {
     let mut low = Low::new();
     for (index, table) in tables.iter().enumerate() {

@@ -15,8 +15,7 @@ pub(super) const INTERVALS: &str = "Each interval holds the errors of 90 % of 20
                                     replacement. Intervals are wide if a few frames have most of the squared \
                                     error.";
 
-/// Table of the errors, bounds and latencies of every predictor on a split. If `panel` is given, only of the predictors
-/// listed there and of the baselines.
+/// Errors, bounds and latencies of every predictor on a split, or of those in `panel` and the baselines.
 pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
     let mut table = Table::headed(
         "predictor | #RMSE, ms | #RMSE/SD | #90 % interval | #median error, % | #90 % interval | #p95, % | \

@@ -30,8 +30,7 @@ fn choose(contenders: &[Contender]) -> Option<usize> {
     contenders.iter().enumerate().filter(|c| good(&c)).min_by_key(|c| c.1.size).map(|c| c.0)
 }
 
-/// True if the rule may select a predictor for a set: it is cross-validated, a model file can hold it, and it is
-/// trained on the set's training frames only.
+/// True if the rule may select it: cross-validated, storable, trained on the set's training frames only.
 fn may_choose(named: &Named, set: &str) -> bool {
     named.cross_validated
         && named.is_of(set)

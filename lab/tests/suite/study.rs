@@ -89,8 +89,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(report.contains("small/member/paper-rmse-over-lvrp") && report.contains("<svg"));
 
-    // A second run uses the stored models again and leaves every byte of them unchanged. Without --bars, a
-    // missed goal is no error, so the command succeeds.
+    // A second run leaves every byte of the stored models unchanged, and without --bars a miss is no error.
     let before = files(&at.join("out/models"));
     assert!(!before.is_empty());
     let (output, _) = study(at, &[]);
