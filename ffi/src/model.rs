@@ -275,15 +275,10 @@ pub unsafe extern "C" fn entire_model_open_machine(
         check_pointer(model, "model (output)")?;
         reserve::check()?;
         let mode = crate::frame::shading(shading)?;
-        let path = data_folder()
-            .ok_or_else(|| {
-                Failure::new(
-                    ENTIRE_IO,
-                    "no home folder was found to look for the machine's model; set XDG_DATA_HOME",
-                )
-            })?
-            .join("entire")
-            .join(format!("machine-{mode}.safetensors"));
+        let Some(folder) = data_folder() else {
+            refuse!(ENTIRE_IO, "no home folder was found to look for the machine's model; set XDG_DATA_HOME");
+        };
+        let path = folder.join("entire").join(format!("machine-{mode}.safetensors"));
         let bytes = read(&path, &format!("make it with `entire calibrate --shade {mode}`"))?;
         give_model(&bytes, &path.to_string_lossy(), model)
     })
