@@ -52,20 +52,16 @@ impl Engine {
                 Command::WriteTable(table) => {
                     device.cmd_update_buffer(commands, self.table_staging.get(), 0, table);
                 }
-                Command::PrepareCopy { target, keep } => self.layout_barrier(
-                    self.image(*target)?.get(),
-                    if *keep { FILLED } else { vk::ImageLayout::UNDEFINED },
-                    FILLED,
-                    (vk::PipelineStageFlags::COMPUTE_SHADER | WRITTEN.0, WRITTEN.1),
-                    WRITTEN,
-                ),
-                Command::FinishCopy { target } => self.layout_barrier(
-                    self.image(*target)?.get(),
-                    FILLED,
-                    self.image(*target)?.layout(),
-                    WRITTEN,
-                    (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ),
-                ),
+                Command::PrepareCopy { target, keep } => {
+                    let old = if *keep { FILLED } else { vk::ImageLayout::UNDEFINED };
+                    let earlier = (vk::PipelineStageFlags::COMPUTE_SHADER | WRITTEN.0, WRITTEN.1);
+                    self.layout_barrier(self.image(*target)?.get(), old, FILLED, earlier, WRITTEN);
+                }
+                Command::FinishCopy { target } => {
+                    let image = self.image(*target)?;
+                    let read = (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ);
+                    self.layout_barrier(image.get(), FILLED, image.layout(), WRITTEN, read);
+                }
                 Command::CopySlices { target, first_slice, slices } => {
                     let image = self.image(*target)?;
                     let Some(staging) = &self.staging else {
