@@ -82,9 +82,7 @@ impl<'a> Database<'a> {
                     }
                 }
                 Entry::Quarantined { task, error, .. } => {
-                    if let Some(task) = number(&task) {
-                        quarantined.insert(task, error);
-                    }
+                    quarantined.extend(number(&task).map(|task| (task, error)));
                 }
                 Entry::Failed { .. } | Entry::Lost { .. } | Entry::Eta { .. } => {}
             }

@@ -372,9 +372,7 @@ impl Drive<'_, '_> {
                     let now = unix_now();
                     self.first.get_or_insert(now);
                     self.planner.begun(bundle, now);
-                    if let Some(task) = self.database.number(&begins) {
-                        self.at.insert(bundle, task);
-                    }
+                    self.at.extend(self.database.number(&begins).map(|task| (bundle, task)));
                 }
                 Event::Line(bundle, Line::Answer(answer)) => self.answer(bundle, answer)?,
                 Event::Line(bundle, Line::End { .. }) => {
@@ -400,13 +398,10 @@ impl Drive<'_, '_> {
         if let Some(error) = answer.error.clone() {
             return self.failed(bundle, task, &error, answer.disk_full);
         }
-        let node = match self.planner.slot_of(bundle) {
-            Some(slot) => slot,
-            None => {
-                let next = self.nodes.len();
-                *self.nodes.entry(answer.node.clone()).or_insert(next)
-            }
-        };
+        let node = self.planner.slot_of(bundle).unwrap_or_else(|| {
+            let next = self.nodes.len();
+            *self.nodes.entry(answer.node.clone()).or_insert(next)
+        });
         let volume = self.planner.learner().shape().volume(task as usize);
         if answer.load_s > 0.0 {
             let warm = !self.loaded.insert((node, volume));

@@ -88,9 +88,7 @@ pub fn text(
             format!("{} to {}", duration(o.end[0]), duration(o.end[2])).into(),
             format!("{:.2}", o.node_hours).into(),
         ];
-        if let Some(price) = price {
-            cells.push(format!("{:.2}", o.node_hours * price).into());
-        }
+        cells.extend(price.map(|price| format!("{:.2}", o.node_hours * price).into()));
         table.row(cells);
     };
     let mut counts: Vec<usize> = (0..8).map(|k| 1usize << k).filter(|n| *n <= all.max(1)).collect();

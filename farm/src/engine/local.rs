@@ -123,9 +123,7 @@ impl Local {
                 let status = worker.child.wait().map_or_else(|e| e.to_string(), |s| s.to_string());
                 let (bundle, deaths) = (worker.bundle.take(), worker.deaths + 1);
                 if self.stopping {
-                    if let Some(bundle) = bundle {
-                        out.push(Event::Lost(bundle, String::new()));
-                    }
+                    out.extend(bundle.map(|bundle| Event::Lost(bundle, String::new())));
                     return Ok(());
                 }
                 let said = crate::spool::tail(&self.log(slot));
@@ -134,9 +132,8 @@ impl Local {
                     "worker {slot} ended {deaths} times in a row without beginning a task; the last time \
                      ({status}): {said}; remove the cause and continue with --resume"
                 );
-                if let Some(bundle) = bundle {
-                    out.push(Event::Lost(bundle, format!("worker {slot} ended ({status}): {said}")));
-                }
+                let why = || format!("worker {slot} ended ({status}): {said}");
+                out.extend(bundle.map(|bundle| Event::Lost(bundle, why())));
                 self.workers[slot] = Worker { deaths, ..self.spawn(slot, slots, generation + 1)? };
                 out.push(Event::Fresh(slot));
             }
