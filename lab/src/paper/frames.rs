@@ -98,14 +98,9 @@ impl Loaded {
 /// The encoders for a data set's frames: those trained on the data set or on all data sets together, if there are
 /// any, and the shipped ones. Test-only volumes are encoded by the encoders of every data set.
 fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
-    let mut out = Vec::new();
-    for encoder in trained(work, None)? {
-        if set.only_tests || encoder.set == set.name || encoder.set == ALL {
-            out.push(encoder.path(work.out));
-        }
-    }
-    out.extend(work.paper.encoders.shipped.iter().cloned());
-    Ok(out)
+    let wanted = |e: &Encoder| set.only_tests || e.set == set.name || e.set == ALL;
+    let all = trained(work, None)?.into_iter().filter(wanted).map(|e| e.path(work.out));
+    Ok(all.chain(work.paper.encoders.shipped.iter().cloned()).collect())
 }
 
 /// The trained encoders, of one data set if it is given, without those of the capacity sweep.

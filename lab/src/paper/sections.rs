@@ -462,9 +462,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
             procedure.tables.push(trials_table(r, what, "change"));
         }
     }
-    if let Some(table) = by_set(paper, &of(Panel::Procedure).collect::<Vec<_>>()) {
-        procedure.tables.push(table);
-    }
+    procedure.tables.extend(by_set(paper, &of(Panel::Procedure).collect::<Vec<_>>()));
     let mut frames = Section::default();
     for r in of(Panel::Frames) {
         let what = "Another model, the teacher, predicted the frame times for the training. The network was \

@@ -391,9 +391,7 @@ impl At<'_> {
             row.more.insert("epochs".into(), record.provenance.epochs_run as f64);
             row.more.insert("training seconds".into(), record.seconds);
             for part in ["train", "validation", "test"] {
-                if let Some(v) = record.psnr(part, set) {
-                    row.more.insert(format!("psnr {part}"), v);
-                }
+                row.more.extend(record.psnr(part, set).map(|v| (format!("psnr {part}"), v)));
             }
         }
         Ok(())

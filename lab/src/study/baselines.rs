@@ -131,9 +131,7 @@ pub(crate) fn twins(
             path.display(),
             f.number
         );
-        if let Some(t) = twin.seconds(clock) {
-            low.insert((index, f.number), t);
-        }
+        low.extend(twin.seconds(clock).map(|t| ((index, f.number), t)));
     }
     Ok(())
 }
