@@ -250,12 +250,8 @@ pub(crate) fn run(
 mod tests {
     use super::*;
 
-    fn shell(script: &str, seconds: f64, partial: bool) -> Outcome {
-        shell_until(60.0, script, seconds, partial)
-    }
-
-    /// As [`shell`], in a run with `left` seconds until its deadline.
-    fn shell_until(left: f64, script: &str, seconds: f64, partial: bool) -> Outcome {
+    /// Outcome of a shell script in a run with `left` seconds until its deadline.
+    fn shell(left: f64, script: &str, seconds: f64, partial: bool) -> Outcome {
         let dir = tempfile::tempdir().unwrap();
         std::fs::create_dir(dir.path().join("logs")).unwrap();
         let step = step("s".into(), seconds, partial, words(&["-c", script]));
@@ -265,16 +261,16 @@ mod tests {
 
     #[test]
     fn a_step_is_done_failed_or_cut_short_and_its_last_line_is_kept() {
-        let done = shell("echo one; echo two", 30.0, false);
+        let done = shell(60.0, "echo one; echo two", 30.0, false);
         assert_eq!((done.state, done.said.as_str()), (State::Done, "two"));
-        let failed = shell("echo no device >&2; exit 1", 30.0, true);
+        let failed = shell(60.0, "echo no device >&2; exit 1", 30.0, true);
         assert_eq!((failed.state, failed.said.as_str()), (State::Failed, "no device"));
         let endless = "trap 'echo kept; exit 130' INT; while :; do sleep 0.05; done";
-        let cut = shell(endless, 3.0, true);
+        let cut = shell(60.0, endless, 3.0, true);
         assert_eq!((cut.state, cut.said.as_str()), (State::CutShort, "kept"));
-        let unfinished = shell_until(3.0, endless, 30.0, true);
+        let unfinished = shell(3.0, endless, 30.0, true);
         assert_eq!((unfinished.state, unfinished.said.as_str()), (State::Unfinished, "kept"));
-        let useless = shell(endless, 3.0, false);
+        let useless = shell(60.0, endless, 3.0, false);
         assert_eq!((useless.state, useless.said.as_str()), (State::Failed, "took too long: kept"));
     }
 
