@@ -104,16 +104,14 @@ impl Session {
     }
 
     fn try_ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
-        (self.fresh, self.ended) = (false, false);
+        self.ended = false;
         if self.running.as_mut().is_some_and(|r| !matches!(r.child.try_wait(), Ok(None))) {
             self.running = None;
         }
+        self.fresh = self.running.is_none();
         let running = match self.running.take() {
             Some(running) => running,
-            None => {
-                self.fresh = true;
-                self.start()?
-            }
+            None => self.start()?,
         };
         let running = self.running.insert(running);
         let mut log_file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;
