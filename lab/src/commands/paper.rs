@@ -192,16 +192,13 @@ fn with(
     {
         anyhow::bail!("--modes names {mode:?}; none, local, scatter and yt are accepted");
     }
-    let deadline = match making.budget {
-        Some(minutes) => {
-            ensure!(
-                minutes.is_finite() && minutes > 0.0 && minutes < 1e6,
-                "--budget is {minutes}; a positive number of minutes is needed"
-            );
-            Some(Instant::now() + Duration::from_secs_f64(60.0 * minutes))
-        }
-        None => None,
-    };
+    if let Some(minutes) = making.budget {
+        ensure!(
+            minutes.is_finite() && minutes > 0.0 && minutes < 1e6,
+            "--budget is {minutes}; a positive number of minutes is needed"
+        );
+    }
+    let deadline = making.budget.map(|minutes| Instant::now() + Duration::from_secs_f64(60.0 * minutes));
     let interrupted = || interrupt::requested(&stop);
     f(&Work {
         paper: &paper,
