@@ -163,27 +163,22 @@ impl PredNetParts {
         };
         for (i, layer) in self.layers.iter().enumerate() {
             layer.check(&alloc::format!("prednet.{i}"))?;
-            if i > 0 && layer.inputs != self.layers[i - 1].outputs {
+            let (inputs, outputs) = (layer.inputs, layer.outputs);
+            let before = if i > 0 { self.layers[i - 1].outputs } else { inputs };
+            if inputs != before {
                 bail!(
                     InvalidTensor,
-                    "prednet.{i}.weight has shape [{}, {}], expected [{}, {}]: the layer before it has {} \
-                     outputs",
-                    layer.outputs,
-                    layer.inputs,
-                    layer.outputs,
-                    self.layers[i - 1].outputs,
-                    self.layers[i - 1].outputs
+                    "prednet.{i}.weight has shape [{outputs}, {inputs}], expected [{outputs}, {before}]: the \
+                     layer before it has {before} outputs"
                 );
             }
         }
-        if last.outputs != 1 {
+        let (i, DenseParts { inputs, outputs, .. }) = (self.layers.len() - 1, last);
+        if *outputs != 1 {
             bail!(
                 InvalidTensor,
-                "prednet.{}.weight has shape [{}, {}], expected [1, {}]: the last layer gives one number",
-                self.layers.len() - 1,
-                last.outputs,
-                last.inputs,
-                last.inputs
+                "prednet.{i}.weight has shape [{outputs}, {inputs}], expected [1, {inputs}]: the last layer \
+                 gives one number"
             );
         }
         if let Some(norm) = &self.input {

@@ -181,12 +181,11 @@ impl PredNet {
     /// Predicts rows with one scratch.
     fn rows(&self, inputs: &[f32], seconds: &mut [f32], scratch: &mut PredScratch) -> Result<()> {
         if self.mlp.forward_rows(inputs, seconds, &mut scratch.mlp).is_none() {
+            let (found, rows, each) = (inputs.len(), seconds.len(), self.inputs());
             bail!(
                 SizeMismatch,
-                "{} inputs for {} predictions, expected {} for each, and a scratch made by this network",
-                inputs.len(),
-                seconds.len(),
-                self.inputs()
+                "{found} inputs for {rows} predictions, expected {each} for each, and a scratch made by this \
+                 network"
             );
         }
         for y in seconds {

@@ -121,14 +121,9 @@ impl VolumeNet {
         executor: Executor<'_>,
         features: &mut [f32],
     ) -> Result<()> {
-        let n = self.input;
-        if features.len() != self.features {
-            bail!(
-                SizeMismatch,
-                "VolumeNet gives {} features, the output holds {} numbers",
-                self.features,
-                features.len()
-            );
+        let (n, given, room) = (self.input, self.features, features.len());
+        if room != given {
+            bail!(SizeMismatch, "VolumeNet gives {given} features, the output holds {room} numbers");
         }
         let encoder = &mut scratch.encoder;
         if view.dims() == [n; 3] && view.strides()[0] == 1 {
@@ -247,11 +242,11 @@ pub(crate) fn check(parts: &VolumeNetParts) -> Result<()> {
         (edge, channels) = (output, outputs);
     }
     let flat = edge.checked_mul(edge).and_then(|e| e.checked_mul(edge)).and_then(|e| e.checked_mul(channels));
-    if flat != Some(parts.fc.inputs) {
+    let taken = parts.fc.inputs;
+    if flat != Some(taken) {
         bail!(
             InvalidTensor,
-            "volumenet.fc.weight takes {} numbers, the last block gives {channels} x {edge}³",
-            parts.fc.inputs
+            "volumenet.fc.weight takes {taken} numbers, the last block gives {channels} x {edge}³"
         );
     }
     parts.fc.check("volumenet.fc")?;

@@ -96,16 +96,13 @@ pub unsafe extern "C" fn entire_session_save_state(
         reading(session, |state| {
             check_pointer(byte_count, "byte_count (output)")?;
             let bytes = state.session.save_state();
+            let size = bytes.len();
             if capacity > 0 {
                 check_pointer(buffer, "buffer")?;
-                if capacity < bytes.len() {
-                    refuse!(
-                        ENTIRE_SIZE_MISMATCH,
-                        "buffer holds {capacity} bytes; the state has {}",
-                        bytes.len()
-                    );
+                if capacity < size {
+                    refuse!(ENTIRE_SIZE_MISMATCH, "buffer holds {capacity} bytes; the state has {size}");
                 }
-                std::ptr::copy_nonoverlapping(bytes.as_ptr(), buffer, bytes.len());
+                std::ptr::copy_nonoverlapping(bytes.as_ptr(), buffer, size);
             }
             write(byte_count, bytes.len(), "byte_count (output)")
         })

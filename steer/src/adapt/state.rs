@@ -41,12 +41,9 @@ pub(crate) fn seal(bytes: &mut Vec<u8>) {
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for bytes cut short or a wrong checksum.
 pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
+    let length = bytes.len();
     let Some((body, sum)) = bytes.split_last_chunk::<4>() else {
-        bail!(
-            InvalidArgument,
-            "the saved state is cut short: it has {} bytes; start without it",
-            bytes.len()
-        );
+        bail!(InvalidArgument, "the saved state is cut short: it has {length} bytes; start without it");
     };
     let (stated, found) = (u32::from_le_bytes(*sum), crc32fast::hash(body));
     if stated != found {
@@ -134,13 +131,12 @@ impl Reader<'_> {
     }
 
     pub(crate) fn end(&self) -> Result<()> {
-        if !self.0.is_empty() {
-            bail!(
+        match self.0.len() {
+            0 => Ok(()),
+            n => bail!(
                 InvalidArgument,
-                "the saved state has {} bytes too many; it is damaged: start without it",
-                self.0.len()
-            );
+                "the saved state has {n} bytes too many; it is damaged: start without it"
+            ),
         }
-        Ok(())
     }
 }

@@ -219,11 +219,8 @@ mod tests {
                         }
                     }
                     let share = count as f32 / (w * height) as f32;
-                    assert!(
-                        (share - f.share).abs() < 0.01,
-                        "{h} {camera:?} {w}x{height}: {share} {}",
-                        f.share
-                    );
+                    let found = f.share;
+                    assert!((share - found).abs() < 0.01, "{h} {camera:?} {w}x{height}: {share} {found}");
                 }
             }
         }

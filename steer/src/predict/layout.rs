@@ -185,12 +185,11 @@ impl InputLayout {
         mut scene: impl FnMut(SceneQuantity, Option<&UnitCosts>) -> Option<f64>,
         row: &mut [f32],
     ) -> Result<()> {
-        if row.len() != self.width() {
+        let (found, width) = (row.len(), self.width());
+        if found != width {
             bail!(
                 SizeMismatch,
-                "the row has {} numbers, but the model takes {}; see InputLayout::width",
-                row.len(),
-                self.width()
+                "the row has {found} numbers, but the model takes {width}; see InputLayout::width"
             );
         }
         let mut rest = row;

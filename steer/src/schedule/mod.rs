@@ -91,15 +91,13 @@ pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment>
 }
 
 fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
-    if speeds.is_empty() {
-        bail!(InvalidArgument, "there are no nodes; at least one is needed");
-    }
-    if speeds.len() > MAX_NODES {
-        bail!(
+    match speeds.len() {
+        0 => bail!(InvalidArgument, "there are no nodes; at least one is needed"),
+        1..=MAX_NODES => {}
+        n => bail!(
             InvalidArgument,
-            "there are {} nodes, at most {MAX_NODES} are accepted; check the number of nodes",
-            speeds.len()
-        );
+            "there are {n} nodes, at most {MAX_NODES} are accepted; check the number of nodes"
+        ),
     }
     for (i, &s) in speeds.iter().enumerate() {
         if !(s.is_finite() && s > 0.0) {
