@@ -236,11 +236,6 @@ impl VulkanRaycaster {
         self.engine.gpu().is_software
     }
 
-    /// Source of the current volume's voxels.
-    pub fn fetch(&self) -> Option<VoxelFetch> {
-        self.volume.as_ref().map(|v| v.fetch)
-    }
-
     /// Number of textures of the current volume: one, or the bricks of a volume that is larger than a texture
     /// can be; 0 without a volume.
     pub fn bricks(&self) -> usize {
