@@ -370,7 +370,6 @@ fn write_table(
 
 pub(super) fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
     let [x, y, z] = volume.dims();
-    let enlarged =
-        if factor == 1 { String::new() } else { format!(", enlarged trilinearly x{factor}") };
+    let enlarged = if factor == 1 { String::new() } else { format!(", enlarged trilinearly x{factor}") };
     format!("{shown}: {x} x {y} x {z} voxels{enlarged}")
 }

@@ -47,7 +47,10 @@ fn tables_with_wrong_cells() {
     for (table, parts) in [
         ("1,2,3,4\n", vec!["row 1 has 4 columns, the model takes 5: camera 3, resolution 2"]),
         ("1,2,3,4,5\n1,2,3,4,5,6\n", vec!["row 2 has 6 columns"]),
-        ("rx,ry,dz,w,h\n1,2,3,4,5\n", vec!["row 1, column 1: \"rx\" is not a number", "a header line is not"]),
+        (
+            "rx,ry,dz,w,h\n1,2,3,4,5\n",
+            vec!["row 1, column 1: \"rx\" is not a number", "a header line is not"],
+        ),
         ("1,2,3,4,5\n1,2,,4,5\n", vec!["row 2, column 3: \"\" is not a number"]),
         ("1,2,3,4,5\n1,2,3,nan,5\n", vec!["row 2, column 4: \"nan\" is not finite"]),
         ("1,2,3,4,-inf\n", vec!["row 1, column 5: \"-inf\" is not finite"]),

@@ -326,9 +326,11 @@ fn codes(of: &[&Results], s: &mut Section) {
 
 fn tuning(of: &[&Results], s: &mut Section) {
     for r in of {
-        let machine = (r.set == MACHINES)
-            .then(|| format!(" The pre-training frames were measured on: {}.", r.machine))
-            .unwrap_or_default();
+        let machine = if r.set == MACHINES {
+            format!(" The pre-training frames were measured on: {}.", r.machine)
+        } else {
+            String::new()
+        };
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x != SORTED).map(|c| c.chart.as_str()).collect();
         for name in names {
