@@ -10,7 +10,8 @@ use entire_steer::features::{Changes, FrameFeatures, Setting};
 use entire_steer::predict::{Inputs, Prediction, check_predictions, load};
 use serde_json::{Map, Value, json};
 
-/// Largest number of multiplications of an encoding that is run; a larger encoder is built but not run.
+/// Largest number of multiplications for which an encoding is run. An encoder that needs more is built but
+/// not run.
 pub const MOST_WORK: u128 = 20_000_000;
 
 /// Largest size of a tensor of a generated network, in bytes.
@@ -375,7 +376,7 @@ pub struct Outcome {
 }
 
 /// Opens a file and uses it as a host would: builds its networks, predicts one frame alone, in a batch and
-/// through the predictor, and encodes a volume if that takes at most [`MOST_WORK`].
+/// through the predictor, and encodes a volume if the encoding takes at most [`MOST_WORK`] multiplications.
 ///
 /// # Panics
 /// When an accepted file cannot be run, a time is not finite and positive, or an error has no message.
@@ -451,7 +452,7 @@ pub fn predict(model: &Model) -> entire_core::Result<Prediction> {
 fn work(parts: &VolumeNetParts) -> u128 {
     let cube = |n: usize| (n as u128).pow(3);
     let blocks = parts.blocks.iter().map(|b| {
-        // The input voxels count as well: the first layer maps each of them.
+        // The voxels of each block's input count as well.
         cube(b.output_edge) * cube(b.kernel) * (b.inputs * b.outputs).max(16) as u128 + cube(b.input_edge)
     });
     cube(parts.input) + blocks.sum::<u128>()

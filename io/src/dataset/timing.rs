@@ -209,8 +209,8 @@ pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Opt
     ))
 }
 
-/// Scatter of repeats of one frame, which is the floor of every predictor's error. Every number is a median,
-/// and so robust to disturbed repeats.
+/// Scatter of repeats of one frame, which is the floor of every predictor's error. All values are computed
+/// from medians, so that disturbed repeats hardly change them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a

@@ -240,7 +240,7 @@ fn fill(stream: &mut Stream<'_>, out: &mut [u8]) -> io::Result<usize> {
 ///
 /// # Errors
 /// When there are fewer or more numbers than voxels, or a number cannot be read or is outside the type's
-/// range; the error names the number's index.
+/// range; the error names the index of such a number.
 pub(crate) fn parse_voxels(
     stream: &mut Stream<'_>,
     dims: [usize; 3],

@@ -124,13 +124,11 @@ pub(crate) struct Volume(pub(crate) Arc<Data>);
 
 static ASARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
 
-/// `numpy.asarray`.
 pub(crate) fn asarray<'py>(array: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
     let asarray = ASARRAY.import(array.py(), "numpy", "asarray")?;
     calling(array.py(), || asarray.call1((array,)))
 }
 
-/// `array.astype(dtype)`.
 pub(crate) fn astype<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, PyAny>> {
     calling(array.py(), || array.call_method1("astype", (dtype,)))
 }
@@ -213,9 +211,9 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// A copy of an array in which voxels under a mask, and those with a value of `values`, have the low end of the
-/// range; and the number of these voxels. `low` is the low end of a given range; without it, the low end is 0
-/// for bytes, and for other types the minimum of all other voxels.
+/// A copy of an array in which voxels under a mask, and those with a value of `values`, have the low end of
+/// the range; and the number of these voxels. `low` is the low end of a given range; without it, the low end
+/// is 0 for bytes, and for other types the minimum of all other finite voxels.
 fn hide<'py>(
     array: &Bound<'py, PyAny>,
     mask: Option<&Bound<'py, PyAny>>,
