@@ -4,7 +4,7 @@ use entire_core::model::{Key, Model};
 use entire_io::metrics::{BoundMetrics, usable};
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 
-/// Returns ln(measured / predicted) of every frame, with [`usable`] predictions.
+/// Returns ln(measured / predicted) of every frame. Each prediction is first made [`usable`].
 pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
     predicted.iter().zip(measured).map(|(&p, t)| (t / usable(p)).ln()).collect()
 }
@@ -14,8 +14,8 @@ pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().map(|r| (r, ())))
 }
 
-/// As [`from_predictions`], for frames in groups (ensemble members), if new frames will belong to new groups:
-/// every group has the same weight, however many frames it has.
+/// As [`from_predictions`], but every group (ensemble member) has the same weight, however many frames it
+/// has. The bound is for frames of groups that are not among `groups`.
 pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> UpperBound {
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().zip(groups))
 }

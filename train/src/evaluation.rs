@@ -166,7 +166,8 @@ pub fn warm_latency(
         let mut transfer = TransferSummary::new(&summary, &table)?;
         let start = Instant::now();
         transfer.update(&summary, std::hint::black_box(&table))?;
-        // Without rays, this computes only the distance map of a frame that skips by distance.
+        // Without rays, `measure` computes only the distance map, and only for a frame that skips by
+        // distance.
         FrameFeatures::with_probe_side(0).measure(&summary, &mut transfer, &frame)?;
         transfer_times.push(start.elapsed().as_secs_f64());
         let setting = Setting::from(&frame);

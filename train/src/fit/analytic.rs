@@ -33,8 +33,9 @@ pub(super) fn fit_analytic(
     Ok((model, text))
 }
 
-/// Returns the typical unit costs of a renderer with this backend on this device. The project's raycaster has the
-/// costs of a GPU or of a software renderer; other renderers are taken to convert stored scalar values in software.
+/// Returns the typical unit costs of a renderer with this backend on this device. The project's raycaster has
+/// the costs of a GPU or of a software renderer; any other renderer is assumed to run in software and to
+/// convert stored scalar values.
 pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
     match backend {
         "vulkan" | "cpu" if names_software(backend, device) => UnitCosts::SOFTWARE,
@@ -43,9 +44,9 @@ pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
     }
 }
 
-/// Returns the [typical costs](typical_costs) of the renderer that drew the frames of all tables. If several kinds of
-/// renderer drew them, these are the costs of a software renderer, which converts stored values unless the project's
-/// raycaster drew all frames.
+/// Returns the [typical costs](typical_costs) of the renderer that drew the frames of all tables. For
+/// renderers of several kinds, returns the costs of a software renderer. This renderer converts stored values
+/// unless the project's raycaster drew all frames.
 pub fn typical_costs_of<'a>(tables: impl IntoIterator<Item = &'a Table>) -> UnitCosts {
     let of = |table: &Table| {
         let manifest = table.manifest.as_ref();

@@ -41,14 +41,14 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     Ok(out)
 }
 
-/// Largest distance of the estimate's logarithm below its mean, in standard deviations, up to which the added
-/// units pass the logarithm on exactly.
+/// Range below the mean of the estimate's logarithm, in standard deviations, within which the added units
+/// pass the logarithm on exactly.
 const CARRY_RANGE: f32 = 12.0;
 
 /// Adds the logarithm of an estimate to the output of a network that predicts log ratios. The logarithm
 /// becomes the last input, with the given mean and standard deviation. One additional unit in each hidden
-/// layer passes it on, shifted so far above zero that SELU is linear there. The last layer removes factor and
-/// shift.
+/// layer passes it on, shifted so far above zero that SELU is linear there. The last layer removes the shift
+/// and SELU's factor.
 pub(super) fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetParts {
     let (out_mean, out_std) = match &parts.output {
         Some(n) => (n.mean[0], n.std[0]),

@@ -364,7 +364,7 @@ impl Recipe {
         let (file, encoder) = match &self.volumenet {
             Some(path) => {
                 let (mut file, model) = read_model_file(path)?;
-                // Other entries describe the file's own predictor, which is replaced.
+                // All entries except these two describe the file's own predictor, which is replaced.
                 let taken = [Key::Format.name(), Key::VolumeNet.name()];
                 file.metadata.retain(|key, _| taken.contains(&key.as_str()));
                 let parts = model

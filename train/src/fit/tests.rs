@@ -138,8 +138,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
             let expected =
                 costs.time(&work_of(counts)) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
-            // The expected time is far above a network's shortest time, at which all predictions would be
-            // equal.
+            // The expected time is far above the shortest time that a network predicts. At that time, all
+            // predictions would be equal.
             assert!((1e-4..1e4).contains(&expected), "{expected}");
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
             let mut row = vec![0.0; layout.width()];

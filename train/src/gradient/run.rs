@@ -74,7 +74,7 @@ pub struct Settings {
     pub batch: usize,
     /// Learning rate at the start.
     pub learning_rate: f64,
-    /// Learning rate at the end of the last epoch; a half cosine in between, step by step.
+    /// Learning rate at the end of the last epoch. From step to step, the rate falls along half a cosine.
     pub final_learning_rate: f64,
     /// Largest norm of the whole gradient.
     pub clip_norm: f64,
@@ -279,9 +279,9 @@ pub struct Trained {
     pub target: Target,
     /// Records of the epochs that ended.
     pub history: Vec<EpochRecord>,
-    /// Epoch in which the network reached these weights; 0 for the initial weights.
+    /// Epoch in which training reached the weights of `network`; 0 for the initial weights.
     pub best_epoch: usize,
-    /// The validation loss of the weights.
+    /// Validation loss of `network`; its training loss if there are no validation frames.
     pub best_loss: f64,
     /// Reason for the end of the run.
     pub stop: Stop,
@@ -418,7 +418,8 @@ pub fn train(
             let validation_loss = validate(pool, &trainer, &judged).unwrap_or(training_loss);
             let record = EpochRecord { epoch, training_loss, validation_loss };
             history.push(record);
-            // The last step of an epoch follows its training loss, so the weights are checked too.
+            // The training loss is computed before the epoch's last step, so the weights after it are checked
+            // too.
             let finite = trainer.network().parameters().iter().all(|p| p.is_finite());
             if !(validation_loss.is_finite() && finite) {
                 stop = Stop::Diverged;

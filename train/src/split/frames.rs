@@ -31,7 +31,7 @@ impl<'a> TimedFrames<'a> {
         Timed { frames: &self.frames, seconds: &self.seconds }
     }
 
-    /// Returns these frames together with others.
+    /// Returns these frames, followed by those of `other`.
     pub fn and(&self, other: Self) -> Self {
         let frames = self.frames.iter().copied().chain(other.frames).collect();
         let seconds = self.seconds.iter().copied().chain(other.seconds).collect();
@@ -111,7 +111,7 @@ mod tests {
         TimedFrame { repeats, ..TimedFrame::of_no_volume(volume, member) }
     }
 
-    /// Frames of time steps, of one ensemble member after another in turn.
+    /// Returns frames of time steps that belong to the ensemble members in turn.
     fn of_members(frames: usize, members: usize) -> Vec<TimedFrame> {
         let frame = |i: usize| {
             let (member, step) = (i % members, i / members);
