@@ -4,7 +4,7 @@
 
 pub use entire_io::{dataset, path, volume};
 
-// Only the task lists of entire-farm: the whole crate would bring in charts.
+// Only the task lists of entire-farm are built here, since the whole crate depends on entire-report.
 #[path = "../../farm/src/list/mod.rs"]
 pub mod farm;
 
@@ -20,7 +20,7 @@ pub mod records;
 pub mod state;
 pub mod traces;
 
-/// Defines a target that gives bytes to a check, mutated as text.
+/// Defines a target that mutates bytes as text and gives them to a check.
 #[macro_export]
 macro_rules! text_target {
     ($check:path) => {

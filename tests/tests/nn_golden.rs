@@ -55,7 +55,7 @@ fn predict(
 
 /// Checks the error of predictions, single and in batches. If a format stores the weights exactly, the error
 /// is relative to each result. If it rounds them, the error is relative to the largest result, since rounding
-/// changes a sum that nearly cancels by a large factor.
+/// can change a sum by a large factor if its terms nearly cancel.
 fn prednets_agree(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, expected)) = (model(&case), rows(&case));

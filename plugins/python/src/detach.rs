@@ -3,7 +3,7 @@
 //!
 //! A thread that asks for the lock of an ending interpreter is unwound by force, which Rust frames turn into
 //! an abort. So once the interpreter is about to end, such threads do not ask for the lock again: they block
-//! until the process is over. This concerns only daemon threads; Python waits for others.
+//! until the process is over. Only daemon threads block so; Python waits for all other threads.
 
 use pyo3::prelude::*;
 use std::sync::OnceLock;

@@ -6,8 +6,8 @@ use pyo3::exceptions::{PyFileNotFoundError, PyOSError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
-/// Writes a file completely or not at all: under an unpredictable name beside it, which is flushed to the
-/// disk and then renamed.
+/// Writes a file completely or not at all. The data go to a file with an unpredictable name beside it, which
+/// is flushed to the disk and then renamed.
 ///
 /// Parameters
 /// ----------

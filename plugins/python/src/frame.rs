@@ -19,7 +19,6 @@ pub(crate) struct Shape {
     pub(crate) termination: f32,
 }
 
-/// Reads the name of a mode.
 pub(crate) fn mode<T: FromStr<Err = entire_core::Error>>(name: &str) -> PyResult<T> {
     name.parse().map_err(|error: T::Err| PyValueError::new_err(error.to_string()))
 }
@@ -56,7 +55,7 @@ impl Shape {
     }
 }
 
-/// Returns a number of things. A negative number becomes 0, which no caller accepts.
+/// Returns `number` as a count. A negative number becomes 0, which no caller accepts.
 pub(crate) fn count(number: i64) -> usize {
     usize::try_from(number).unwrap_or(0)
 }

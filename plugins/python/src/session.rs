@@ -458,8 +458,8 @@ impl Session {
         Ok(self.state(py)?.observe(plan, seconds as f32, flags)?.into())
     }
 
-    /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. Sets the
-    /// transfer function; apart from that, it does not influence later plans.
+    /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. The call
+    /// sets the transfer function and has no other effect on later plans.
     ///
     /// Parameters
     /// ----------

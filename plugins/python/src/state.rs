@@ -14,7 +14,6 @@ use std::sync::Arc;
 /// Maximum number of observed frames that are kept.
 const KEPT: usize = 4096;
 
-/// One observed frame.
 #[derive(Clone)]
 pub(crate) struct Observed {
     pub(crate) plan: Plan,
@@ -90,7 +89,6 @@ impl State {
         self.camera = Some(camera);
     }
 
-    /// Plans a frame.
     pub(crate) fn plan(&mut self, frame: &Frame, target: f32) -> PyResult<Plan> {
         let plan = self.core.plan(frame, target).map_err(raise)?;
         let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);

@@ -280,8 +280,8 @@ fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     wrong
 }
 
-/// Returns the table's entries that allow the use of a module that is not listed before the user. Without
-/// such entries, the table has no cycle.
+/// Returns the table's entries that allow a module to use a module that is not listed before it. Without such
+/// entries, the table has no cycle.
 fn rooms_in_a_circle(rooms: &Rooms) -> Vec<String> {
     let place = |room: &str| rooms.iter().position(|r| r.0 == room);
     rooms
