@@ -40,8 +40,8 @@ pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     Some(Image { width, height, rgba })
 }
 
-/// Source pixels along one axis of each new pixel: the first one, and the weights of the pixels from it on,
-/// which sum to 1.
+/// Returns for each new pixel along one axis the index of its first source pixel, and the weights of the
+/// source pixels from this one on, which sum to 1.
 fn taps(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
     let ratio = from as f32 / to as f32;
     let reach = ratio.max(1.0);

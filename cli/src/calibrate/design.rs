@@ -77,8 +77,8 @@ impl Design {
         while out.len() < most && spent < budget {
             let free = |i: &usize| !self.taken[*i] && affordable(*i) && spent + seconds[*i] <= 1.05 * budget;
             let next = if out.len() % 2 == 0 { random_order.iter().copied().find(free) } else { None };
-            // Random candidates are left for the random draws as long as there are others, so that the frames on
-            // which the error is estimated are not chosen by their gain.
+            // Random candidates are left for the random draws as long as other candidates remain, so that the
+            // frames on which the error is estimated are not chosen by their gain.
             let best = |random: bool| {
                 (0..self.vectors.len())
                     .filter(|&i| free(&i) && pool.candidates[i].random == random)

@@ -114,8 +114,8 @@ impl<'a> Measuring<'a> {
     /// returns true.
     pub(crate) fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, &self.pool.prior.costs.seconds);
-        // The prior predicts seconds of another machine: the first, small batch measures the ratio of the two
-        // machines' times.
+        // The prior predicts seconds of another machine. The first batch is small and measures the ratio of
+        // the two machines' times.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
             let same = |a: &Candidate, b: &Candidate| (a.volume, a.factor) == (b.volume, b.factor);

@@ -98,8 +98,8 @@ pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Returns the volumes below a folder, sorted by name, for whose ensemble member `wanted` returns true
-/// (`None` for a volume outside any ensemble). Volumes whose paths tables cannot hold are left out, with a
-/// note.
+/// (`None` for a volume outside any ensemble). Volumes with paths that tables cannot hold are left out, with
+/// a note.
 fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];
@@ -138,7 +138,7 @@ mod tests {
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(path, "").unwrap();
         }
-        // A volume whose path tables cannot hold is left out.
+        // A volume with a path that is not UTF-8 is left out.
         #[cfg(target_os = "linux")]
         {
             use std::os::unix::ffi::OsStrExt;

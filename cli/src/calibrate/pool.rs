@@ -121,7 +121,7 @@ impl Pool {
             }
         }
         let prior = PriorModel::new(priors, typical)?;
-        // The features are those of the volumes as they are rendered: read with the same options.
+        // Features are computed from volumes that are read with the same options as for rendering.
         let read = serde_json::json!({ "reading": settings.reading });
         let manifest = Some(Manifest { settings: read, ..Manifest::default() });
         let tables = [Table { manifest, ..Table::default() }];

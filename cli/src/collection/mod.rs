@@ -43,8 +43,8 @@ pub struct TimedScene {
 }
 
 /// Renders a scene of the renderer's volume as often as the protocol says. Before the repeats, max(`warm_up`,
-/// `protocol.warm_up_repeats`) renderings are discarded; `warm_up` counts them down to 0. `stop` is called
-/// before every rendering.
+/// `protocol.warm_up_repeats`) renderings are discarded; then `warm_up` is 0. `stop` is called before every
+/// rendering.
 ///
 /// # Errors
 /// A scene that cannot be drawn, a renderer that fails.
@@ -64,7 +64,8 @@ pub fn time_scene(
 }
 
 /// Returns the times of `repeats` renderings of a frame; `None` if `stop`, which is called before every
-/// rendering, returned true. Before the repeats, `warm_up` renderings are discarded; they count it down to 0.
+/// rendering, returned true. Before the repeats, `warm_up` renderings are discarded; each of them reduces
+/// `warm_up` by 1.
 pub(crate) fn timed_repeats(
     renderer: &mut dyn Renderer,
     frame: &Frame,

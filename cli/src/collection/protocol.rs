@@ -207,7 +207,7 @@ impl Protocol {
         let mut jobs = Vec::new();
         for v in s.volumes {
             let job = Job { path: v.path, member: v.member, time_step: v.time_step };
-            // Scenes are drawn from this name.
+            // This name seeds the random scenes.
             let name = job.seed_name();
             ensure!(
                 v.seed_name.as_ref().is_none_or(|seed_name| *seed_name == name),

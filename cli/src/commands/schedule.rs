@@ -61,7 +61,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     // Expected seconds: the prediction of each task, or its measured time if it has no prediction.
     let expected: Vec<f64> = tasks.iter().filter_map(|t| t.predicted_s.or(t.measured_s)).collect();
     let line = play(&plan, &expected, &tasks, &speeds)?;
-    // The bound adds the times in another order, so by rounding it may exceed the makespan.
+    // The bound adds the times in another order than the schedule does, so rounding may make it exceed the
+    // makespan.
     let bound = lower_bound(&expected, &speeds)?.min(line.makespan);
     ensure!(
         line.makespan.is_finite() && bound.is_finite(),

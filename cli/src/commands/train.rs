@@ -215,8 +215,8 @@ pub fn run(options: &Options) -> Result<()> {
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
-            // The bound is fitted to the validation frames, to which the weights were not fitted; without
-            // any, to the training frames.
+            // The bound is fitted to the validation frames, to which the weights were not fitted; if there
+            // are none, it is fitted to the training frames.
             if upper.log_factor.is_nan() {
                 upper = bound::from_predictions(&predicted, &measured);
             }
@@ -265,7 +265,7 @@ pub fn run(options: &Options) -> Result<()> {
     });
     fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
     entire_io::clock::set(&mut fitted.file, clock);
-    // A fine-tuned model has the quality law and the names of the renderer of its earlier training.
+    // A fine-tuned model still has the quality law and the renderer's names from its earlier training.
     for key in [Key::Quality, Key::Renderer, Key::Device, Key::StepReference] {
         fitted.file.metadata.remove(key.name());
     }

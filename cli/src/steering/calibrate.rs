@@ -13,7 +13,7 @@ use entire_steer::features::{FrameFeatures, Setting, TransferSummary, VolumeSumm
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 
-/// Ray steps at which every random scene is rendered, reference steps. The first is the reference.
+/// Ray steps at which every random scene is rendered, reference steps. The first one is the reference step.
 pub(crate) const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
 
 /// One rendering of a random scene.

@@ -484,7 +484,7 @@ mod tests {
         let smaller = sized.records[hybrid].iter().filter(|r| r.image_sample_distance > 1.0).count();
         assert!(smaller > 0, "no smaller picture");
         // By the quality law, a contender that chooses step and size has less error than one that chooses the
-        // step alone; at most one more frame misses the target.
+        // step alone. It misses the target in at most one frame more.
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..]
                 .iter()

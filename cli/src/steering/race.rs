@@ -40,8 +40,8 @@ pub(crate) struct Race<'a> {
     pub(crate) prior: Prior,
 }
 
-/// Returns the name of the model that predicts, the model, and true unless it is the shipped model: the given
-/// model, else the machine's, else the shipped one.
+/// Returns name and model of the predictor: the given model, else the machine's, else the shipped one. The
+/// flag is true unless the model is the shipped one.
 pub(crate) fn chosen_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,

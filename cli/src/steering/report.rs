@@ -99,7 +99,7 @@ pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
          #p95 / ms | #worst / ms | #recovery / frames | #PSNR / dB | #step",
     );
     type Figure = fn(&Metrics) -> f64;
-    // The figures and their factors; missing ones are NaN.
+    // The figures and their factors; missing figures are NaN.
     let figures: [(Figure, f64); 9] = [
         (|m| m.missed_by_10_percent, 100.0),
         (|m| m.missed_by_25_percent, 100.0),
@@ -121,7 +121,7 @@ pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
         table.row(row);
     }
     for (column, (value, _)) in (2..).zip(figures) {
-        // Of all figures, only PSNR is better if it is higher.
+        // For PSNR, the highest value is the best; for every other figure, the lowest.
         table.mark_best(column, &metrics.iter().map(value).collect::<Vec<_>>(), column != 10);
     }
     table

@@ -147,7 +147,8 @@ fn a_model_states_what_coarser_pictures_cost() {
         // The error of the law's choices is at least 0.95 times the best error: a coarse picture may be
         // better than interpolation between drawn settings predicts.
         assert!(chosen > 0.95 && least > 0.0 && least < 1.0, "{pictures}");
-        // A coarser step alone is compared, unless it cannot even reach the longest compared frame time.
+        // The ratio for steps alone is missing if even the coarsest step takes longer than all compared frame
+        // times.
         match of("step_over_best") {
             Some(alone) => assert!(chosen <= alone + 1e-9, "{pictures}"),
             None => assert!(least > 0.7, "{pictures}"),
@@ -197,7 +198,7 @@ fn what_cannot_be_calibrated_is_said() {
     let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";
     refuses_after_output(at, twice, &["./a.nrrd is given twice, first as a.nrrd"]);
     assert!(!at.join("m.safetensors").exists());
-    // A prior is not replaced, also not by the model of one of several modes.
+    // A prior is never overwritten, not even by the model of one of several modes.
     std::fs::write(at.join("m-none.safetensors"), "kept").unwrap();
     for line in [
         "calibrate a.nrrd --prior m-none.safetensors --out ./m-none.safetensors",

@@ -163,7 +163,7 @@ fn frames_of_a_pass_survive_an_error_with_the_manifest() {
     for kept in ["t.csv", "t.manifest.json", "t.pass1.csv"] {
         assert!(dir.path().join(kept).exists(), "{kept} is gone");
     }
-    // Without frames, nothing is left.
+    // If no frame was collected, no file is left.
     let out = dir.path().join("u.csv");
     refused(collect(&broken, &out, &settings).arg(&volume), 1, &[]);
     for gone in ["u.csv", "u.manifest.json", "u.pass1.csv"] {

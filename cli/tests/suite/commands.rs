@@ -296,7 +296,8 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
     assert!(succeeds(folder.path(), &["--version"]).starts_with("entire "));
 }
 
-/// A software device deals rows of workgroups to its threads: with any number of threads, each row is drawn once.
+/// A software device distributes rows of workgroups over its threads. With any number of threads, each row
+/// must be drawn once.
 #[test]
 fn pictures_do_not_depend_on_the_number_of_threads() {
     let folder = workshop();

@@ -222,12 +222,12 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     // Each task has three attempts: the journal records two of them as failed, and the third one gives the
     // task up.
     assert_eq!(journal(dir.path()).matches("\"failed\"").count(), 8);
-    // A dry run knows the database; it plans quarantined tasks if they are to be tried again.
+    // A dry run reads the database. It plans quarantined tasks only with --retry-quarantined.
     let said = succeeds(dir.path(), &words("farm job.toml --dry-run --slots 2"));
     assert!(said.contains("4 given up"), "{said}");
     let said = succeeds(dir.path(), &words("farm job.toml --dry-run --slots 2 --resume --retry-quarantined"));
     assert!(!said.contains("given up"), "{said}");
-    // After the repair, failed tasks are rendered; the others are not rendered again.
+    // After the repair, only the failed tasks are rendered.
     std::fs::write(dir.path().join("draw.sh"), script.replace("= 36", "= 999")).unwrap();
     let again = words("farm job.toml --slots 2 --resume --retry-quarantined --quiet");
     let said = succeeds(dir.path(), &again);
@@ -250,7 +250,7 @@ fn tasks_that_kill_their_worker_are_set_aside_and_the_others_are_rendered() {
 #[test]
 fn a_program_that_stays_is_asked_line_by_line_and_started_again() {
     // The program answers three tasks and ends: every fourth task is lost with it and goes to a new process.
-    // This does not count as a failed attempt.
+    // A lost task does not count as a failed attempt.
     let script = "n=0\nwhile read -r line; do\n\
                   n=$((n + 1)); [ $n -gt 3 ] && exit 1\n\
                   id=$(printf %s \"$line\" | sed 's/.*\"task\":\"\\([0-9a-f]*\\)\".*/\\1/')\n\
@@ -467,7 +467,7 @@ fn a_resumed_database_follows_the_settings() {
         ("name = \"db\"", "name = \"db\"\nfov_y_deg = 40.0", 4),
         // Names of volumes do not change the raycaster's pictures.
         ("name = \"run\"", "name = \"other\"", 0),
-        // Neither do the order of the files and their time steps.
+        // The order of the files and their time steps do not change the pictures either.
         ("files = [\"step*.nrrd\"]", "files = [\"step20.nrrd\", \"step10.nrrd\"]", 0),
         ("series = true\nname = \"run\"", "series = false", 0),
     ] {
@@ -532,7 +532,7 @@ fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
     render_picture(dir.path());
     std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"; echo more >> \"$1\"\n").unwrap();
     let output = entire(dir.path(), &words("farm job.toml --slots 1 --report r.html --quiet"));
-    // A report needs an image, but its lack does not replace the message on the tasks.
+    // A report needs an image. Without any image, the message is still the one on the tasks.
     assert!(stderr(&output).contains("4 tasks were given up"), "{}", stderr(&output));
     assert!(!dir.path().join("r.html").exists());
     assert!(journal(dir.path()).contains("changed while the farm was running"));

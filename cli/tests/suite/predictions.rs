@@ -1,7 +1,7 @@
 //! Predictions of shipped models for every committed table, and for a hundred thousand random inputs,
-//! ordinary and extreme. All predicted seconds are finite and positive. The networks' raw outputs are positive
-//! for every frame of the tables. For random inputs, no more of them than the known number are zero in single
-//! precision; the predictor replaces such outputs.
+//! ordinary and extreme. All predicted seconds are finite and positive. The networks' raw outputs are
+//! positive for every frame of the tables. For random inputs, the number of raw outputs that are zero in
+//! single precision is at most the known one; the predictor replaces such outputs.
 
 use crate::support::{files_in, model_of};
 use entire_core::kernels::Executor;
@@ -46,7 +46,8 @@ fn known(model: &str) -> (usize, usize) {
 #[test]
 fn no_more_predictions_than_are_known_had_to_be_made_positive() {
     const RANDOM: usize = 100_000;
-    /// Reach of inputs about the training range, in standard deviations of the training.
+    /// Largest distance of ordinary inputs from the training mean, in standard deviations of the training
+    /// frames' inputs.
     const ORDINARY: f32 = 3.0;
     let models = predicting_models();
     assert!(models.len() >= 6, "{} shipped models", models.len());
@@ -68,7 +69,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
             let Ok(rows) = layout.rows(&table, &refs, &pool, &ProgressBar::hidden()) else { continue };
             let predicted = predict_rows(model, &rows, layout.width()).unwrap();
             assert!(!predicted.iter().any(|s| invalid(*s)), "{name} on {}", path.display());
-            // The shortest time replaces outputs that are zero, negative or shorter.
+            // The shortest time replaces all outputs below it.
             let shortest = f64::from(*PREDICTED_SECONDS.start());
             *count += predicted.iter().filter(|s| **s <= shortest).count();
             frames += predicted.len();
@@ -90,7 +91,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
             Some(norm) => (norm, f32::NEG_INFINITY),
             None => (&counts, 0.0),
         };
-        // Inputs about the training range, inputs far outside of it, and inputs that no scene has.
+        // Inputs near the training range, inputs far outside of it, and inputs that no scene has.
         for (reach, rows) in [(ORDINARY, RANDOM / 2), (30.0, RANDOM / 4), (1e6, RANDOM / 4)] {
             let inputs: Vec<f32> = (0..rows)
                 .flat_map(|_| norm.mean.iter().zip(&norm.std))

@@ -109,7 +109,7 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
     }
 }
 
-/// Fits a factor of one epoch: the range of its inputs follows from the training frames alone.
+/// A single epoch is enough, since the range of a model's inputs depends on the training frames alone.
 #[test]
 fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();

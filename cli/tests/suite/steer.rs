@@ -84,7 +84,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
         chosen.len() > 1 && chosen.iter().all(|s| (1.0..=1.9).contains(&s.parse::<f32>().unwrap())),
         "{chosen:?}"
     );
-    // The log holds the drawn sizes, row by row.
+    // The timing table holds the drawn sizes, row by row.
     let table = std::fs::read_to_string(&log).unwrap();
     let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
     let width = columns.iter().position(|c| c.starts_with("width")).unwrap();
@@ -93,7 +93,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(widths.contains(&121) && widths.iter().any(|w| *w < 101), "{widths:?}");
     assert_eq!(widths, drawn);
     assert_eq!(widths.len(), 2 * 12);
-    // Its manifest says how the volume was read.
+    // The table's manifest states the options by which the volume was read.
     let manifest = json(&log.with_extension("manifest.json"));
     assert!(manifest["renderer"] == "cpu" && manifest["settings"]["reading"].is_object(), "{manifest}");
     assert!(manifest["files"].as_object().unwrap().contains_key("ball.nrrd"), "{manifest}");

@@ -28,9 +28,9 @@ fn text_of(data: &TempDir, name: &str) -> String {
     std::fs::read_to_string(data.path().join(name)).unwrap()
 }
 
-/// Returns a folder with a table, t.csv, of four members with two volumes each and `frames` frames per volume.
-/// A frame takes a fixed time plus a time per pixel that is inversely proportional to the camera distance; its
-/// two repeats are 1 % below and above that.
+/// Returns a folder with a table, t.csv, of four members with two volumes each and `frames` frames per
+/// volume. A frame takes a fixed time plus a time per pixel that is inversely proportional to the camera
+/// distance; its two repeats are 1 % below and above that time.
 fn data(frames: usize) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let mut writer = Writer::create(&folder.path().join("t.csv")).unwrap();

@@ -15,7 +15,8 @@ fn tables(names: &[&str]) -> Vec<Table> {
     names.iter().enumerate().map(read).collect()
 }
 
-/// Returns a model that `fit` makes of the frames of the first table, after its RMSE/SD on the second table.
+/// Fits a model to the frames of the first table by `fit`. Returns its RMSE/SD on the second table, and the
+/// model.
 fn error(
     tables: &[Table],
     clock: Clock,
@@ -69,7 +70,7 @@ fn the_longest_ray_decides_how_long_a_gpu_takes() {
     let tables = tables(&["none-h100-train", "none-h100-members"]);
     let fit = |context: &FitContext<'_>, frames: Timed<'_>| calibrate_to_frames(&[], context, frames);
     let (gpu, _) = error(&tables, Clock::Device, fit);
-    // In software, no cost is that of a single ray.
+    // A software renderer has no cost of the longest ray.
     let (software, _) = error(&drawn_by(&tables, "vulkan", "llvmpipe"), Clock::Device, fit);
     assert!(gpu < 0.35 && gpu < 0.6 * software, "{gpu}, {software} as if in software");
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 /// `values` in fixtures/make_volumes.py.
 fn expected(kind: &str) -> VolumeData {
     match kind {
-        // 256 / 385, rounded down, is the difference of neighboring voxels.
+        // Neighboring voxels differ by 256 / 385, rounded down: by 0.
         "uint8" => VolumeData::U8(vec![0; 385]),
         "int16" => VolumeData::I16((0..385).map(|i| (i * (65_536 / 385) - 32_768) as i16).collect()),
         "float64" => VolumeData::F32((0..385).map(|i| (i as f32 - 192.0) / 8.0).collect()),

@@ -18,7 +18,8 @@ const STEPS: [f32; 5] = [1.0, 1.41, 2.0, 2.83, 4.0];
 /// Image sample distances at which every scene is drawn, pixels between rays along each side.
 const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0736];
 
-/// Time of drawing a scene twice at every step and distance, as a multiple of its time at full quality.
+/// Time of drawing a scene twice at every pair of step and distance, as a multiple of its time at full
+/// quality.
 const GRID: f64 = 14.0;
 
 /// Number of scenes that must fit in the remaining time: a scene that would take more than 1 / `SCENES` of

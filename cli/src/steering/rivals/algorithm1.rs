@@ -7,7 +7,7 @@ fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decis
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }
 }
 
-/// A step that follows from earlier frames alone.
+/// Returns the decision for a step that depends on earlier frames alone.
 pub(super) fn reactive(step: f32) -> Decision {
     decision(step, f32::NAN, f32::NAN, Reason::Reactive)
 }

@@ -55,9 +55,10 @@ impl Controller for VtkGpu {
     }
 }
 
-/// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), 1…10, from
-/// the last frame alone; full time is the last frame's time multiplied by its squared image sample distance.
-/// The first frame is drawn at half the largest distance. s is the squared distance.
+/// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), limited to
+/// 1…10. The full time is the last frame's time multiplied by its squared image sample distance; the
+/// allocated time is the target. The first frame is drawn at half the largest distance. s is the squared
+/// distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VtkFixedPoint {
     distance: f32,
@@ -136,11 +137,11 @@ const WINDOW: usize = 16;
 
 /// The dynamic-resolution heuristic of Unreal Engine. Let f be the present fraction of each image side; s is
 /// 1 / f². Each past frame suggests its own fraction times √(0.9 target / its time). The new fraction is the
-/// mean of these suggestions, with weight 0.9ⁿ for a frame that is n frames old, and at most 1. Only 0.9 of an
-/// increase is applied. The fraction changes by at least 2 % and at most every 8 frames. (In version 4 of the
-/// engine, the threshold of 2 % is for increases only.) After two frames in a row over the target, or if the
-/// only frame of the history is over it, the rule takes the mean of their suggestions at once, without a
-/// threshold, and drops the history. The caller's limits keep f in 0.5…1.
+/// mean of these suggestions, with weight 0.9ⁿ for a frame that is n frames old, and at most 1. Only 0.9 of
+/// an increase is applied. The fraction changes by at least 2 % and at most once in 8 frames. (In version 4
+/// of the engine, the threshold of 2 % is for increases only.) After two frames in a row over the target, or
+/// if the only frame of the history is over it, the rule takes the mean of their suggestions at once, without
+/// a threshold, and drops the history. The caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unreal {
     side: f32,

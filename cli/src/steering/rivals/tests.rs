@@ -73,7 +73,7 @@ fn close(a: f32, b: f32) -> bool {
     (a / b - 1.0).abs() < 1e-3
 }
 
-/// After two slow frames the rule wants step 5, the third frame is drawn at the limit, step 4.
+/// After two slow frames the rule wants step 5, but the third frame is drawn at the limit, step 4.
 #[test]
 fn the_rule_of_vtks_gpu_mapper_counts_with_the_step_that_was_drawn() {
     assert_eq!(after(ControllerKind::VtkGpu, 4.0, &[10.0, 10.0, 0.03]), 2.0);
@@ -110,7 +110,7 @@ fn the_heuristic_of_unreal_has_its_published_constants() {
 
 #[test]
 fn the_integral_of_filament_is_limited_to_a_fifth() {
-    // With the limit of 0.2, about 150 fast frames outweigh the slow ones.
+    // The integral is limited to 0.2, so about 150 fast frames outweigh the slow ones.
     let times = [&[2.0f32; 60][..], &[0.001; 200]].concat();
     assert_eq!(after(ControllerKind::Filament, 1e5, &times), 1.0);
 }
