@@ -100,7 +100,7 @@ pub fn ensure_not_input<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Pat
 }
 
 /// Checks that an output is none of the files with the names `own`, which the command writes into `folder`.
-/// The folder of the output exists.
+/// The folder of the output must exist.
 ///
 /// # Errors
 /// When the output is one of these files; the error names it.

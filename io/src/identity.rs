@@ -190,7 +190,7 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,
-    /// The same names, to find a name fast.
+    /// The set of `names`, to find a name fast.
     known: RefCell<HashSet<String>>,
 }
 

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 /// The shortest prediction, seconds; it replaces smaller predictions and NaN.
 pub const SHORTEST: f64 = 1e-6;
 
-/// The prediction, or [`SHORTEST`] in place of a smaller one and of NaN.
+/// Returns the prediction; [`SHORTEST`] if the prediction is smaller or NaN.
 pub fn usable(predicted: f64) -> f64 {
     if predicted > SHORTEST { predicted } else { SHORTEST }
 }

@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 /// Distribution of random scenes. All draws are independent.
 ///
 /// * Distance of the eye: one of `radii` (bounding-sphere radii), each equally likely.
-/// * Direction of the eye: uniform over the area of the upper hemisphere. R_y uniform in [−180°, 180°), sin
-///   R_x uniform in [0, 1).
+/// * Direction of the eye: uniform over the area of the upper hemisphere. The azimuth is uniform in
+///   [−180°, 180°), the sine of the elevation in [0, 1).
 /// * Image size: sides log-uniform in `[min_size, max_size]`; half of the images are square.
 /// * Lobes: a number uniform in `lobes`; center uniform in [0, 1); width w log-uniform in [0.0005, 0.05]
-///   (falls to 1/e within 0.022 to 0.22); height log-uniform in [0.005, 1].
+///   (at a distance of √w, 0.022 to 0.22, a lobe has fallen to 1/e); height log-uniform in [0.005, 1].
 /// * Ray step: one of `steps` (reference steps), each equally likely.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct SceneDistribution {

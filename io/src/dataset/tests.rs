@@ -57,7 +57,8 @@ fn a_written_table_reads_back_bit_for_bit() {
     assert_eq!(table.frames[1].seconds(Clock::Auto), Some(1e-7));
     assert!(writer.append(9, &bare, &[lone]).unwrap_err().to_string().contains("already"));
     assert!(Writer::create(&path).unwrap_err().to_string().contains("resume"));
-    // A compressed table of the same name would share its manifest, and tables are written without compression.
+    // A table and a compressed table of the same name would share one manifest. Tables are written without
+    // compression.
     let (packed, other) = (path.with_extension("csv.gz"), path.with_file_name("other.csv"));
     assert!(Writer::create(&packed).unwrap_err().to_string().contains("leave .gz out"));
     std::fs::write(other.with_extension("csv.gz"), "").unwrap();

@@ -161,7 +161,7 @@ pub struct Timed<'a> {
     pub seconds: &'a [f64],
 }
 
-/// Returns the frames of all tables with the requested shading; all frames if it is `None`.
+/// Returns the frames with the requested shading, of all tables; all frames if `shading` is `None`.
 pub fn shaded(tables: &[Table], shading: Option<Shading>) -> impl Iterator<Item = &TimedFrame> + Clone {
     tables.iter().flat_map(|t| &t.frames).filter(move |f| shading.is_none_or(|s| f.scene.shading == s))
 }

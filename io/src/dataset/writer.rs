@@ -32,7 +32,8 @@ fn check_name(path: &Path) -> Result<()> {
 const BUSY: &str = "another process writes this table; wait until it has ended, or choose another name";
 
 /// Appends frames to a timing table. Each frame is written in one piece and flushed to disk, so that a crash
-/// loses at most the current frame. The table is locked meanwhile: two writers would mix their rows.
+/// loses at most the current frame. The table is locked as long as the writer exists, since two writers would
+/// mix their rows.
 #[derive(Debug)]
 pub struct Writer {
     file: File,

@@ -36,7 +36,8 @@ impl Reading {
         match self.range {
             Range::Given(low, high) => Some((low, high)),
             Range::Data => Some(view.own_range()),
-            // Fill values are hidden already: the view's default range would look for them once more.
+            // Fill values are hidden already, but the view's default range would look for fill values once
+            // more.
             Range::Default => (!bytes).then(|| view.own_range()),
         }
     }

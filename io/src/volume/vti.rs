@@ -94,7 +94,7 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     // Pieces share the points of their borders; each voxel comes from at least one of them.
     let dims = checked_dims(sizes(file.extent, cells)?)?;
     // Upper bound of the voxels' bytes: the bytes of the whole file, decompressed. If many pieces refer to
-    // the same data, they exceed this bound and the file is refused.
+    // the same data, their voxels exceed this bound and the file is refused.
     let growth = match file.compressor {
         Compressor::None => 8,
         Compressor::Zlib => 1032,
