@@ -90,7 +90,7 @@ struct App {
     last_change: Instant,
     last_paint: Instant,
     repaint_at: Option<Instant>,
-    /// Time of the request for the present volume, until its first frame is drawn.
+    /// Time of the request for the present volume; `None` once its first frame is drawn.
     asked: Option<Instant>,
     swapped: Instant,
     /// Shading and skipping modes whose shaders are compiled.
@@ -292,7 +292,7 @@ impl App {
     }
 
     /// Handles an error: reopens a lost device, shows other errors. Closes the window if the device cannot be
-    /// reopened, or if another error occurs while a script plays or before the window can show pictures.
+    /// reopened, or if any other error occurs while a script plays or before the window can show pictures.
     fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
         let Err(error) = result else { return };
         let is_lost = self.is_lost();

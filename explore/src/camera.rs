@@ -248,7 +248,7 @@ mod tests {
         let view = Viewpoint { rx: 25.0, ry: 130.0, distance: 2.5, ..Default::default() };
         let arcball = Camera::from_arcball(Arcball { rx: 25.0, ry: 130.0, dz: 2.5 }).unwrap();
         assert_eq!(view.camera(Placement::WHOLE).unwrap(), arcball);
-        // A panned view is computed by another path and agrees up to rounding.
+        // The camera of a panned view is computed by other formulas and agrees up to rounding.
         let panned = Viewpoint { target: Vec3::splat(1e-9), ..view };
         close(panned.camera(Placement::WHOLE).unwrap().view(), arcball.view());
     }

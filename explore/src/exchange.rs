@@ -192,8 +192,8 @@ mod tests {
     use crate::histogram::Histogram;
     use crate::transfer::PRESETS;
 
-    /// Largest difference between opacities of one bent segment that is replaced by linear pieces of two
-    /// lengths.
+    /// Largest difference between the opacities of a bent segment after two replacements by linear pieces of
+    /// different lengths.
     const BEND_ERROR: f32 = 0.01;
 
     #[test]

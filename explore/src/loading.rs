@@ -31,7 +31,7 @@ pub(crate) struct Job {
     pub(crate) opened: bool,
     /// The volume, if it is in memory.
     pub(crate) source: Option<Arc<dyn VolumeSource>>,
-    /// Range of values that maps to [0, 1], if it is not the file's; `source` already has it.
+    /// Range of values that maps to [0, 1]; `None` for the file's range. `source` already has this range.
     pub(crate) range: Option<(f32, f32)>,
     pub(crate) crop: Option<Crop>,
     /// The initial transfer function; by default a preset for the volume.
@@ -53,7 +53,6 @@ pub(crate) struct Loaded {
 /// The stages of a load, for display.
 const STAGES: [&str; 4] = ["reading", "summarizing", "uploading to the device", "first picture"];
 
-/// A running load.
 pub(crate) struct Loading {
     pub(crate) job: Job,
     /// Time of the request.

@@ -19,7 +19,7 @@ pub(crate) struct Scene {
     /// Index in a time series.
     pub(crate) index: usize,
     pub(crate) whole: Arc<dyn VolumeSource>,
-    /// Range of values that maps to [0, 1], if it is not the file's.
+    /// Range of values that maps to [0, 1]; `None` for the file's range.
     pub(crate) range: Option<(f32, f32)>,
     pub(crate) crop: Option<Crop>,
     pub(crate) placement: Placement,

@@ -82,7 +82,6 @@ pub(crate) struct Shot {
     pub(crate) size: [u32; 2],
 }
 
-/// Events in order.
 #[derive(Debug, Default)]
 pub(crate) struct Script {
     events: VecDeque<(u64, Action)>,
@@ -91,7 +90,6 @@ pub(crate) struct Script {
 }
 
 impl Script {
-    /// Reads a script.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         Self::parse(&read_text(path, "a script")?).with_context(|| path.display().to_string())
     }

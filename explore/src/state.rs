@@ -97,7 +97,6 @@ pub(crate) struct Texts {
     pub(crate) recording: String,
 }
 
-/// The interface's state.
 pub(crate) struct State {
     pub(crate) steer: Steer,
     pub(crate) view: Viewpoint,

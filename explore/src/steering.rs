@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// Number of frames in the graph.
 pub(crate) const REMEMBERED: usize = 300;
 
-/// Number of recent frames from which the time of a frame besides ray casting is estimated.
+/// Number of recent frames from which a frame's time for work other than ray casting is estimated.
 const OTHER_WORK: usize = 15;
 
 /// Smallest share of the target that is planned for ray casting, however long the other work takes.

@@ -43,7 +43,8 @@ pub(crate) struct Presented {
     pub(crate) display: f64,
     /// Seconds of drawing and presenting the interface, until the device has finished.
     pub(crate) device: f64,
-    /// Processor seconds of this thread in the call that presents the image; software drivers copy it there.
+    /// Processor seconds of this thread in the call that presents the image. Software drivers copy the image
+    /// in this call.
     pub(crate) handing: f64,
 }
 
