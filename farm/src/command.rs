@@ -76,7 +76,8 @@ pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// A command whose process leads a process group, which [`kill`] ends and which Ctrl-C does not reach.
+/// Returns a command whose process leads its own process group. [`kill`] ends this group; Ctrl-C does not
+/// reach it.
 pub(crate) fn leader(program: impl AsRef<OsStr>) -> Command {
     let mut command = Command::new(program);
     #[cfg(unix)]
@@ -101,7 +102,7 @@ pub(crate) fn kill(child: &mut Child) {
 pub(crate) fn wait_for_end(pid: &str) {
     let ended = (0..1000).any(|_| {
         std::thread::sleep(std::time::Duration::from_millis(10));
-        // The state of a process that has ended and whose parent has not asked for its status is Z.
+        // `Z` is the state of a process that has ended, but whose status its parent has not read.
         !std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).is_ok_and(|text| !text.contains(") Z"))
     });
     assert!(ended, "process {pid} still runs");

@@ -26,7 +26,8 @@ pub struct Options {
     pub preview: bool,
     /// Order in which tasks are sent.
     pub order: crate::dispatch::Order,
-    /// True to treat all tasks as equally long in the whole run, for comparison.
+    /// True to treat all tasks as equally long in the whole run, for a comparison with runs that predict
+    /// times.
     pub uniform: bool,
     /// Initial estimate of a bundle's overhead, seconds.
     pub overhead: f64,
@@ -37,7 +38,8 @@ pub struct Database<'a> {
     pub(super) job: &'a Job,
     pub(super) journal: Journal,
     numbers: HashMap<u64, u32>,
-    /// Results of finished tasks. The measured time replaces an expected time that is unknown.
+    /// Results of finished tasks. If no expected time of a task is known, its measured time is stored as the
+    /// expected time.
     pub(super) done: HashMap<u32, Answer>,
     pub(super) quarantined: HashMap<u32, String>,
     pub(super) run: u64,
@@ -75,7 +77,8 @@ impl<'a> Database<'a> {
                 Entry::Done { answer, .. } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
-                        // A task whose picture was missing has been rendered again: its last entry counts.
+                        // A task has several entries if it was rendered again because its picture was
+                        // missing: the last one counts.
                         done.insert(task, answer);
                     } else {
                         gone.extend(parse_id(&answer.task));
@@ -94,7 +97,7 @@ impl<'a> Database<'a> {
             job.output.display()
         );
         let run = run_number(&state).unwrap_or(0) + 1;
-        // Workers with a bundle of the previous run find the new number before their next task, and end.
+        // Before each task, a worker reads this number. Workers with a bundle of the previous run then end.
         write_whole(&state.join("run"), run.to_string().as_bytes())?;
         let renderer = serde_json::to_vec(&job.renderer)?;
         write_whole(&state.join("renderer.json"), &renderer)?;
@@ -272,7 +275,8 @@ impl<'a> Database<'a> {
     }
 }
 
-/// Finished tasks of a job's journal whose pictures exist, with their seconds; with `None`, those given up.
+/// Returns the tasks that have ended: finished tasks in the job's journal whose pictures exist, with their
+/// seconds; given-up tasks, with `None`.
 ///
 /// # Errors
 /// When the journal cannot be read.

@@ -1,5 +1,5 @@
 //! Choice of the next bundle when a node requests work (late binding): the longest tasks are sent first. If
-//! loading is expensive, a node keeps its loaded volume while this shortens the run.
+//! loading is expensive, a node keeps its loaded volume as long as this choice shortens the run.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -64,7 +64,8 @@ pub(crate) struct Dispatcher {
     holders: Vec<u32>,
     /// The key of each volume's next task, and the volume.
     heap: BinaryHeap<(Time, Reverse<usize>)>,
-    /// True for each volume with an entry in the heap, whose seconds are checked when it is taken.
+    /// True for each volume that has an entry in the heap. An entry may be outdated: it is checked when it is
+    /// taken.
     listed: Vec<bool>,
     pending: usize,
     asked: u32,
@@ -149,7 +150,7 @@ impl Dispatcher {
         let place = lane.partition_point(|t| self.key(*t) <= key);
         lane.insert(place, task);
         self.lanes[v] = lane;
-        // The task may be longer than its volume's entry in the heap, so a new entry is made.
+        // The task may be longer than the task in its volume's heap entry, so a new entry is made.
         self.listed[v] = false;
         self.push_front(v);
     }
@@ -237,7 +238,7 @@ impl Dispatcher {
         Some(task)
     }
 
-    /// Records that a node has replaced its loaded volume by another.
+    /// Records that a node holds volume `after` instead of `before`; `None` stands for no volume.
     pub(crate) fn hold(&mut self, before: Option<usize>, after: Option<usize>) {
         if let Some(v) = before {
             self.holders[v] = self.holders[v].saturating_sub(1);
@@ -248,7 +249,7 @@ impl Dispatcher {
     }
 
     /// Returns the next bundle for a node; `None` if no task waits, or if the other nodes would finish the
-    /// waiting tasks before this node has loaded their volume.
+    /// chosen volume before this node has loaded it.
     pub(crate) fn next(&mut self, ask: &Ask<'_>) -> Option<Vec<u32>> {
         if self.pending == 0 {
             return None;
@@ -337,7 +338,7 @@ impl Dispatcher {
     fn choose(&self, ask: &Ask<'_>, share: f64) -> Option<usize> {
         let held = ask.held.filter(|v| self.counts[*v] > 0);
         let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && held != Some(*v));
-        // Work of a volume per node, if one more node takes part.
+        // Work of a volume per node, if this node joins the nodes that hold the volume.
         let per_node = |v: usize| self.work[v] / f64::from(self.holders[v] + 1);
         let best = open.max_by(|a, b| {
             let alone = |v: &usize| self.holders[*v] == 0;
@@ -346,7 +347,8 @@ impl Dispatcher {
         let Some(held) = held else {
             let v = best?;
             let load = (ask.load)(v);
-            // Work that is left once this node has loaded the volume, since the other nodes work meanwhile.
+            // Work that is left once this node has loaded the volume; the nodes that hold the volume work
+            // meanwhile.
             let left = self.work[v] - f64::from(self.holders[v]) * load;
             let shortest = *self.lanes[v].iter().find(|task| self.waits[**task as usize])?;
             let shortest = f64::from(self.seconds[shortest as usize]);

@@ -60,9 +60,9 @@ pub fn queue(planner: &mut Planner, job: &Job, preview: bool) {
     planner.add_stage(rest);
 }
 
-/// Returns a number of bytes; if the disk has room for them, a failure is not due to a full disk. It is the
-/// largest of 256 KiB, the bytes of an uncompressed image of this size, and twice the bytes of the largest
-/// image so far, since the worker copies a program's image.
+/// Returns a number of bytes. If the disk has room for so many, a task's failure is not blamed on a full
+/// disk. The number is the largest of 256 KiB, the bytes of an uncompressed image of this size, and twice the
+/// bytes of the largest image so far (the worker copies a program's image).
 fn probe_bytes(largest: u64, [width, height]: [u32; 2]) -> u64 {
     let raw = 4u64.saturating_mul(width.into()).saturating_mul(height.into());
     (1u64 << 18).max(largest.saturating_mul(2)).max(raw)
@@ -78,7 +78,8 @@ struct Drive<'a, 'b> {
     losses: HashMap<u32, u32>,
     /// The task that each bundle's worker has begun last.
     at: HashMap<u64, u32>,
-    /// Number of bundles, since the last line of a worker, that were lost before a worker began a task.
+    /// Number of bundles that were lost before any of their tasks began, counted since the last line of a
+    /// worker.
     stillborn: usize,
     busy: f64,
     over: usize,
@@ -189,7 +190,8 @@ impl Drive<'_, '_> {
             );
             self.take()?;
             let reordered = self.planner.refresh();
-            // Bundles are sent before the flush: slots do not wait; until then the spool has the results.
+            // Bundles are sent before the flush, so that slots do not wait for it. Until the flush, the spool
+            // has the results.
             while self.send()? {}
             let flushed = self.flush();
             self.unless_full(flushed)?;
@@ -273,7 +275,8 @@ impl Drive<'_, '_> {
         })
     }
 
-    /// Flushes the journal to the disk; then removes the files of ended bundles, whose results it has.
+    /// Flushes the journal to the disk. Then removes the files of ended bundles, since the journal has their
+    /// results.
     fn flush(&mut self) -> Result<()> {
         self.database.journal.flush()?;
         let state = self.database.job.state();
@@ -285,7 +288,8 @@ impl Drive<'_, '_> {
         format!("{:016x}", self.database.job.id(task as usize))
     }
 
-    /// Records that the disk is full if an error says so, which ends the run. Returns any other error.
+    /// Returns the result, except an error that says that the disk is full: this is recorded, and the run
+    /// then ends.
     fn unless_full(&mut self, result: Result<()>) -> Result<()> {
         match result {
             Err(error) if says_full(&error) => {
@@ -300,7 +304,8 @@ impl Drive<'_, '_> {
         self.full.get_or_insert(format!("the disk of {} is full", self.database.job.output.display()));
     }
 
-    /// Sends bundles to free slots, unless the disk is full. True if slots are free: all were quarantined.
+    /// Sends bundles to free slots, unless the disk is full. Returns true if every bundle was quarantined
+    /// instead of sent, so that slots are still free.
     fn send(&mut self) -> Result<bool> {
         if self.full.is_some() {
             return Ok(false);
@@ -330,7 +335,8 @@ impl Drive<'_, '_> {
                 upper_s = self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead;
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
-            // No task is given up for an assumed time: the engine ends a bundle at its limit.
+            // A task is not given up if its expected time is only assumed: the engine ends its bundle at the
+            // limit.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
                 // Only tasks that are expected to keep to the limit are bundled, so this bundle has one task.
                 let why = format!(
@@ -512,7 +518,8 @@ impl Drive<'_, '_> {
         Ok(())
     }
 
-    /// If bundles are not bound to slots, measures their overhead: idle seconds of slots / ended bundles.
+    /// Measures the overhead of bundles that are not bound to slots: idle seconds of slots / number of ended
+    /// bundles. [`Planner::ended`] measures the overhead of bound bundles.
     fn measure_overhead(&mut self, now: f64) {
         let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
         if self.planner.pending() == 0 {

@@ -157,7 +157,8 @@ fn a_plan_for_another_farm_has_no_task_that_was_given_up() {
     let setting = Setting { slots: 1, bound: true, overhead: 0.01, limit: None, order, learn: true };
     let plan = database.plan(predict::base(&job).unwrap(), setting);
     assert!((0..2).all(|task| plan.state(task) != State::Idle));
-    // A dry run reads the journal. The fake engine writes no picture, so the other task is rendered again.
+    // A dry run reads the journal. The fake engine writes no picture, so the task that it finished counts as
+    // not done.
     let ended = crate::database::ended(&job).unwrap();
     assert_eq!(ended.keys().collect::<Vec<_>>(), database.quarantined.keys().collect::<Vec<_>>());
     let plan = |_: usize| {

@@ -8,7 +8,8 @@ use rayon::prelude::*;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Maximum number of tasks with drawn times for the expected end; of more tasks, an even sample is drawn.
+/// Maximum number of tasks whose times are drawn for the expected end. If there are more tasks, every n-th
+/// one is drawn.
 const DRAWN: usize = 4096;
 const DRAWS: usize = 400;
 /// Minimum effective number of weighted draws.
@@ -32,7 +33,8 @@ impl Planner {
     /// the model is weighted by the probability that all running tasks still run. Otherwise the estimate
     /// would rely on finished tasks only, and tasks that finish first tend to be short.
     pub fn eta(&self, now: f64) -> [f64; 3] {
-        // Tasks measured since the last fit tend to be long; without them, the end would be too early.
+        // Tasks that were measured since the last fit tend to be long; without them, the predicted end would
+        // be too early.
         if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
             let mut copy = self.clone();
             copy.learner.refit();

@@ -274,7 +274,8 @@ impl Job {
         volume * each..(volume + 1) * each
     }
 
-    /// Computes the task ids of a volume from earlier identities `then`, keyed by [`Job::shown`].
+    /// Returns a function that computes the task ids of a volume from the earlier identities of its files,
+    /// `then`, which are keyed by [`Job::shown`].
     pub(crate) fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
         let mut volumes = self.volumes.clone();
         for (i, volume) in volumes.iter_mut().enumerate() {
@@ -342,7 +343,8 @@ fn volume_hashes(volumes: &[VolumeFile], renderer: &Renderer) -> Vec<u64> {
     volumes.iter().map(text).map(number).collect()
 }
 
-/// The settings of a renderer that affect pictures; of a script, name and content, not its folder.
+/// Returns the settings of a renderer that affect pictures. Name and content of a script are included, its
+/// folder is not.
 fn settings(renderer: &Renderer) -> Result<String> {
     let mut renderer = renderer.clone();
     let mut script_key = String::new();

@@ -202,7 +202,8 @@ pub struct Predict {
     /// A task list with `task` (an id) and `predicted_s`.
     pub list: Option<PathBuf>,
     /// True if the analytic model predicts the times, unless a model or list is given. Default: true for the
-    /// project's raycaster. If false, pixels / step counts until tasks have been measured.
+    /// project's raycaster, false for other renderers. If false, expected times are proportional to pixels /
+    /// step until tasks have been measured.
     pub analytic: Option<bool>,
     /// Number of rays along each side of the analytic model's probe.
     pub probe_side: Option<usize>,

@@ -30,7 +30,8 @@ pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
 const PRIOR_TRANSFER: f64 = 0.3;
 /// Maximum number of transfer functions; with more of them, none has a coefficient.
 const MAX_TRANSFERS: usize = 64;
-/// Prior standard deviation of residual and volume effects, ln seconds; weight as a number of observations.
+/// Prior standard deviation of the residuals and of the volume effects, ln seconds; weight of this prior, as
+/// a number of observations.
 const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
 /// Prior standard deviation of the volume effects when a model or a list is given: the largest value of a
 /// shipped model on held-out volumes. `entire evaluate` gave 0.03 to 0.07 on the tables local-timestep,
@@ -256,7 +257,8 @@ impl Learner {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
     }
 
-    /// Divisor of a residual's standard deviation: above 1 for long tasks; 1 without a model or list.
+    /// Divisor of the standard deviation of a task's residual: above 1 for tasks longer than the mean, below
+    /// 1 for shorter ones; 1 for all without a model or list.
     fn calm(&self, task: usize) -> f64 {
         if !self.shape.has_model() {
             return 1.0;
@@ -523,7 +525,7 @@ impl Learner {
         Draw { beta, effects, drift: self.drift * normal(rng) }
     }
 
-    /// Seconds of a task in a draw, with its own error.
+    /// Seconds of a task in a draw, with a random error of the task.
     pub(crate) fn drawn_seconds(&self, draw: &Draw, task: usize, rng: &mut ChaCha8Rng) -> f64 {
         let calm = self.calm(task);
         let error = if self.residuals.len() >= 50 {

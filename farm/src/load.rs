@@ -37,7 +37,8 @@ impl Loads {
         let slot = &mut self.seen[volume][kind];
         slot.0 += seconds;
         slot.1 += 1;
-        // Weighted least squares on mean times; only a slope for equal sizes or a negative parameter.
+        // Weighted least squares on mean times. If all sizes are equal, or a parameter would be negative,
+        // only a slope is fitted.
         let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (bytes, seen) in self.bytes.iter().zip(&self.seen) {
             let (sum, count) = (seen[kind].0, f64::from(seen[kind].1));

@@ -9,8 +9,9 @@ use std::collections::{BTreeMap, HashSet, VecDeque};
 mod eta;
 pub(crate) use eta::queue_end;
 
-/// Share of finished tasks up to which some requests are answered with a task that is chosen so that the
-/// model of times learns about every volume, and the interval of these answers in requests.
+/// While less than this share of the tasks is finished, some requests are answered with a task that is chosen
+/// so that the model of times learns about every volume. Second number: interval of these answers, in
+/// requests.
 const EXPLORED: (f64, u32) = (0.1, 4);
 
 /// State of a task.

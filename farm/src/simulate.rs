@@ -46,7 +46,8 @@ pub struct Outcome {
     pub loads: usize,
     /// Number of bundles that were lost.
     pub lost: usize,
-    /// Estimates of the end at each share of `ask_at` of [`simulate`]: quantiles 0.05, 0.5, 0.95, seconds.
+    /// Estimate of the end at each share of the argument `ask_at` of [`simulate`]: quantiles 0.05, 0.5, 0.95,
+    /// seconds.
     pub said: Vec<[f64; 3]>,
 }
 

@@ -107,8 +107,8 @@ fn slow_nodes_are_learned_and_get_less() {
 
 #[test]
 fn the_end_is_foretold() {
-    // Base times have errors that are common to all tasks, to a volume or to a task. After a tenth of the
-    // work, the 90 % interval must contain the end in at least 15 of 20 runs.
+    // Base times have errors of three kinds: common to all tasks, common to a volume's tasks, and of single
+    // tasks. After a tenth of the work, the 90 % interval must contain the end in at least 15 of 20 runs.
     let (mut hits, mut errors) = (0, Vec::new());
     for seed in 0..20u64 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

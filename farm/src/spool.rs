@@ -13,7 +13,8 @@ pub(crate) fn path(state: &Path, bundle: u64) -> PathBuf {
     state.join("spool").join(format!("{bundle}.jsonl"))
 }
 
-/// Returns the complete lines of a spool file, none without a file; skips partial lines of a killed worker.
+/// Returns the complete lines of a spool file; no lines if there is no file. Skips lines that a killed worker
+/// left incomplete.
 pub(crate) fn lines(path: &Path) -> Result<Vec<Line>> {
     Follow::default().read(path)
 }

@@ -383,7 +383,8 @@ mod tests {
         let picture = dir.path().join("picture.png");
         let png = encode_png(&Image { width: 1, height: 1, rgba: vec![9; 4] }).unwrap();
         std::fs::write(&picture, png).unwrap();
-        // The program answers one task and ends a second after it has got the next, which a new process gets.
+        // The program answers the first task, and ends one second after it has read the second. A new process
+        // gets the second.
         let script = r#"read -r line; out=${line##*\"out\":\"}; out=${out%%\"*}; cp "$0" "$out"
             echo '{"task": "7", "seconds": 0.01}'; read -r line; sleep 1; exit 1"#;
         let command = ["sh", "-c", script, picture.to_str().unwrap()].map(str::to_owned).to_vec();

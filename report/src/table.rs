@@ -136,8 +136,8 @@ impl Table {
     }
 }
 
-/// Returns the table of each predictor's median of predicted / measured − 1, in %, in each tenth of the frames, the
-/// fastest first.
+/// Returns a table of each predictor's median of predicted / measured − 1, in %, for each tenth of the
+/// frames, from the fastest to the slowest tenth.
 pub fn bias_table(predictors: &[(&str, &Metrics)]) -> Table {
     let deciles = predictors.iter().map(|(_, m)| m.bias_by_decile.len()).max().unwrap_or(0);
     let columns: String = (1..=deciles).map(|d| format!(" | #tenth {d}")).collect();

@@ -70,7 +70,7 @@ impl HyperQueue {
     /// Initial estimate of a bundle's overhead, seconds: start of a process, opening of a device.
     pub const OVERHEAD: f64 = 0.05;
 
-    /// Starts the script. The script starts a server with workers, or connects to the given server.
+    /// Starts the driver script, which starts a server with workers, or connects to the given server.
     ///
     /// # Errors
     /// When HyperQueue is not installed (the message says how to install it), or does not start.

@@ -12,7 +12,7 @@ use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::time::{Duration, Instant};
 
-/// A line of a slot's process, with the number of the process; `None` at the end of its output.
+/// Slot, number of the slot's process, and a line of this process; `None` at the end of its output.
 type Said = (usize, u64, Option<String>);
 
 /// The engine.

@@ -45,7 +45,8 @@ impl Bundle {
 pub enum Event {
     /// A line that a worker wrote: the number of its bundle, and the line.
     Line(u64, Line),
-    /// A bundle was lost with its worker, or refused: its number, and the reason (none: no failure).
+    /// A bundle was lost with its worker, or refused: its number, and the reason (empty if this is no
+    /// failure).
     Lost(u64, String),
     /// A slot has a new worker, which holds no volume.
     Fresh(usize),
@@ -78,8 +79,8 @@ pub trait Engine {
     /// # Errors
     /// When a bundle cannot be written.
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()>;
-    /// Changes the order of waiting bundles, the most urgent first. By default it does nothing: the queues of
-    /// engines that cannot reorder are kept short instead.
+    /// Changes the order of waiting bundles, the most urgent first. The default implementation does nothing;
+    /// the queues of engines that cannot reorder are kept short instead.
     ///
     /// # Errors
     /// When the engine refuses to change the order.
@@ -126,7 +127,8 @@ impl Places {
         self.command(&utf8(self.state.as_os_str())?, &bundle.to_string())
     }
 
-    /// As [`Places::worker`], with `state` and `bundle` (for example variables) for state folder and number.
+    /// Returns the command line of a bundle's worker. `state` and `bundle`: texts for the state folder and
+    /// the bundle's number, for example variables of a template.
     pub(crate) fn command(&self, state: &str, bundle: &str) -> Result<Vec<String>> {
         let mut line = self.program.iter().map(|word| utf8(word)).collect::<Result<Vec<_>>>()?;
         line.extend(["farm-worker", state, "--bundle", bundle].map(String::from));

@@ -42,7 +42,8 @@ pub struct Slurm {
     spool: Spool,
     /// Job of each bundle that was sent and has not ended.
     open: BTreeMap<u64, Job>,
-    /// Bundles without a job since the last query, each with the reason; empty if sbatch was not asked.
+    /// Bundles for which sbatch made no job since the last query, each with the reason; empty if sbatch was
+    /// not called.
     refused: Vec<(u64, String)>,
     looked: Option<Instant>,
     /// Time of the first query without an answer since the last answer.
@@ -96,7 +97,8 @@ fn ask(program: &str, arguments: &[impl AsRef<OsStr>], input: Option<&str>) -> R
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Seconds of a limit of sinfo, `days-hours:minutes:seconds` or fewer of these; `None` for no limit.
+/// Returns the seconds of a limit that sinfo prints as `days-hours:minutes:seconds`, perhaps without the
+/// first parts; `None` for no limit.
 fn parse_limit(text: &str) -> Option<f64> {
     let (days, rest) = text.split_once('-').map_or((0.0, text), |(d, r)| (d.parse().unwrap_or(0.0), r));
     let parts: Vec<f64> = rest.split(':').map(str::parse).collect::<std::result::Result<_, _>>().ok()?;
@@ -418,7 +420,7 @@ mod tests {
         assert!(spool.exists() && crate::spool::lines(&spool).unwrap().is_empty());
         let lost = engine.poll(Duration::ZERO).unwrap();
         assert!(matches!(lost[..], [Event::Lost(1, _), Event::Lost(2, _)]), "{lost:?}");
-        // The next loss comes after the next query, so that a short failure does not end the run.
+        // Until the next query, no further bundle is lost, so a short failure does not end the run.
         engine.submit(&[bundle(3)]).unwrap();
         assert!(engine.poll(Duration::ZERO).unwrap().is_empty());
     }

@@ -16,7 +16,7 @@ struct Change {
 }
 
 /// In each round, moves a task from the node that ends last to another node, or exchanges two tasks of these
-/// nodes: the change that makes the longer load of the two nodes shortest. Stops when no change helps, or
+/// nodes: the change after which the later of the two nodes' ends is earliest. Stops when no change helps, or
 /// after 40 rounds per node. The makespan for `times` never grows. A round takes O(tasks of the node that
 /// ends last · nodes · log tasks).
 ///
@@ -62,7 +62,8 @@ pub(super) fn exchange(assignment: &mut Assignment, times: &[f64], speeds: &[f64
     Ok(())
 }
 
-/// Returns the change between `last` and another node after which the longer load of the two is shortest.
+/// Returns the change between `last` and another node after which the later of the two nodes' ends is
+/// earliest.
 fn best_change(
     last: usize,
     times: &[f64],

@@ -194,6 +194,6 @@ fn every_plan_counts_the_loading_times() {
         // Both tasks on v come first, since order follows the list where times are equal.
         assert_eq!(play(&plan, &seconds, &tasks, &ones(1)).unwrap().makespan, 23.0, "{method:?}");
     }
-    // Loading takes as long on a fast node.
+    // Loading takes equally long on a fast and on a slow node.
     assert_eq!(simulate_queue(&[0], &[2.0], &[(0, 5.0)], &[2.0]).unwrap().makespan, 6.0);
 }

@@ -212,7 +212,8 @@ impl Ranged for Span {
     }
 }
 
-/// The label of a tick: as few digits as neighbors at distance `step` need; exponents below 1e-4, from 1e6.
+/// Returns the label of a tick, with as few digits as distinguish it from neighbors at distance `step`.
+/// Magnitudes below 1e-4 and from 1e6 are written with exponents.
 fn tick_label(value: f64, step: f64) -> String {
     if value.abs() < step.abs() * 1e-6 {
         return "0".into();

@@ -25,7 +25,8 @@ pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     parts
 }
 
-/// The part of a segment inside both ranges, and true if it reaches the segment's end (Liang and Barsky).
+/// Returns the part of a segment inside both ranges, and true if this part reaches the segment's end; `None`
+/// if no part is inside (Liang and Barsky).
 fn segment(a: Point, b: Point, x: &Span, y: &Span) -> Option<(Point, Point, bool)> {
     let from = (x.place(a.0), y.place(a.1));
     let by = (x.place(b.0) - from.0, y.place(b.1) - from.1);

@@ -11,7 +11,7 @@ use volume::VolumeData;
 
 /// Returns the line of JSON for a volume file. `cli/tests/suite/independent_readers.rs` compares the same
 /// values with `right-values.csv`. `range` is the range of the finite voxels. `crc32` is the checksum of all
-/// voxels in the type that they have in memory, little-endian; NaNs with a payload count as NaNs without.
+/// voxels in the type that they have in memory, little-endian; all NaNs count as the NaN without a payload.
 fn line_of(path: &Path) -> Value {
     // Every value is read as stored, fill values included.
     let reading = volume::Reading { fill: volume::Fill::None, ..volume::Reading::default() };
