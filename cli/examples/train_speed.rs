@@ -2,8 +2,8 @@
 //! (`lab/scripts/bars_train.py`).
 //!
 //! `train_speed FOLDER PRESET FRAMES BATCH EPOCHS THREADS` writes the frames and the initial weights to
-//! FOLDER, trains, and prints one JSON object. The files contain little-endian f32: `inputs.bin` and
-//! `seconds.bin` standardized values, `weights.bin` the weights in the order of the layers.
+//! FOLDER, trains, and prints one JSON object. All numbers are little-endian f32. `inputs.bin` and
+//! `seconds.bin` contain standardized values, `weights.bin` contains the weights in the order of the layers.
 
 use entire_train::gradient::{Network, Samples, Settings, train};
 use std::io::Write;

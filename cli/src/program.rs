@@ -33,7 +33,7 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
                 .map(String::as_str)
                 .or_else(|| panic.downcast_ref::<&str>().copied())
                 .unwrap_or("unknown");
-            // The panic of `println!` holds no error value, only its text.
+            // The panic of `println!` holds no error value, only a text.
             if let Some(why) = text.strip_prefix("failed printing to ") {
                 if is_closed_stdout(why) {
                     return ExitCode::SUCCESS;
@@ -64,7 +64,7 @@ fn is_broken_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
 }
 
 /// True if the reader of standard output has closed it. `why`: text of a panic after "failed printing to ". A
-/// closed standard error is no success, since the command was not done.
+/// closed standard error does not count, since the command has not finished then.
 fn is_closed_stdout(why: &str) -> bool {
     why.starts_with("stdout") && CLOSED.iter().any(|closed| why.contains(closed))
 }

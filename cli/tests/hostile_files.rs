@@ -75,8 +75,8 @@ fn bound(input: &[u8]) -> usize {
     let packed = words.iter().chain(&starts).any(|mark| input.windows(mark.len()).any(|w| w == *mark));
     // A block of bzip2 holds up to 900,000 bytes of run lengths, of which five can encode 255 equal bytes.
     let blocks = input.windows(6).filter(|w| *w == [0x31, 0x41, 0x59, 0x26, 0x53, 0x59]).count();
-    // A bzip2 decoder allocates four bytes for each of these 900,000 bytes as soon as it has read a stream's
-    // header.
+    // A bzip2 decoder allocates four bytes for each of a block's 900,000 bytes as soon as it has read a
+    // stream's header.
     let decoder = if input.windows(3).any(|w| w == b"BZh") { 4 << 20 } else { 0 };
     (1 << 19)
         + input.len() * if packed { 3 * 1032 } else { 64 }

@@ -256,7 +256,7 @@ impl<'a> Measuring<'a> {
             .keys()
             .filter_map(|&i| Some(self.frame(i)?.seconds(Clock::Wall)? / self.pool.expected[i]))
             .collect();
-        // 10 % above the median, so that batches of slower frames do not overrun the time.
+        // The scale is 10 % above the median ratio, so that batches of slower frames do not overrun the time.
         if let Some(scale) = median(&mut ratios) {
             self.scale = 1.1 * scale;
         }

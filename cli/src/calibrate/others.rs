@@ -64,7 +64,8 @@ pub struct BackgroundLoad {
 }
 
 impl BackgroundLoad {
-    /// Adds a stretch of `wall` seconds in which other programs used `others` processors on average, if known.
+    /// Adds a stretch of `wall` seconds in which other programs used `others` processors on average; `None`
+    /// if this number is not known.
     pub(crate) fn add(&mut self, wall: f64, others: Option<f64>) {
         let Some(others) = others else { return };
         let before = self.mean.unwrap_or(0.0) * self.seconds;

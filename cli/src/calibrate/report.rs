@@ -204,8 +204,8 @@ impl Report {
         let residuals = bound::log_residuals(crossed, &measured);
         let mut upper = UpperBound::from_groups(residuals.into_iter().zip(observed.iter().map(|f| f.group)));
         if self.others.busy() {
-            // A bound that was measured on a busy machine does not hold on a quiet one. With a wide bound, a
-            // session relies on its own observations.
+            // A bound that was measured on a busy machine does not hold on a quiet one. So the bound is made
+            // wide, and a session relies on its own observations.
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         upper.store(file)?;

@@ -93,8 +93,8 @@ pub(crate) fn timed_repeats(
 /// frame is dropped.
 ///
 /// # Errors
-/// A volume that cannot be read, a renderer that fails, a table that cannot be written; names the volume and
-/// frame.
+/// A volume that cannot be read, a renderer that fails, a table that cannot be written; the error names the
+/// volume and the frame.
 pub(crate) fn collect(
     jobs: &[Job],
     protocol: &Protocol,

@@ -17,8 +17,8 @@ pub(crate) fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
 }
 
 /// Runs [`collect`] once for each pass of the protocol. Each pass has its own table beside `out`, so that it
-/// can be continued. At the end these tables are merged into `table`, where a frame's repeats have the order
-/// of the passes, and removed.
+/// can be continued. At the end these tables are merged into `table` and removed. In `table`, a frame's
+/// repeats have the order of the passes.
 #[expect(clippy::too_many_arguments, reason = "the parameters of `collect`, and the path of the table")]
 pub(crate) fn collect_passes(
     jobs: &[Job],

@@ -52,7 +52,7 @@ fn without_times(path: &Path) -> Vec<String> {
         .collect()
 }
 
-/// Returns a function that returns true from the call after `calls` calls on; never for `None`.
+/// Returns a function that returns false in its first `calls` calls, then true; with `None`, always false.
 fn stop_after(calls: Option<u32>) -> impl Fn() -> bool {
     let asked = Cell::new(0);
     move || {

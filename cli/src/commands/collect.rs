@@ -190,7 +190,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
 
     let mut manifest = protocol.manifest(&jobs, renderer.as_ref())?;
-    // The device of a teacher states only the file's name, which other models may share.
+    // A teacher's device states only the name of the model file, which other models may share.
     if let Some(teacher) = teacher {
         manifest.settings["teacher"] = teacher;
     }

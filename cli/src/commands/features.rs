@@ -171,8 +171,8 @@ mod tests {
                 let ascending = [0.3, 0.05, 0.4, 0.8, 0.01, 0.9];
                 assert_eq!(lobes, if log { ascending } else { [0.8, 0.01, 0.9, 0.3, 0.05, 0.4] });
                 for (i, (a, b)) in kept.iter().zip(&measured).enumerate() {
-                    // Quantities are stored in single precision, so they are equal bit for bit. A logarithm
-                    // of a stored quantity may differ by rounding.
+                    // Quantities are stored in single precision, so stored and computed values are equal bit
+                    // for bit. A logarithm of a stored quantity may differ by rounding.
                     let close = (a - b).abs() <= f32::EPSILON * b.abs().max(1.0);
                     assert!(
                         if log { close } else { a.to_bits() == b.to_bits() },

@@ -68,7 +68,8 @@ pub fn measure(
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
         features.measure(summary, &mut transfer, &frame)?;
-        // Discarded renderings: the first ones on a device, or after a change of scene, are slower.
+        // The first renderings on a device or after a change of scene are slower than later ones, so they are
+        // discarded.
         for _ in 0..if scene == 0 { 2 } else { 1 } {
             renderer.render(&frame).with_context(place)?;
         }

@@ -51,7 +51,8 @@ pub(crate) struct Metrics {
     /// Mean of |t − target| / target over the first [`SWITCH_FRAMES`] frames from each switch on; `None`
     /// without switches.
     pub(crate) mean_error_at_switches: Option<f64>,
-    /// Mean of |t − target| / target over all other frames, except the first [`SWITCH_FRAMES`] of the path.
+    /// Mean of |t − target| / target over all frames except the first [`SWITCH_FRAMES`] of the path and the
+    /// first [`SWITCH_FRAMES`] from each switch on.
     pub(crate) mean_error_in_calm: Option<f64>,
     /// Number of frames from each switch until two in a row are on target (see [`Played::on_target`]); 0 if
     /// these are the switch's own frame and the next one. Without two such frames, the number of frames to

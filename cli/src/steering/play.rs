@@ -154,7 +154,7 @@ pub(crate) struct Shown<'a> {
     pub(crate) volume_features: Option<Vec<f32>>,
 }
 
-/// Changes along a path besides those of the path itself, and the limits of the controllers.
+/// Changes along a path that are not part of the path itself, and the limits of the controllers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Course<'a> {
     /// Frames per volume of a series; 0 for a single volume.

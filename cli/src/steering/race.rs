@@ -24,7 +24,7 @@ use entire_vk_raycaster::Renderer;
 #[derive(Clone, Debug)]
 pub(crate) struct Race<'a> {
     pub(crate) volume: &'a VolumeView<'a>,
-    /// The further volumes of a series; random scenes are of the first volume only.
+    /// Volumes of a series after the first one. Random scenes are of the first volume only.
     pub(crate) series: &'a [VolumeView<'a>],
     pub(crate) course: Course<'a>,
     pub(crate) seed_name: &'a str,
@@ -128,7 +128,7 @@ pub(crate) struct Prepared {
     pub(crate) target: f64,
     /// Median seconds of the random scenes at the reference step.
     pub(crate) full_quality: f64,
-    /// Origin of the target; empty where it was given.
+    /// Origin of the target; empty if the target was given.
     pub(crate) target_reason: String,
     pub(crate) fixed_step: f32,
 }

@@ -400,7 +400,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
 /// Files that [`write`] writes: every frame, the summary and the report.
 pub(crate) const FILES: [&str; 3] = ["frames.csv", "summary.json", "report.html"];
 
-/// Makes the folder of a report if it does not exist; a timing table in it must not be replaced.
+/// Makes the folder of a report if it does not exist. Fails if the report would replace a timing table in it.
 pub(crate) fn make_report_folder(folder: &Path) -> Result<()> {
     make_folder(folder)?;
     ensure_no_table(&folder.join(FILES[0])).context("--out")

@@ -28,7 +28,7 @@ fn fill_values_do_not_decide_the_range() {
             note.contains("1920 of 7680 voxels (25.0 %)") && note.contains("--fill none"),
             "{name}: {note}"
         );
-        // Filled voxels are replaced, so that no interpolated sample lies beyond the range either.
+        // Filled voxels are replaced, so that no interpolated sample lies beyond the range.
         assert_eq!(ends(volume.data().scalars().iter()), (0.000_101_613_06, 1.0), "{name}");
         let kept = open(&path, Fill::None);
         let range = kept.view().range();
@@ -64,8 +64,8 @@ fn hidden_fill_values_are_not_looked_for_again() {
     assert_eq!((kept.view().range().0, kept.notes().len()), (-9999.0, 0), "{:?}", kept.notes());
 }
 
-/// A volume with a fill value is drawn like one with the low end in its place, whether the value is a minimum
-/// or a maximum.
+/// A volume with a fill value is drawn like a volume with the low end in place of this value, whether the
+/// value is a minimum or a maximum.
 #[test]
 fn fill_values_are_drawn_as_the_low_end() {
     let folder = tempfile::tempdir().unwrap();

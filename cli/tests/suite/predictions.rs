@@ -30,9 +30,9 @@ fn invalid(seconds: f64) -> bool {
     !(seconds.is_finite() && seconds > 0.0)
 }
 
-/// Known numbers of outputs of shipped networks for random inputs that are zero in single precision and have to
-/// be raised to the shortest time: for ordinary inputs, and for all (rounded up to the next thousand, since
-/// processors round differently). A larger number is a bug.
+/// Shipped networks, and the known numbers of their outputs that are zero in single precision and are raised
+/// to the shortest time: for ordinary random inputs, and for all random inputs. Numbers are rounded up to the
+/// next thousand, since processors round differently. A larger number is a bug.
 const KNOWN: [(&str, usize, usize); 3] = [
     ("local-distilled", 0, 27_000),
     ("scatter-distilled", 1_000, 26_000),

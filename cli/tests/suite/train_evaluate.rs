@@ -155,7 +155,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     let onto_itself = "train --data t.csv --out m.safetensors --fine-tune ./m.safetensors";
     fails(&data, onto_itself, 1, "m.safetensors is an input of this command");
 
-    // The groups that the base was trained on stay known after fine-tuning with another split.
+    // After fine-tuning with another split, the file still states the groups that the base was trained on.
     works(&data, &format!("{tune} --epochs 1 --test-groups blobs/m01"));
     let card = text_of(&data, "tuned.md");
     assert!(card.contains("trained or validated on test groups: blobs/m01"), "{card}");

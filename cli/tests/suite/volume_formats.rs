@@ -418,7 +418,7 @@ fn pieces_and_compressors_of_vtk_are_read() {
         let volume = read(&pieces).unwrap();
         assert_eq!((volume.dims(), volume.data()), ([3, 2, 1], &VolumeData::I16((0..6).collect())));
     }
-    // A single piece must cover the whole extent, too, and must not exceed it.
+    // A single piece must cover the whole extent and must not exceed it.
     let alone = [left.clone()];
     assert!(read(&alone).unwrap_err().contains("hold 4 of the 6 voxels of WholeExtent"));
     let larger = [piece("4 7 0 1 -1 -1", "9 0 1 2 9 3 4 5")];

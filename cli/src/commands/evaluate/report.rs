@@ -22,13 +22,13 @@ pub(super) struct Predictor {
     pub(super) frames_seen: usize,
     /// Share of frames that took no longer than the model's upper bound.
     pub(super) bound_coverage: Option<f64>,
-    /// Further measures of the upper bound: coverage of the slowest tenth of the frames, and quantile
-    /// (pinball) loss.
+    /// Measures of the upper bound: coverage of all frames and of the slowest tenth, and quantile (pinball)
+    /// loss.
     pub(super) bound: Option<BoundMetrics>,
     /// 95 % interval of RMSE/SD by bootstrap over ensemble members; a volume outside any ensemble counts as a
     /// member of its own.
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
-    /// 95 % interval of the median error by the same bootstrap.
+    /// 95 % interval of the median error, by bootstrap as for `rmse_over_sd_interval`.
     pub(super) mdape_interval: Option<(f64, f64)>,
     /// Errors by kind of frame.
     pub(super) by_kind: Vec<(&'static str, Metrics)>,

@@ -17,7 +17,7 @@ use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Verdict
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VtkGpu {
     factor: f32,
-    /// Seconds of the last frame; 0 before the first.
+    /// Seconds of the last frame; 0 before the first frame.
     last: f32,
 }
 

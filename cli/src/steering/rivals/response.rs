@@ -99,8 +99,8 @@ impl StepResponse {
         libm::exp(y0 + (y1 - y0) * (x - x0) / (x1 - x0)) as f32
     }
 
-    /// Returns G⁻¹, the finest step ratio whose time ratio is at most the given one; the finest sampled step
-    /// if all sampled steps are faster, the coarsest if none is.
+    /// Returns G⁻¹, the finest step ratio whose time ratio is at most the given one. Returns the finest
+    /// sampled ratio if all sampled ratios meet this condition, the coarsest if none does.
     pub fn step_ratio(&self, time_ratio: f32) -> f32 {
         let y = libm::log(f64::from(time_ratio).max(1.0e-30));
         let upper = self.points.partition_point(|p| p.1 > y);
