@@ -69,7 +69,8 @@ pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
 
 /// Returns the clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and
 /// clock of the model that training starts from), else CPU time. If `asked` is not given and some frames have
-/// no time by that clock, it is replaced as by [`Clock::Auto`], and a note is printed.
+/// no time by that clock, the clock that [`Clock::Auto`] means for the frames replaces it, and a note is
+/// printed.
 ///
 /// # Errors
 /// Those of [`concrete`].

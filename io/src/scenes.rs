@@ -1,5 +1,5 @@
-//! Random scenes for timing collections (paper, section "Data collection"): cameras on hemispheres of
-//! several radii, random Gaussian transfer functions, random square and other image sizes.
+//! Random scenes for timing collections (paper, section "Data collection"): cameras on hemispheres of several
+//! radii, random Gaussian transfer functions, random image sizes of which half are square.
 
 use anyhow::{Result, ensure};
 use entire_core::scene::{Arcball, GaussianLobe, MAX_IMAGE_SIDE};

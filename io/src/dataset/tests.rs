@@ -245,8 +245,8 @@ fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
     let frames: Vec<TimedFrame> = (0..2000u32)
         .map(|i| {
             let seconds = 1e-3 * 1.005f64.powi(i as i32 / 2);
-            // The first repeat of a pass is slower, above all in fast frames; the second pass is 10 % slower
-            // than the first.
+            // The first repeat of a pass is slower than the others, above all in fast frames; the second pass
+            // is 10 % slower than the first.
             let warm_up = if i < 600 { 0.4 } else { 0.05 };
             let tail = if i % 50 == 0 { 2.0 } else { 0.0 };
             let logs: Vec<f64> = [0.0, 0.1]

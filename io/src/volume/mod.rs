@@ -9,9 +9,9 @@
 //! # Bytes behind the voxels
 //!
 //! One rule holds for all formats, compressed or not. If fewer bytes follow the voxels than the voxels occupy
-//! (a line end, padding), they are ignored, and [`Volume::notes`] says so. If as many or more follow, it is an
-//! error: the sizes or the type do not fit the data, or another volume follows. The length that a VTK file
-//! states for an array must be exact, and text data must have as many numbers as the sizes require.
+//! (a line end, padding), they are ignored, and [`Volume::notes`] says so. If as many or more follow, the
+//! file is refused: the sizes or the type do not fit the data, or another volume follows. The length that a
+//! VTK file states for an array must be exact, and text data must have as many numbers as the sizes require.
 //!
 //! # Stored types and their types in memory
 //!

@@ -14,8 +14,8 @@ const MAX_NAME_BYTES: usize = 16 << 20;
 #[derive(Debug, PartialEq)]
 pub(super) struct Several {
     pub(super) names: Vec<String>,
-    /// Number of axes of each file; default: one less than the volume has. If each file has as many axes as
-    /// the volume, it is a slab along the slowest axis.
+    /// Number of axes of each file; default: one less than the volume has. A file with as many axes as the
+    /// volume is a slab along the slowest axis.
     pub(super) axes: Option<i64>,
 }
 
