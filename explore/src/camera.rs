@@ -162,7 +162,8 @@ impl Viewpoint {
         self.shift(height * (down * y - right * x));
     }
 
-    /// Moves the target point, at most to the bounds of a box; a point outside of the box comes no farther out.
+    /// Moves the target point, at most to the bounds of a box; a point outside of the box moves no farther
+    /// out.
     fn shift(&mut self, by: Vec3) {
         let most = self.target.abs().max(Vec3::splat(4.0));
         self.target = (self.target + by).clamp(-most, most);

@@ -38,8 +38,8 @@ pub trait Steering: Send + Sync {
     /// When the predictor cannot be made.
     fn session(&self, controller: &str) -> Result<Session>;
 
-    /// True if this one of the [`Host::controllers`] chooses the number of pixels between rays too, by its session's
-    /// picture quality law. All others choose the ray step alone.
+    /// True if the controller chooses the number of pixels between rays too, by its session's picture quality
+    /// law. All [`Host::controllers`] for which this is false choose the ray step alone.
     fn chooses_image_sample_distance(&self, controller: &str) -> bool;
 }
 

@@ -72,8 +72,8 @@ impl Log {
         Ok(())
     }
 
-    /// Writes the row of another timed activity: its kind, total seconds, seconds of ray casting, and seconds
-    /// of the longest slice (of the kind `open`: of the first frame).
+    /// Writes the row of a timed activity other than a frame: its kind, total seconds, seconds of ray
+    /// casting, and seconds of the longest slice (of the kind `open`: of the first frame).
     pub(crate) fn event(
         &mut self,
         frame: u64,

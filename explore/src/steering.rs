@@ -17,7 +17,8 @@ pub(crate) const REMEMBERED: usize = 300;
 /// Number of recent frames from which a frame's time for work other than ray casting is estimated.
 const OTHER_WORK: usize = 15;
 
-/// Smallest share of the target that is planned for ray casting, however long the other work takes.
+/// Smallest share of the target that is planned for ray casting, however long all other work of a frame
+/// takes.
 const LEAST_SHARE: f64 = 0.15;
 
 /// A drawn frame. Times are seconds.
@@ -54,7 +55,7 @@ pub(crate) struct Planned {
     pub(crate) other: f64,
 }
 
-/// A session, and the numbers of the volume and transfer function that it has.
+/// A session, and the numbers of its volume and of its transfer function.
 struct Loop {
     session: Session,
     volume: u64,

@@ -29,7 +29,7 @@ impl App {
             Command::Cancel => {
                 if let Some(loading) = self.loading.take() {
                     loading.cancel();
-                    // A playing series would load the same volume again.
+                    // Otherwise, a playing series would load the same volume again.
                     self.state.playing = false;
                     self.state.say(format!("{} was not opened", loading.job.path.display()));
                 }

@@ -180,7 +180,7 @@ impl App {
             self.end_screenshot();
             return Ok(());
         };
-        // If this fails because the device is lost, the screenshot continues on the reopened device.
+        // If the slice fails because the device is lost, the screenshot continues on the reopened device.
         let done = shot.slice(&mut scene.raycaster, budget, &*self.host)?;
         self.state.screenshot_share = Some(shot.share());
         if done {
