@@ -96,7 +96,7 @@ impl Calibration {
     /// Adds the error of a picture against the same view at full quality.
     ///
     /// The model then contains the renderer's quality law: picture error as a function of ray step and image
-    /// size (:meth:`Session.set_quality`). This needs at least 3 scenes, drawn at the same settings: full
+    /// size (:meth:`Session.set_quality`). The law needs at least 3 scenes, drawn at the same settings: full
     /// quality, coarser steps alone, smaller images alone, and both.
     ///
     /// Parameters

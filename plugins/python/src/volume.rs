@@ -230,7 +230,7 @@ fn hide<'py>(
         } else {
             copy
         };
-        // Values are rounded to 32-bit floats before they are compared, as by the readers of volume files.
+        // Values are rounded to 32-bit floats before they are compared, as the readers of volume files do.
         let narrow = convert(&copy, "float32")?.into_any();
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {

@@ -29,7 +29,7 @@ fn network() -> PredNetParts {
     }
 }
 
-/// A copy of this test that allocates, with the variable set, must be aborted.
+/// A copy of this test that is started with the variable set allocates and must be aborted.
 #[test]
 fn an_allocation_aborts_the_process() {
     const ALLOCATES: &str = "ENTIRE_TEST_ALLOCATES";

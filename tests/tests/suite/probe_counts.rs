@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 /// Upper bound of the median of |estimate / count − 1| over random scenes.
 const MEDIAN_TOLERANCE: f64 = 0.1;
 
-/// Upper bound of the same median with single scattering, where one shadow ray per probe ray represents all
-/// shadow rays.
+/// Upper bound of the median of |estimate / count − 1| with single scattering, where one shadow ray per probe
+/// ray represents all shadow rays.
 const SCATTER_TOLERANCE: f64 = 0.2;
 
 /// Returns the volumes in `data/` and one volume of each folder under it.
@@ -79,7 +79,8 @@ fn estimated_work_is_the_counted_work() {
                 renderer.set_transfer(&table).expect("the transfer function");
                 let mut camera = Camera::from_arcball(scene.camera).expect("a camera");
                 if parallel {
-                    // At the center, the parallel camera shows the same height as the perspective camera.
+                    // At the volume's center, the parallel camera shows the same height as the perspective
+                    // camera.
                     let scale = scene.camera.dz * (0.5 * DEFAULT_FOV_Y_DEGREES.to_radians()).tan();
                     camera = camera.with_parallel_scale(scale).expect("a scale");
                 }

@@ -34,7 +34,7 @@ pub struct FitContext<'a> {
     pub tables: &'a [Table],
     /// Threads that compute inputs and train networks.
     pub pool: &'a ThreadPool,
-    /// Progress bar of the training; its message and position are set.
+    /// Progress bar, whose message and position the training sets.
     pub bar: &'a ProgressBar,
     /// Called before the training of each network and after every step; training stops when it returns true.
     pub stop: &'a dyn Fn() -> bool,

@@ -159,7 +159,7 @@ pub(crate) struct Pass<T> {
     activations: Vec<Vec<T>>,
     /// Gradient of the loss with respect to the output of a layer.
     delta: Vec<T>,
-    /// Gradient of the loss with respect to the output of the layer before it.
+    /// Gradient of the loss with respect to the output of the layer before that of `delta`.
     next_delta: Vec<T>,
     /// Gradient of the loss with respect to the parameters, in the order of `Network::parameters`.
     pub(crate) gradient: Vec<T>,
