@@ -15,15 +15,14 @@ use std::sync::Once;
 /// Result of the body of an entry point.
 pub(crate) type Outcome = Result<(), Failure>;
 
-/// Longest text of a thread's last failure, its closing NUL included.
+/// Longest text of a thread's last failure, in bytes, its closing NUL included.
 const TEXT_BYTES: usize = 2048;
 
 thread_local! {
     /// True if the last call of this thread failed; its text is in `TEXT`.
     static FAILED: Cell<bool> = const { Cell::new(false) };
-    /// Text of this thread's last failure. It is an array, because an array has no destructor. To register
-    /// the destructor of a thread-local value, the C library allocates memory, and ends the process if there
-    /// is none.
+    /// Text of this thread's last failure. An array needs no destructor. To register the destructor of a
+    /// thread-local value, the C library allocates memory; without memory, it ends the process.
     static TEXT: RefCell<[u8; TEXT_BYTES]> = const { RefCell::new([0; TEXT_BYTES]) };
     /// Number of open guards on this thread, for the panic hook.
     static DEPTH: Cell<u32> = const { Cell::new(0) };
@@ -146,7 +145,7 @@ fn failed(failure: Failure, status: Option<&Status>) -> entire_result {
         }
         status.record(&failure);
     }
-    // A second catch: a log callback or an allocation that unwinds here must not reach C either.
+    // A panic while the failure is logged and copied must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
         sink::emit(sink::ENTIRE_LOG_ERROR, &failure.message);
         let _ = TEXT.try_with(|slot| keep(&failure.message, &mut slot.borrow_mut()));
@@ -173,7 +172,8 @@ fn keep(text: &str, out: &mut [u8; TEXT_BYTES]) {
 
 #[cold]
 fn panicked(payload: Box<dyn Any + Send>) -> Failure {
-    // If dropping the payload panics, the second payload is leaked: this happens only after a bug.
+    // If dropping the payload panics, the payload of that second panic is leaked. This happens only after a
+    // bug.
     if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(second);
     }

@@ -25,7 +25,7 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-/// Number of temporary names that a save tries.
+/// Maximum number of temporary file names that a save tries.
 const SAVE_NAMES: u32 = 16;
 
 /// Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
@@ -85,7 +85,7 @@ pub struct entire_input_group {
 
 by_value!(entire_input_group { name: std::ptr::null(), offset: 0, size: 0 });
 
-/// Rows of a batch that are computed at once.
+/// Maximum number of rows of a batch that are computed at once.
 const ROWS_AT_ONCE: usize = 192;
 
 /// A model file in memory. Immutable: any number of threads and sessions may use one model at the same time.
@@ -209,7 +209,7 @@ impl Loaded {
     }
 }
 
-/// A text of the model for C, in memory whose allocation may fail.
+/// Returns a text of the model for C, or the failure if there is no memory for it.
 fn kept_text(text: &str) -> Result<CString, Failure> {
     if text.contains('\0') {
         return Ok(sink::c_text(text));
@@ -221,7 +221,7 @@ fn kept_text(text: &str) -> Result<CString, Failure> {
     Ok(CString::from_vec_with_nul(bytes).unwrap_or_default())
 }
 
-/// The instruction set of models, and its name; determined once, so that the environment is read once.
+/// The instruction set that evaluates models, and its name, determined at the first call.
 fn level() -> &'static (Level, CString) {
     static FOUND: OnceLock<(Level, CString)> = OnceLock::new();
     FOUND.get_or_init(|| {
@@ -231,8 +231,8 @@ fn level() -> &'static (Level, CString) {
 }
 
 /// The instruction set that evaluates models on this CPU: "scalar", "avx2" or "avx512", followed by its
-/// extensions, such as "avx512+vnni". The environment variable ENTIRE_LEVEL lowers it; the variable is read
-/// once, at the first call that needs it. The text is static.
+/// extensions, such as "avx512+vnni". The environment variable ENTIRE_LEVEL selects a lower instruction set;
+/// the variable is read only once. The text is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_simd_level() -> *const c_char {
     level().1.as_ptr()
@@ -264,7 +264,8 @@ pub unsafe extern "C" fn entire_model_open(
 /// ~/.local/share elsewhere. Its metadata key entire.clock says whether it predicts cpu, wall or device seconds.
 ///
 /// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
-/// and with the same results as entire_model_open for an unsuitable file.
+/// ENTIRE_INVALID_ARGUMENT (an unknown shading), and with the same results as entire_model_open for an
+/// unsuitable file.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_open_machine(
     shading: entire_shading,
@@ -585,8 +586,8 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             }
             check_inputs(inputs, net.inputs(), rows)?;
             let scratch = || net.scratch(ROWS_AT_ONCE);
-            // Predictions are written to separate memory first: a failed call leaves the caller's array
-            // unchanged.
+            // Predictions are written to separate memory first, so that a failed call leaves the caller's
+            // array unchanged.
             let mut predicted = collected(std::iter::repeat_n(0.0f32, rows))?;
             loaded.rows.with(scratch, |scratch| {
                 net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))

@@ -30,7 +30,7 @@ enum Fault {
 /// Ticks of a slow dispatch: more than half a second, if a tick is longer than 0.06 ns.
 const SLOW_TICKS: u64 = 1 << 33;
 
-/// Time limit of a submission in these tests; the mock records it and does not wait.
+/// Time limit of a submission in these tests. A wait that the mock lets fail returns at once.
 const WAIT: Duration = Duration::from_secs(20);
 
 thread_local! {
@@ -243,8 +243,8 @@ fn new_renderer_draws(image: &Image) -> Outcome {
     Ok(())
 }
 
-/// In each pass, the device is lost in another call, from the first call that opens it on. Checks the errors,
-/// and that the device is freed.
+/// From pass to pass, the device is lost one call later, beginning with the first call that opens it. Checks
+/// the errors, and that the device is freed.
 fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     let (calls, _, image) = sound()?;
     assert!(calls > 50, "{calls} calls");
@@ -275,7 +275,8 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     new_renderer_draws(&image)
 }
 
-/// In each pass, another wait does not end. Checks that the device is then only polled and never freed.
+/// From pass to pass, the device hangs one wait later, beginning with the first wait. Checks that the device
+/// is then only polled and never freed.
 fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
     let (_, waits, image) = sound()?;
     assert!(waits >= 4, "{waits} waits");

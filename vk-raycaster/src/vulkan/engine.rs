@@ -24,7 +24,7 @@ const STAGING_BYTES: u64 = 64 << 20;
 /// Largest size of a table's texels, in bytes: the limit of `vkCmdUpdateBuffer`.
 const TABLE_BYTES: u64 = 65536;
 
-/// Size of a ray's state between two windows, in bytes per pixel.
+/// Size of a ray's state between two dispatches, in bytes per pixel.
 pub(crate) const STATE_BYTES: u64 = 32;
 
 /// Key of a shader variant.
@@ -48,9 +48,9 @@ pub(crate) struct Cast<'a> {
     pub(crate) pass: &'a str,
     pub(crate) key: ShaderKey,
     pub(crate) tile: Region,
-    /// True if rays continue where an earlier dispatch left them.
+    /// True if the tile's rays are cast in several dispatches.
     pub(crate) windowed: bool,
-    /// Index of the sampled brick of the volume.
+    /// Index of the brick that is sampled.
     pub(crate) brick: usize,
 }
 
@@ -84,7 +84,7 @@ pub(crate) struct Engine {
     set_layout: Owned<vk::DescriptorSetLayout>,
     sampler: Owned<vk::Sampler>,
     descriptors: Owned<vk::DescriptorPool>,
-    /// The descriptor sets made so far, by brick of the volume, each with all resources of a dispatch.
+    /// The descriptor sets made so far, one per brick. Each has all resources of a dispatch.
     sets: HashMap<usize, vk::DescriptorSet>,
     pool: Owned<vk::CommandPool>,
     commands: vk::CommandBuffer,
@@ -423,7 +423,6 @@ fn with_pass(e: &Error, pass: &str) -> Error {
     Error::new(format!("{e} (last pass: {pass})"))
 }
 
-/// Bytes of a texel.
 pub(crate) fn texel_bytes(format: vk::Format) -> u64 {
     match format {
         vk::Format::R8_UNORM | vk::Format::R8_UINT => 1,
