@@ -63,7 +63,7 @@
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
  * not allocate, lock or call the system when they succeed and no log callback is set. For
  * entire_model_predict this holds while at most ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the
- * same time; further calls allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same
+ * same time; further calls allocate. Equal model, inputs, correction and SIMD level (entire_simd_level) give equal
  * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,

@@ -6,8 +6,8 @@ use std::ffi::{CStr, c_char};
 use std::mem::size_of;
 
 /// Implements [`ByValue`] for a struct of the ABI, from the default values of all fields after `struct_size`.
-/// Checks at compile time that the struct has no padding on 64-bit targets: a later version adds fields at
-/// the end, and bytes of padding would already count in `struct_size`.
+/// Checks at compile time that the struct has no padding on 64-bit targets. A later version adds fields at
+/// the end, and `struct_size` could not tell these fields from padding.
 macro_rules! by_value {
     ($noun:ident { $($field:ident: $default:expr),+ $(,)? }) => {
         // SAFETY: the ABI's structs are `repr(C)` and begin with `struct_size`; any bits are values of their
@@ -30,8 +30,8 @@ macro_rules! by_value {
 }
 pub(crate) use by_value;
 
-/// Upper limit of `struct_size`: no struct of this ABI is nearly that large; a larger value is uninitialized
-/// memory.
+/// Upper limit of `struct_size` in bytes, itself excluded. No struct of this ABI is nearly that large, so a
+/// larger value comes from uninitialized memory.
 const LARGEST_STRUCT: usize = 1 << 16;
 
 /// A by-value struct whose first field is `struct_size: usize`, the size in the caller's header.
@@ -42,7 +42,8 @@ const LARGEST_STRUCT: usize = 1 << 16;
 pub(crate) unsafe trait ByValue: Copy {
     /// Name of the struct in error messages.
     const NAME: &'static str;
-    /// Size in bytes of the struct in its first release. A struct that has grown since then defines it.
+    /// Size in bytes of the struct in its first release. A struct that has grown since then overrides the
+    /// default.
     const FIRST_SIZE: usize = size_of::<Self>();
     /// Returns the default values. The `_init` functions write them. They also fill in the fields that the
     /// struct of an older caller does not have.
@@ -127,8 +128,8 @@ pub(crate) unsafe fn write_struct<T: ByValue>(at: *mut T, value: &T) -> Result<(
     Ok(())
 }
 
-/// Fills a struct of `size` bytes with its defaults, and bytes beyond the fields that this library knows with
-/// zeros; sets its `struct_size` to `size`.
+/// Fills a struct of `size` bytes with its defaults and sets its `struct_size` to `size`. Bytes beyond the
+/// fields that this library knows become zero.
 ///
 /// # Safety
 /// `at` is NULL or valid for writes of `size` bytes.
@@ -149,7 +150,7 @@ pub(crate) unsafe fn init_struct<T: ByValue>(at: *mut T, size: usize) -> Result<
     Ok(())
 }
 
-/// The caller's array. NULL is an empty array where `len` is 0.
+/// Returns the caller's array. If `len` is 0, it is empty, and `at` may be NULL.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads of `len` elements for as long as the result lives.
@@ -243,9 +244,9 @@ pub(crate) unsafe fn write<T>(at: *mut T, value: T, what: &str) -> Result<(), Fa
     Ok(())
 }
 
-/// Copies `text` with a closing NUL into a buffer that may be too short (the text is then cut at a character)
-/// or NULL with capacity 0 (to query the length). `length`, if not NULL, receives the length of the whole
-/// text in bytes without the NUL.
+/// Copies `text` with a closing NUL into `buffer`. If the buffer is too short, the text is cut at a character
+/// boundary. `buffer` may be NULL with capacity 0, to query the length. `length`, if not NULL, receives the
+/// length of the whole text in bytes without the NUL.
 ///
 /// # Safety
 /// `buffer` is NULL or valid for writes of `capacity` bytes; `length` is NULL or valid for one write.

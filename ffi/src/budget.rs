@@ -9,9 +9,9 @@ use entire_steer::control::{FrameBudget, PassShare};
 /// Divides the time of a window's frame among the passes that draw volumes in it. Set all words to zero
 /// before the first call; only the library reads and changes them.
 ///
-/// For each frame, in this order: entire_budget_begin, then entire_budget_share before and entire_budget_drew
-/// after each pass that draws a volume (several volumes, two eyes, several renderers), then
-/// entire_budget_end. One thread at a time.
+/// Call for each frame, in this order: entire_budget_begin; entire_budget_share before and entire_budget_drew
+/// after each pass that draws a volume; entire_budget_end. A frame has several passes if it has several
+/// volumes, eyes or renderers. One thread at a time.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_budget {
@@ -79,8 +79,8 @@ pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget, volumes
 
 /// Computes the seconds that the next pass may take if the whole frame may take `target` seconds; pass the
 /// result to entire_session_plan as its target. The shares of a frame's passes are in proportion to their
-/// times at full quality, so that all are coarsened alike. Their sum is `target` minus the median time
-/// outside of the passes over the last five frames, but at least a fifth of `target`.
+/// times at full quality, so that all passes are coarsened by the same factor. Their sum is `target` minus
+/// the median time outside of the passes over the last five frames, but at least a fifth of `target`.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -274,7 +274,8 @@ fn constant_model(log_seconds: f32) -> Vec<u8> {
 #[test]
 fn a_plan_that_is_refused_uses_no_id() {
     let voxels = [7u8; 5 * 7 * 11];
-    // 9e8 s at the reference step, which is accepted, and a multiple at the finest, which is not.
+    // The prediction at the reference step is 9e8 s, which is accepted. At the finest step it is a multiple
+    // of that, which is refused.
     let bytes = constant_model(9e8f32.ln());
     // SAFETY: every handle below is live, every array has the stated length, and every output has room for
     // its result.

@@ -59,8 +59,9 @@ pub struct entire_frame {
     /// Vertical field of view in degrees, over 0 and up to 179; default 45. Not read with
     /// ENTIRE_PROJECTION_PARALLEL.
     pub fov_y: f32,
-    /// Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's
-    /// distance from the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
+    /// Rotation about x and y in degrees (a positive first number raises the eye, a positive second number
+    /// moves it to the right), and the eye's distance from the volume's center in multiples of its
+    /// bounding-sphere radius. Default 0, 0, 3.
     pub arcball: [f32; 3],
     /// World-to-eye matrix as in OpenGL: column-major, rotation and translation only, the eye looks along -z.
     /// Default identity.
@@ -81,7 +82,7 @@ pub struct entire_frame {
     pub shading: entire_shading,
     /// One of ENTIRE_SKIPPING_*; default ENTIRE_SKIPPING_BLOCKS.
     pub skipping: entire_skipping,
-    /// Not 0 where ray starts are jittered; default 0.
+    /// Not 0 if ray starts are jittered; default 0.
     pub jitter: u32,
     /// ENTIRE_PROJECTION_PERSPECTIVE (default) or ENTIRE_PROJECTION_PARALLEL.
     pub projection: entire_projection,

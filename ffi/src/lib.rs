@@ -2,9 +2,9 @@
 //! arithmetic.
 //!
 //! Every entry point goes through [`guard`], which checks handles and pointers, turns panics into a result
-//! code and keeps the error text. The conventions that callers rely on stand at the top of
-//! `include/entire/entire.h` (`ffi/entire.h`). `ffi/tests/suite/header.rs` generates it and `advanced.h` from this
-//! crate.
+//! code and keeps the error text. The conventions that callers rely on are in `ffi/entire.h`, the first
+//! comment of `include/entire/entire.h`. `ffi/tests/suite/header.rs` generates this header and `advanced.h`
+//! from this crate.
 //!
 //! # Safety of all entry points
 //!

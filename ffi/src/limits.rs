@@ -1,5 +1,5 @@
-//! The largest sizes that a caller may declare. A declared count is checked against these before anything is
-//! allocated or read, so that a wrong one is refused at once.
+//! The largest sizes that a caller may declare. A declared count over its limit is refused before anything is
+//! allocated or read.
 
 use crate::result::entire_result::*;
 use crate::result::{Failure, refuse};
@@ -58,7 +58,7 @@ pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result
         }
     }
     let Some(there) = voxel_count else { return Ok(()) };
-    // Three sides of at most 2^20: the product fits.
+    // The product of three sides of at most 2^20 fits in `u128`.
     let voxels = dims.iter().map(|&n| n as u128).product::<u128>();
     if voxels > (there as u128).max(ENTIRE_MAX_REPEATED_VOXELS as u128) {
         let [x, y, z] = dims;

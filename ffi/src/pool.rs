@@ -10,8 +10,8 @@ pub const ENTIRE_CONCURRENT_PREDICTIONS: usize = 16;
 const SLOTS: usize = ENTIRE_CONCURRENT_PREDICTIONS;
 const ALL_FREE: u32 = ((1u64 << SLOTS) - 1) as u32;
 
-/// A fixed number of slots with a piece of working memory each. Taking a slot is lock-free, and succeeds as
-/// long as fewer than [`SLOTS`] calls hold one: a bit mask shows the free ones.
+/// A fixed number of slots with a piece of working memory each. A bit mask shows the free slots. Taking a
+/// slot is lock-free, and succeeds as long as fewer than [`SLOTS`] calls hold a slot.
 pub(crate) struct Pool<T> {
     /// Bit mask: bit `i` is set while slot `i` is free.
     free: AtomicU32,
@@ -19,8 +19,8 @@ pub(crate) struct Pool<T> {
 }
 
 // SAFETY: only the thread that has cleared a slot's bit in `free` accesses the slot, until this thread sets
-// the bit again. Clearing acquires what setting released. A piece may move between threads, so it must be
-// `Send`.
+// the bit again. Clearing the bit acquires the writes that setting the bit released. A piece may move between
+// threads, so it must be `Send`.
 unsafe impl<T: Send> Sync for Pool<T> {}
 
 impl<T> Pool<T> {
@@ -113,7 +113,7 @@ mod tests {
         value: u64,
     }
 
-    /// Returns `Ok(piece)`, as a function that makes a piece does.
+    /// Returns `Ok(piece)`: the result of a maker that cannot fail.
     fn made<T>(piece: T) -> Result<T, Infallible> {
         Ok(piece)
     }

@@ -2,9 +2,9 @@
 //! do not end the host's process.
 //!
 //! This library's allocator is the system's. If the system refuses a piece of at most [`LARGEST`] bytes, the
-//! piece comes from a reserve in the library's image. Larger pieces are requested by code that returns
-//! ENTIRE_OUT_OF_MEMORY. Calls that make or set something first check that half of the reserve is free
-//! ([`check`]), so that an admitted call can finish.
+//! piece comes from a reserve in the library's static memory. Code that requests larger pieces returns
+//! ENTIRE_OUT_OF_MEMORY if the system refuses them. Calls that make or set something first check that half of
+//! the reserve is free ([`check`]), so that an admitted call can finish.
 //!
 //! The reserve is cut into blocks. A lock-free flag per block marks it as held; a piece is a run of blocks.
 

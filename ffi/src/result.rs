@@ -151,12 +151,12 @@ impl From<TryReserveError> for Failure {
     }
 }
 
-/// A copy of a caller's array, in memory whose allocation may fail.
+/// Returns a copy of a caller's array, or the failure if there is no memory for it.
 pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>, Failure> {
     collected(slice.iter().copied())
 }
 
-/// The elements of an iterator of known length, in memory whose allocation may fail.
+/// Returns the elements of an iterator of known length, or the failure if there is no memory for them.
 pub(crate) fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Failure> {
     let mut out = Vec::new();
     out.try_reserve_exact(elements.len())?;
@@ -172,8 +172,8 @@ impl From<Error> for Failure {
     }
 }
 
-// Each error kind of the core has the same number there and here. tests/suite/kinds.rs checks that none is
-// missing.
+// Each error kind of the core has the same number in the core and in this interface. tests/suite/kinds.rs
+// checks that none is missing.
 const _: () = {
     assert!(ENTIRE_INVALID_ARGUMENT as u32 == ErrorKind::InvalidArgument as u32);
     assert!(ENTIRE_SIZE_MISMATCH as u32 == ErrorKind::SizeMismatch as u32);

@@ -54,7 +54,7 @@ pub unsafe extern "C" fn entire_schedule(
 fn check_counts(tasks: usize, nodes: usize) -> Result<(), Failure> {
     at_most("task_count", tasks, ENTIRE_MAX_TASKS, "ENTIRE_MAX_TASKS")?;
     at_most("node_count", nodes, ENTIRE_MAX_NODES, "ENTIRE_MAX_NODES")?;
-    // Both are below their limits here, so the product does not overflow.
+    // Both counts are within their limits here, so their product does not overflow.
     if tasks as u64 * nodes as u64 > ENTIRE_MAX_TASKS_TIMES_NODES {
         refuse!(
             ENTIRE_SIZE_MISMATCH,

@@ -49,9 +49,9 @@ pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
 pub type entire_voxels_ownership = u32;
 /// The library copies the voxels; the caller may free its memory when the call returns.
 pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
-/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed,
-/// except that the voxels of its next time step may be written there (entire_volume_update). For scalar types
-/// U8, U16, I16 and F32, aligned to their size.
+/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed.
+/// Exception: the caller may write the voxels of the volume's next time step there (entire_volume_update).
+/// Only U8, U16, I16 and F32 voxels that are aligned to their size can be borrowed.
 pub const ENTIRE_VOXELS_BORROW: entire_voxels_ownership = 2;
 
 /// Value of all three `strides` for voxels without gaps, in which x runs fastest, then y, then z.
@@ -74,8 +74,8 @@ pub struct entire_volume_desc {
     /// Voxels along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default. If zero or overlapping strides make their
     /// product larger than `voxel_count`, the product is at most ENTIRE_MAX_REPEATED_VOXELS.
     pub dims: [usize; 3],
-    /// Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. Zero repeats a
-    /// voxel.
+    /// Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. A stride of 0
+    /// repeats a voxel.
     pub strides: [usize; 3],
     /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30, the largest at most 1e6 times the smallest;
     /// default 1, 1, 1.

@@ -7,7 +7,7 @@ use crate::table::Classifier;
 use crate::voxels::{BLOCK_EDGE, PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;
 
-/// Largest distance that a [`SkipMap`] entry holds.
+/// Largest distance that a [`SkipMap`] entry holds, in blocks.
 const MAX_DISTANCE: u8 = 127;
 
 /// Bit of a [`SkipMap`] entry that marks an empty block.
@@ -89,7 +89,6 @@ impl SkipMap {
         Self { dims: blocks.dims, bytes }
     }
 
-    /// Computes the distances.
     fn add_distances(&mut self) {
         let to_occupied = distances(&self.bytes, self.dims, 0);
         let to_empty = distances(&self.bytes, self.dims, EMPTY_BIT);
@@ -99,7 +98,6 @@ impl SkipMap {
         }
     }
 
-    /// Number of empty blocks.
     pub(crate) fn empty_blocks(&self) -> usize {
         self.bytes.iter().filter(|&&b| b & EMPTY_BIT != 0).count()
     }

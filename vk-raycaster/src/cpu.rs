@@ -118,7 +118,7 @@ struct Ray {
     count: f32,
 }
 
-/// One frame's work.
+/// Data that the rays of one frame read.
 struct Caster<'a, V> {
     setup: &'a FrameSetup,
     table: &'a StepTable,
@@ -350,7 +350,7 @@ impl<V: Voxel> Caster<'_, V> {
     }
 }
 
-/// A hash of the pixel in [0, 1), in steps of 2⁻²⁴.
+/// Returns a hash of the pixel: a multiple of 2⁻²⁴ in [0, 1).
 fn jitter(x: u32, y: u32) -> f32 {
     let mut h = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77);
     h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);

@@ -21,7 +21,7 @@ pub struct ProbeOptions {
     /// Smallest time of a frame that is measured, in seconds. Images grow until their frames take this long,
     /// so that the clock's error is small in comparison.
     pub frame_seconds: f64,
-    /// Number of frames whose median is taken.
+    /// Number of frames of each scene; their median time counts.
     pub repeats: usize,
 }
 
@@ -38,9 +38,9 @@ pub struct Probe {
     pub device: String,
     /// [`Renderer::backend`].
     pub backend: &'static str,
-    /// The clock of the five numbers, `device` or `wall`.
+    /// Clock of [`Probe::numbers`], `device` or `wall`.
     pub clock: &'static str,
-    /// The device's own limits.
+    /// Limits of the device; `None` if it is no Vulkan device.
     pub limits: Option<DeviceLimits>,
     /// Agreement of this renderer's frame with the CPU version's.
     pub agreement: Agreement,
@@ -242,7 +242,7 @@ struct Scene<'a> {
 }
 
 /// Renders known scenes and measures this machine's rates for the parts of a frame. Takes a second or so;
-/// afterwards the renderer has another volume and transfer function, and does not count work.
+/// afterwards the renderer has a volume and a transfer function of the probe, and does not count work.
 ///
 /// # Errors
 /// When the renderer fails.

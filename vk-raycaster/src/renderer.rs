@@ -110,7 +110,8 @@ pub trait Renderer {
     /// `vulkan` or `cpu`.
     fn backend(&self) -> &'static str;
 
-    /// Kind and limits of the Vulkan device, which may be software; `None` if the renderer uses none.
+    /// Kind and limits of the Vulkan device, which may be software; `None` if the renderer uses no Vulkan
+    /// device.
     fn limits(&self) -> Option<DeviceLimits> {
         None
     }

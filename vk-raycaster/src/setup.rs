@@ -76,7 +76,8 @@ pub(crate) struct FrameSetup {
     pub(crate) block_shift: u32,
     /// First and last cell of the brick whose samples the dispatch takes.
     pub(crate) brick_low: [f32; 3],
-    /// Number of runs of workgroups to which the rows of the dispatch are dealt in turn; 1 for none.
+    /// Number of runs of successive workgroups, one per thread of a software device (`dealt` in the shader);
+    /// 1 on a GPU.
     pub(crate) parts: u32,
     pub(crate) brick_high: [f32; 3],
     pub(crate) pad_high: f32,

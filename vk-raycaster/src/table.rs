@@ -5,7 +5,7 @@ use entire_core::scene::{TABLE_LEN, TransferTable};
 /// The opacity-corrected table of a ray step, in which samples are looked up.
 pub(crate) type StepTable = [[f32; 4]; TABLE_LEN];
 
-/// A transfer function with its opacity floor applied.
+/// A transfer function in which invisible opacities count as zero.
 pub(crate) struct Classifier {
     table: TransferTable,
     /// `visible_before[i]`: number of visible entries among 0…i−1.

@@ -71,8 +71,9 @@ by_value!(entire_calibration_report {
 /// To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
 /// plan every frame as it was drawn, and observe its time.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536), ENTIRE_UNSUPPORTED (a prior of
-/// another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536), ENTIRE_UNSUPPORTED (a prior that is
+/// not an analytic model), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model handle that is unusable),
+/// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_record(
     session: *mut entire_session,
@@ -91,8 +92,8 @@ pub unsafe extern "C" fn entire_session_record(
 
 /// Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
 /// It takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
-/// report->struct_size first. The session itself does not change and continues to record: use the model with
-/// entire_session_set_model, and save it for later runs with entire_model_save. The names of
+/// report->struct_size first. The session does not use the model until entire_session_set_model, and
+/// continues to record. entire_model_save saves the model for later runs. The names of
 /// entire_session_set_timing_source are written to the model's metadata.
 ///
 /// Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
@@ -135,10 +136,11 @@ pub unsafe extern "C" fn entire_session_calibrate(
 /// and sessions that steer this renderer with this model coarsen the ray step or the image size, whichever
 /// adds less error. Draw at least 3 scenes, all at the same settings. `scene` is a number that identifies the
 /// view, `step` is the ray step in multiples of the finest, `image_sample_distance` is the distance of
-/// neighboring rays in pixels, and `seconds` is the time that the drawing took. Include full quality (1 and
-/// 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for
-/// equal pictures and grows with the difference, such as the root mean squared difference of colors, or 1 -
-/// SSIM. Enlarge smaller pictures to full size before the comparison. The first 65536 pictures are kept.
+/// neighboring rays in pixels, and `seconds` is the time that the drawing took. Include full quality (`step`
+/// 1, `image_sample_distance` 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is
+/// any measure that is 0 for equal pictures and grows with the difference, such as the root mean squared
+/// difference of colors, or 1 - SSIM. Enlarge smaller pictures to full size before the comparison. The first
+/// 65536 pictures are kept.
 ///
 /// Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
 /// below 1, seconds that are not positive, a negative error, numbers that are not finite),
@@ -179,8 +181,9 @@ pub unsafe extern "C" fn entire_session_recorded_count(
 }
 
 /// Replaces the session's model, keeping the options that the session was made with. Observations are
-/// forgotten; volume, transfer function and limits stay, and so do recorded frames unless the model needs
-/// another number of probe rays. If the model takes volume features, set the volume again. The session holds a reference to the model.
+/// forgotten; volume, transfer function and limits stay. Recorded frames are discarded only if the number of
+/// probe rays changes with the model. If the model takes volume features, set the volume again. The session
+/// holds a reference to the model.
 ///
 /// Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an
 /// input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),

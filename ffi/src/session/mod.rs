@@ -47,9 +47,9 @@ impl Loop {
     }
 }
 
-/// Makes a session for one render loop. `model` may be NULL: then a linear cost model predicts, which adapts
-/// to the device with the first observed frames. `options` may be NULL for the defaults. The session holds a
-/// reference to the model.
+/// Makes a session for one render loop. If `model` is NULL, an analytic model (unit costs times estimated
+/// work) predicts and adapts to the device with the first observed frames. `options` may be NULL for the
+/// defaults. The session holds a reference to the model.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates or probe settings that are out of range),
 /// ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an input
@@ -88,8 +88,8 @@ pub unsafe extern "C" fn entire_session_new(
 }
 
 /// Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its closing
-/// NUL; empty if no call has failed since the last successful call with a session that is not const. `length`,
-/// if not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be NULL with
+/// NUL; empty if no call has failed since the last successful call that may change the session. `length`, if
+/// not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be NULL with
 /// capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.

@@ -31,8 +31,8 @@ pub const ENTIRE_OBSERVE_CANCELLED: u32 = 2;
 /// last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
 ///
 /// Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, a plan that was observed before, a
-/// time that is not finite, not positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an
-/// unknown flag), ENTIRE_NULL_ARGUMENT.
+/// time that is not finite, is not positive, or is over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT
+/// (an unknown flag), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_observe(
     session: *mut entire_session,

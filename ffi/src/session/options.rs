@@ -15,30 +15,31 @@ pub struct entire_session_options {
     pub struct_size: usize,
     /// Finest ray step that may be chosen, in multiples of the reference step, at least 1/64; default 1.
     pub finest_step: f32,
-    /// Coarsest ray step that may be chosen, up to 4096; default 16.
+    /// Coarsest ray step that may be chosen, in multiples of the reference step, at most 4096; default 16.
     pub coarsest_step: f32,
-    /// Share of calm frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. The share
-    /// of undisturbed frames over (1 + `tolerance`) * target is smaller, since many bounds are below that
-    /// limit.
+    /// Share of calm frames (without a scene change) that may exceed their upper bound, over 0 and at most
+    /// 0.5; default 0.05. Of the frames that no other program slows down, fewer exceed (1 + `tolerance`) *
+    /// target, since many bounds are below that limit.
     pub miss_rate: f32,
-    /// Share of the target by which a plan's upper bound for undisturbed frames may exceed the target, not
-    /// negative; default 0.1.
+    /// Share of the target by which the upper bound for undisturbed frames (frames that no other program
+    /// slows down) may exceed the target, not negative; default 0.1.
     pub tolerance: f32,
     /// Out-of-range score above which steps are chosen from recent frames instead of the prediction,
     /// positive; default 2.
     pub trust_limit: f32,
     /// Not 0 to change the step only slowly while nothing in the scene changes abruptly; default 1.
     pub damping: u32,
-    /// Number of rays along each side of the probe that measures frames for a linear cost model (no model, or
-    /// an analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
+    /// Number of rays along each side of the probe that measures frames for an analytic model (also if no
+    /// model is given), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
     /// rays estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which
     /// they were trained with.
     pub probe_side: u32,
     /// Accepted error of the probe, as a share of the frame's time, 0 to 1. Over 0, plans start with a probe
-    /// of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
-    /// larger than this and could change the plan. While the view has hardly turned since rays were cast,
-    /// their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
-    /// probe. While frames are recorded (entire_session_record), every plan casts all of its rays.
+    /// of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if the probe's estimated
+    /// error is larger than `probe_tolerance` and could change the plan. While the view has hardly turned
+    /// since rays were cast, their result is reused. Default 0: every plan casts all of its rays. Networks
+    /// always use their own probe. While frames are recorded (entire_session_record), every plan casts all of
+    /// its rays.
     pub probe_tolerance: f32,
     /// Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
     /// this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts

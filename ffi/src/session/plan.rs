@@ -17,11 +17,13 @@ pub type entire_reason = u32;
 pub const ENTIRE_REASON_FITS: entire_reason = 1;
 /// The step moves slowly towards that of ENTIRE_REASON_FITS, because nothing changed abruptly.
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
-/// The step of the last plan still fits and is close to the best: it is kept.
+/// The step of the last plan is kept. It is still expected to meet the target, and is close to that of
+/// ENTIRE_REASON_FITS.
 pub const ENTIRE_REASON_HELD: entire_reason = 3;
-/// The finest allowed step, which is expected to meet the target; its upper bound may exceed the tolerance.
+/// The finest allowed step, which is expected to meet the target; its upper bound may exceed (1 + tolerance)
+/// times the target.
 pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
-/// Even the coarsest allowed step is not expected to fit.
+/// Even the coarsest allowed step is not expected to meet the target.
 pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;
 /// The prediction is not trusted: recent frames decide.
 pub const ENTIRE_REASON_HISTORY: entire_reason = 6;
@@ -32,7 +34,7 @@ pub const ENTIRE_REASON_OFF: entire_reason = 8;
 
 /// Source of a prediction: one of the `ENTIRE_SOURCE_*` numbers.
 pub type entire_source = u32;
-/// The linear cost model on estimated work.
+/// The analytic model: unit costs times estimated work.
 pub const ENTIRE_SOURCE_ANALYTIC: entire_source = 1;
 /// The model's network.
 pub const ENTIRE_SOURCE_NETWORK: entire_source = 2;
@@ -78,8 +80,9 @@ pub struct entire_plan {
     pub seconds: f32,
     /// Upper bound of the seconds.
     pub upper: f32,
-    /// 0 if the inputs are inside the model's training range, larger with the distance from it. Above the
-    /// session's trust_limit, steps are chosen from recent frames.
+    /// Out-of-range score: 0 if the inputs are inside the range of the training data, else their distance
+    /// from this range in units of half its width. Above the session's trust_limit, steps are chosen from
+    /// recent frames.
     pub out_of_range: f32,
     /// ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
     pub absent: u32,
@@ -163,7 +166,7 @@ fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     })
 }
 
-/// As [`checked`]; a refused plan is withdrawn, so that the next plan gets its id.
+/// As [`checked`]. The session forgets a refused plan, so that the next plan gets its id.
 fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
     checked(plan).inspect_err(|_| session.withdraw(plan.id))
 }
@@ -203,9 +206,9 @@ pub unsafe extern "C" fn entire_session_predict(
 }
 
 /// Chooses the ray step of the next frame: the finest step whose expected time is at most `target_seconds`,
-/// and whose upper bound for undisturbed frames is at most (1 + tolerance) times `target_seconds`.
-/// plan->upper is the upper bound for all frames, disturbed ones included. Draw with plan->step, then pass
-/// the frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
+/// and whose upper bound for undisturbed frames (frames that no other program slows down) is at most (1 +
+/// tolerance) times `target_seconds`. plan->upper is the upper bound for all frames. Draw with plan->step,
+/// then pass the frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (a frame that is out of

@@ -14,13 +14,13 @@ use entire_steer::features::Changes;
 
 /// Change flag: a pipeline was built, or the device changed.
 pub const ENTIRE_CHANGE_FIRST: u32 = 1;
-/// Change flag: another transfer function.
+/// Change flag: the transfer function changed.
 pub const ENTIRE_CHANGE_TRANSFER_FUNCTION: u32 = 2;
-/// Change flag: another volume.
+/// Change flag: the volume changed.
 pub const ENTIRE_CHANGE_VOLUME: u32 = 4;
-/// Change flag: another image size.
+/// Change flag: the image size changed.
 pub const ENTIRE_CHANGE_SIZE: u32 = 8;
-/// Change flag: another shading, skipping or termination.
+/// Change flag: shading, skipping or termination changed.
 pub const ENTIRE_CHANGE_MODE: u32 = 16;
 /// Change flag: the camera jumped.
 pub const ENTIRE_CHANGE_CAMERA: u32 = 32;
@@ -60,9 +60,10 @@ pub unsafe extern "C" fn entire_session_set_volume(
 /// the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
 /// the previous time step stay unless the volume has precomputed ones.
 ///
-/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes, spacing or
-/// bricks, a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of
-/// another scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (sizes, spacing or bricks that
+/// differ from the session's volume, a number of precomputed features that is not the model's),
+/// ENTIRE_INVALID_ARGUMENT (a scalar type that differs from the session's volume), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_time_step(
     session: *mut entire_session,
@@ -135,11 +136,11 @@ pub unsafe extern "C" fn entire_session_set_limits(
 /// Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
 /// along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Plans then coarsen ray step and image
 /// together (`step` and `image_sample_distance` in entire_plan), which changes the picture less than
-/// coarsening one of them alone. Up to a step of `step_alone` times the finest, 1 to 64, only the step is
-/// coarsened: use 1, or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1,
-/// the default, keeps the full image size. The model must be a linear cost model, or a network that has the
-/// image size among its inputs. One plan covers all sizes, which is cheaper and corrects predictions better
-/// than one plan per size.
+/// coarsening one of them alone. Up to a step of `step_alone` (1 to 64) times the finest, only the step is
+/// coarsened. Use 1, or about 2 if the renderer blurs smaller images strongly. A `max_image_sample_distance`
+/// of 1, the default, keeps the full image size. The model must be an analytic model, or a network that has
+/// the image size among its inputs. One plan covers all sizes, which is cheaper and corrects predictions
+/// better than one plan per size.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a number outside 1 to 64), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

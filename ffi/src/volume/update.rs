@@ -17,9 +17,9 @@ use std::sync::OnceLock;
 /// since they belong to the previous time step. After this call, call entire_session_set_time_step for each
 /// session. No other call may use the volume during this one.
 ///
-/// One pass over the voxels finds the changes; it is much faster than the scan of a new volume. Only changed
-/// cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
-/// bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
+/// One pass over the voxels, much faster than the scan of a new volume, finds the changed parts. Only these
+/// are scanned again. The first call scans the whole volume, because the data for comparisons (some 50 bytes
+/// per 8 x 8 x 8 voxels) are not kept for volumes that never change.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a scalar type, spacing or range that differs from the volume's, and
 /// the cases of entire_volume_new), ENTIRE_SIZE_MISMATCH (sizes that differ from the volume's, and the cases
@@ -95,7 +95,8 @@ unsafe fn update(
         Ok(summary) if first => warn_of_non_finite(summary),
         Ok(_) => {}
         Err(error) => {
-            // A series that ran out of memory has no summary; the next use makes one of the volume's voxels.
+            // A series that ran out of memory has no summary; the next use makes a new series from the
+            // volume's voxels.
             volume.series = series.summary().is_ok().then_some(series);
             return Err(error.into());
         }

@@ -38,7 +38,7 @@ pub(crate) fn seconds_between((valid_bits, period): (u32, f64), begin: u64, end:
 #[derive(Default)]
 struct Messages(Mutex<Vec<String>>);
 
-/// An instance with the messenger of the validation layer, if it is enabled.
+/// An instance; with the messenger of the validation layer if this layer is enabled.
 pub(crate) struct Instance {
     pub(crate) functions: ash::Instance,
     debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
@@ -403,7 +403,7 @@ fn choose_device(instance: &ash::Instance, options: &VulkanOptions) -> Result<Pr
             usable
                 .iter()
                 .position(|(i, _)| Some(*i) == index)
-                // A small number is no part of a name: it would select a device by its version.
+                // A number below 64 is only an index: in a name, it would match a version.
                 .or_else(|| match index {
                     Some(0..64) => None,
                     _ => usable.iter().position(|(_, d)| d.name.to_lowercase().contains(&lower)),

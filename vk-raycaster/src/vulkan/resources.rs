@@ -7,8 +7,8 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::{Arc, PoisonError};
 
-/// A handle that is destroyed when this value drops; its owner ensures that the device no longer uses it
-/// then. On an abandoned device, the handle is leaked.
+/// A handle that is destroyed when this value drops. The owner ensures that the device then does not use the
+/// handle. On an abandoned device, the handle is leaked.
 pub(crate) struct Owned<T: Copy> {
     gpu: Arc<Gpu>,
     handle: T,
@@ -164,7 +164,7 @@ pub(crate) struct Shape {
     /// Texels along each axis; a depth of 0 makes the image 2-D.
     pub(crate) extent: [u32; 3],
     pub(crate) format: vk::Format,
-    /// True if shaders load from it as a storage image, else as a sampled one.
+    /// True if shaders read it as a storage image; false if they sample it.
     pub(crate) storage: bool,
 }
 
@@ -234,7 +234,7 @@ impl Image {
         self.image.get()
     }
 
-    /// The image layout in which shaders read it.
+    /// The layout in which shaders read the image.
     pub(crate) fn layout(&self) -> vk::ImageLayout {
         if self.shape.storage { vk::ImageLayout::GENERAL } else { vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL }
     }

@@ -43,8 +43,8 @@ pub(crate) struct Brick {
     /// First and last cell whose samples use the brick.
     pub(crate) low: [usize; 3],
     pub(crate) high: [usize; 3],
-    /// First voxel of the brick, and number of its voxels along each axis. It holds all voxels that its
-    /// samples and their gradients read.
+    /// First voxel of the brick, and number of its voxels along each axis. The brick holds all voxels that
+    /// its samples and their gradients read.
     pub(crate) origin: [usize; 3],
     pub(crate) dims: [usize; 3],
 }
