@@ -35,55 +35,7 @@ pub(crate) fn bytes(
 
         #[inline(always)]
         fn run<S: Simd>(self, _: S) {
-            let Self(g, src, after, z0, planes, scratch) = self;
-            let n = g.n;
-            let [rx, ry, rz] = g.dims.map(|d| d / n);
-            let sums: &mut [u16] = &mut bytemuck::cast_slice_mut(scratch)[..g.dims[0]];
-            for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
-                for (y, out) in plane.chunks_exact_mut(n).enumerate() {
-                    let mut first = true;
-                    for z in (z0 + dz) * rz..(z0 + dz + 1) * rz {
-                        let mut row = y * ry;
-                        let end = row + ry;
-                        // In each plane, the present output row reads only these rows. The plane's next rows,
-                        // which the next output row reads, are prefetched.
-                        for next in end..end + ry {
-                            prefetch(src, z * g.strides[2] + next * g.strides[1], g.dims[0]);
-                        }
-                        let at = |row: usize| z * g.strides[2] + row * g.strides[1];
-                        if g.strides[0] != 1 {
-                            for row in row..end {
-                                add_bytes_strided(sums, &src[at(row)..], g.strides[0], first);
-                                first = false;
-                            }
-                            continue;
-                        }
-                        while end - row >= 4 {
-                            let rows = [at(row), at(row + 1), at(row + 2), at(row + 3)];
-                            add_bytes(sums, rows.map(|o| &src[o..o + g.dims[0]]), first);
-                            first = false;
-                            row += 4;
-                        }
-                        while row < end {
-                            add_bytes(sums, [&src[at(row)..at(row) + g.dims[0]]], first);
-                            first = false;
-                            row += 1;
-                        }
-                    }
-                    match rx {
-                        1 => fold_sums::<1>(sums, out, after),
-                        2 => fold_sums::<2>(sums, out, after),
-                        3 => fold_sums::<3>(sums, out, after),
-                        4 => fold_sums::<4>(sums, out, after),
-                        8 => fold_sums::<8>(sums, out, after),
-                        _ => {
-                            for (o, s) in out.iter_mut().zip(sums.chunks_exact(rx)) {
-                                *o = after.apply(s.iter().map(|&v| u32::from(v)).sum::<u32>() as f32);
-                            }
-                        }
-                    }
-                }
-            }
+            bytes_body(self.0, self.1, self.2, self.3, self.4, self.5);
         }
     }
     if g.dims[0] == 4 * g.n && g.strides[0] == 1 && g.level.isa != Isa::Scalar {
@@ -203,6 +155,65 @@ impl QuadRows<'_> {
         let out = &mut out[..S::LANES];
         // SAFETY: `out` has the `LANES` floats that are written.
         unsafe { simd.store(out.as_mut_ptr(), simd.to_f(sum)) };
+    }
+}
+
+#[inline(always)]
+fn bytes_body(
+    g: &Geometry<'_>,
+    src: &[u8],
+    after: After,
+    z0: usize,
+    planes: &mut [f32],
+    scratch: &mut [f32],
+) {
+    let n = g.n;
+    let [rx, ry, rz] = g.dims.map(|d| d / n);
+    let sums: &mut [u16] = &mut bytemuck::cast_slice_mut(scratch)[..g.dims[0]];
+    for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
+        for (y, out) in plane.chunks_exact_mut(n).enumerate() {
+            let mut first = true;
+            for z in (z0 + dz) * rz..(z0 + dz + 1) * rz {
+                let mut row = y * ry;
+                let end = row + ry;
+                // In each plane, the present output row reads only these rows. The plane's next rows, which
+                // the next output row reads, are prefetched.
+                for next in end..end + ry {
+                    prefetch(src, z * g.strides[2] + next * g.strides[1], g.dims[0]);
+                }
+                let at = |row: usize| z * g.strides[2] + row * g.strides[1];
+                if g.strides[0] != 1 {
+                    for row in row..end {
+                        add_bytes_strided(sums, &src[at(row)..], g.strides[0], first);
+                        first = false;
+                    }
+                    continue;
+                }
+                while end - row >= 4 {
+                    let rows = [at(row), at(row + 1), at(row + 2), at(row + 3)];
+                    add_bytes(sums, rows.map(|o| &src[o..o + g.dims[0]]), first);
+                    first = false;
+                    row += 4;
+                }
+                while row < end {
+                    add_bytes(sums, [&src[at(row)..at(row) + g.dims[0]]], first);
+                    first = false;
+                    row += 1;
+                }
+            }
+            match rx {
+                1 => fold_sums::<1>(sums, out, after),
+                2 => fold_sums::<2>(sums, out, after),
+                3 => fold_sums::<3>(sums, out, after),
+                4 => fold_sums::<4>(sums, out, after),
+                8 => fold_sums::<8>(sums, out, after),
+                _ => {
+                    for (o, s) in out.iter_mut().zip(sums.chunks_exact(rx)) {
+                        *o = after.apply(s.iter().map(|&v| u32::from(v)).sum::<u32>() as f32);
+                    }
+                }
+            }
+        }
     }
 }
 

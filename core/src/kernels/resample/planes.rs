@@ -60,47 +60,57 @@ pub(crate) fn planes(
 
         #[inline(always)]
         fn run<S: Simd>(self, _: S) {
-            let Self(g, fetch, after, z0, planes, scratch) = self;
-            let n = g.n;
-            let (sum, rest) = scratch.split_at_mut(g.dims[0]);
-            let (long, rest) = rest.split_at_mut(g.dims[0]);
-            let (rows, spare) = rest.split_at_mut(ROWS * g.dims[0]);
-            let height = g.dims[1].min(n);
-            for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
-                let zs = reduced_span(z0 + dz, g.dims[2], n);
-                // If the output has more rows than the input, the input's rows are stored in the plane's last
-                // rows.
-                for (y, out) in plane[(n - height) * n..].chunks_exact_mut(n).enumerate() {
-                    let ys = reduced_span(y, g.dims[1], n);
-                    if ys.count.saturating_mul(zs.count) <= DIRECT_ROWS {
-                        for z in 0..zs.count {
-                            sum_rows(g, fetch, (zs.first + z, zs.weight(z)), &ys, rows, sum, z == 0);
-                        }
-                        fold(sum, g.columns, after, out);
-                    } else {
-                        for z in 0..zs.count {
-                            sum_rows(g, fetch, (zs.first + z, 1.0), &ys, rows, sum, true);
-                            let w = zs.weight(z);
-                            if z == 0 {
-                                for (l, &s) in long.iter_mut().zip(&*sum) {
-                                    *l = w * s;
-                                }
-                            } else {
-                                for (l, &s) in long.iter_mut().zip(&*sum) {
-                                    *l += w * s;
-                                }
-                            }
-                        }
-                        fold(long, g.columns, after, out);
-                    }
-                }
-                if height < n {
-                    spread(plane, height, n, n, &mut spare[..2 * n]);
-                }
-            }
+            planes_body(self.0, self.1, self.2, self.3, self.4, self.5);
         }
     }
     g.level.run(Body(g, fetch, after, z0, planes, scratch));
+}
+
+#[inline(always)]
+fn planes_body(
+    g: &Geometry<'_>,
+    fetch: &Fetch<'_>,
+    after: After,
+    z0: usize,
+    planes: &mut [f32],
+    scratch: &mut [f32],
+) {
+    let n = g.n;
+    let (sum, rest) = scratch.split_at_mut(g.dims[0]);
+    let (long, rest) = rest.split_at_mut(g.dims[0]);
+    let (rows, spare) = rest.split_at_mut(ROWS * g.dims[0]);
+    let height = g.dims[1].min(n);
+    for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
+        let zs = reduced_span(z0 + dz, g.dims[2], n);
+        // If the output has more rows than the input, the input's rows are stored in the plane's last rows.
+        for (y, out) in plane[(n - height) * n..].chunks_exact_mut(n).enumerate() {
+            let ys = reduced_span(y, g.dims[1], n);
+            if ys.count.saturating_mul(zs.count) <= DIRECT_ROWS {
+                for z in 0..zs.count {
+                    sum_rows(g, fetch, (zs.first + z, zs.weight(z)), &ys, rows, sum, z == 0);
+                }
+                fold(sum, g.columns, after, out);
+            } else {
+                for z in 0..zs.count {
+                    sum_rows(g, fetch, (zs.first + z, 1.0), &ys, rows, sum, true);
+                    let w = zs.weight(z);
+                    if z == 0 {
+                        for (l, &s) in long.iter_mut().zip(&*sum) {
+                            *l = w * s;
+                        }
+                    } else {
+                        for (l, &s) in long.iter_mut().zip(&*sum) {
+                            *l += w * s;
+                        }
+                    }
+                }
+                fold(long, g.columns, after, out);
+            }
+        }
+        if height < n {
+            spread(plane, height, n, n, &mut spare[..2 * n]);
+        }
+    }
 }
 
 /// Adds the rows of one plane to `sum`. A row's weight is multiplied by the plane's weight. `rows` is scratch
