@@ -114,7 +114,7 @@ class Model(_native.Model):
         Raises
         ------
         ValueError
-            For another shading mode.
+            If `shading` is none of these modes.
         FileNotFoundError
             If the machine was not calibrated for the mode; the text gives the command to do so.
         """
@@ -164,18 +164,19 @@ class Calibrated(NamedTuple):
 class Session(_native.Session):
     """Predicts and steers one render loop of any renderer.
 
-    For every frame: :meth:`plan`, draw with the plan's step, then :meth:`observe` the time it took. A session
-    may be used from any thread; calls from several threads run one after the other.
+    For every frame: :meth:`plan`, draw with the plan's step, then :meth:`observe` the time that the frame took. A
+    session may be used from any thread; calls from several threads run one after the other.
 
     Parameters
     ----------
     volume : Volume, optional
         The volume to draw; :meth:`set_volume` replaces it.
     model : Model, str, os.PathLike or bytes, optional
-        Predictor, or an argument of :class:`Model`. Without one, a linear cost model adapts to the renderer
-        in the first frames.
+        Predictor, or an argument of :class:`Model`. Without one, an analytic model (unit costs times estimated work)
+        adapts to the renderer in the first frames.
     tolerance : float, optional
-        Share of the target by which a plan's upper bound may exceed the target. Default 0.1.
+        Share of the target by which the upper bound for frames that no other program slows down may exceed the target.
+        Default 0.1.
     miss_rate : float, optional
         Share of calm frames that may exceed their upper bound, above 0 and at most 0.5. Default 0.05.
     trust_limit : float, optional
@@ -187,8 +188,7 @@ class Session(_native.Session):
         target. If the load lasts longer than 32 frames, the slower speed counts as the machine's normal speed
         from then on, and steps are chosen for it. Default False.
     probe_side : int, optional
-        Rays along each side of the probe that estimates a frame's work, 1 to 24, for linear cost models.
-        Default 11.
+        Rays along each side of the probe that estimates a frame's work, 1 to 24, for analytic models. Default 11.
 
     Raises
     ------
@@ -251,7 +251,7 @@ class Session(_native.Session):
         ValueError
             If `frames` is outside 8 to 65536.
         ModelError
-            For a model of another kind.
+            For a model that is not an analytic model.
         """
         self.record_from(frames, _model(model))
 
@@ -279,8 +279,9 @@ class Session(_native.Session):
         return Calibrated(Model(data), **report)
 
     def set_model(self, model: ModelLike) -> None:
-        """Replaces the session's model. Observations are dropped; volume, transfer function, limits and recorded
-        frames stay. If the model takes volume features, set the volume again.
+        """Replaces the session's model. Observations are dropped; volume, transfer function and limits stay. Recorded
+        frames are dropped only if the number of probe rays changes with the model. If the model takes volume features,
+        set the volume again.
 
         Parameters
         ----------
