@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Render modes, and memory layouts of scalars; some VTK versions lack them."""
+"""Render modes and memory layouts of scalars, which some VTK versions lack, and volumes in assemblies."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ pytest.importorskip("vtkmodules")
 import entire
 import entire.vtk
 from vtkmodules import vtkCommonCore
+from vtkmodules.vtkRenderingCore import vtkAssembly
 from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkSmartVolumeMapper
 
 from scenes import add_volume, image_data, one_volume
@@ -128,3 +129,44 @@ def test_rays_that_begin_at_noise_are_steered(voxels):
     volume.SetMapper(smart)
     entire.vtk.hold(view.renderer, volume, 1e-4)
     assert volume.GetMapper().GetUseJittering()
+
+
+def put_in_assembly(view, volume):
+    """Makes a volume of a view a part of an assembly; returns the assembly."""
+    assembly = vtkAssembly()
+    view.renderer.RemoveVolume(volume)
+    assembly.AddPart(volume)
+    view.renderer.AddViewProp(assembly)
+    return assembly
+
+
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_a_volume_is_planned_where_its_assembly_places_it(voxels, kind):
+    def predicted(assembled, scale):
+        view, volume = one_volume(voxels, kind)
+        moved = put_in_assembly(view, volume) if assembled else volume
+        moved.SetScale(scale)
+        moved.SetPosition(3, 2, 1)
+        steering = entire.vtk.hold(view.renderer, volume, 1e-4, model="unshaded-selected", clock="cpu")
+        view.draw(1)
+        assert steering.status == ""
+        return steering.predicted
+
+    small = predicted(True, 0.5)
+    assert small > 0
+    assert small == predicted(False, 0.5)
+    assert small != predicted(False, 1.0)
+
+
+def test_a_volume_is_calibrated_where_its_assembly_places_it(voxels, monkeypatch):
+    view, volume = one_volume(voxels, "fixed")
+    assembly = put_in_assembly(view, volume)
+    assembly.SetScale(0.5)
+    assembly.SetPosition(3, 2, 1)
+    seen, scene = [], entire.vtk._scene
+    camera = scene.camera
+    monkeypatch.setattr(
+        scene, "camera", lambda renderer, placed, grid: seen.append(placed) or camera(renderer, placed, grid)
+    )
+    entire.vtk.calibrate(view.renderer, volume, frames=10, pictures=0)
+    assert set(seen) == {scene.elements(assembly.GetMatrix())}

@@ -24,7 +24,7 @@ _MAXIMUM = 2
 class SlicerSteering(Steering):
     """Steering of a view's volumes. Made by :func:`hold`.
 
-    The target follows the view node's expected frame rate. Nothing is steered while its quality is "Maximum".
+    The target follows the view node's expected frame rate. Nothing is steered while the node's quality is "Maximum".
     """
 
     def __init__(self, manager: Any, node: Any, seconds: float | None, **options: Any) -> None:
@@ -49,15 +49,15 @@ class SlicerSteering(Steering):
             self.seconds = _expected(node)
         maximum = node.GetVolumeRenderingQuality() == _MAXIMUM
         if maximum != self._maximum:
-            # Other changes of the node do not undo the user's choice.
+            # Only a change of the quality sets `enabled`, so that other changes of the node keep the user's value.
             self._maximum, self.enabled = maximum, not maximum
 
     def _is_still(self, window: Any) -> bool:
         interactor = window.GetInteractor()
         if self._still or self.always is not None or interactor is None:
             return super()._is_still(window)
-        # The rate that Slicer requests from VTK is lower than the expected one: less than 1 frame per second if it
-        # expects less than 5. So the interactor's rate for still frames decides here, not `still_rate`.
+        # The rate that Slicer requests from VTK is lower than the expected one: less than 1 frame per second if less
+        # than 5 are expected. So the interactor's rate for still frames decides here, not `still_rate`.
         return bool(window.GetDesiredUpdateRate() <= interactor.GetStillUpdateRate())
 
 
@@ -66,7 +66,7 @@ def _expected(node: Any) -> float:
 
 
 def _manager(view: Any) -> Any:
-    """The displayable manager of volume rendering for an argument of :func:`hold`; None if it has none."""
+    """The displayable manager of volume rendering for an argument of :func:`hold`; None if the argument has none."""
     if hasattr(view, "threeDView"):
         view = view.threeDView()
     # Methods of a view of Slicer, of a view of trame-slicer, and of a group of managers.

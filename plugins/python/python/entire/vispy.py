@@ -221,7 +221,7 @@ def hold(
         Target time of a frame of the canvas. Default 1 / 30.
     model : Model, str, os.PathLike or bytes, optional
         As in :class:`entire.Session`. Frames are timed by the wall clock; if the model's clock
-        (``entire.clock`` in its metadata) differs, a warning says that its scale is learned from the first
+        (``entire.clock`` in its metadata) differs, a warning says that the model's scale is learned from the first
         frames.
     coarsest : float, optional
         Coarsest step in voxels. Default 8.

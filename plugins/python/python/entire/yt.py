@@ -136,7 +136,7 @@ class Holder:
         """
         width, height = (int(n) for n in self.scene.camera.resolution)
         self.most, self.full = int(self.source.num_samples), (width, height)
-        # Steps below 1/64 cannot be predicted; more samples are predicted as 64.
+        # Steps below 1/64 cannot be predicted; more than 64 samples per cell are predicted as 64.
         counts = list(range(self.most, 0, -1))
         settings = [(max(1 / 64, 1 / n), self.full) for n in counts]
         scale = 1.0
@@ -216,7 +216,7 @@ def hold(
         Target time of a picture, in seconds.
     model : Model, str, os.PathLike or bytes, optional
         As in :class:`entire.Session`. Pictures are timed by the wall clock; if the model's clock
-        (``entire.clock`` in its metadata) differs, a warning says that its scale is learned from the first
+        (``entire.clock`` in its metadata) differs, a warning says that the model's scale is learned from the first
         pictures.
     smallest : float, optional
         Smallest allowed side of the picture, as a share of the full side; positive. Default 0.25.

@@ -157,7 +157,8 @@ class _Calibrator:
             if steering is not None:
                 # Hides the overlay and turns steering off.
                 quiet.enter_context(steering.still())
-            # Elsewhere in the window, the GPU mapper draws nothing with a larger image sample distance.
+            # In a renderer that is not at the window's lower left corner, the GPU mapper draws nothing if the image
+            # sample distance is larger.
             shrinks = not self.gpu or renderer.GetOrigin() == (0, 0)
             if pictures and not shrinks:
                 log.warning(
@@ -168,7 +169,7 @@ class _Calibrator:
             window.Render()
             image = _scene.input_of(mapper)
             grid = _scene.Grid(mapper, image, 0 if prop.GetIndependentComponents() else -1)
-            placed = _scene.elements(first_volume(self.volume).GetMatrix())
+            placed = _scene.elements(_scene.drawn_matrix(renderer, first_volume(self.volume)))
             finest = _mappers.full_quality(own, image, placed, self.gpu)
             base = min(4096.0, max(1 / 64, finest / grid.reference))
             calibration, draw = Calibration(), random.Random(seed)

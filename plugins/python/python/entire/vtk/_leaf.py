@@ -264,8 +264,8 @@ class Leaf:
             except CannotSteer as refused:
                 self._fall_back(str(refused))
 
-    # Plans the frame of a fixed-point mapper, which reads its distances, and computes the opacities for them, before it
-    # invokes its start event.
+    # Plans the frame of a fixed-point mapper. Before its start event, such a mapper reads its distances and computes
+    # the opacities for them.
     def _renderer_start(self) -> None:
         self._ready = False
         volume, mapper = self._volume(), self._mapper()
@@ -446,7 +446,10 @@ class Leaf:
         own = self._own = _mappers.Settings(mapper)
         # With AutoAdjustSampleDistances, the mapper's image sample distance is that of an earlier frame.
         self._pixels = 1.0 if own.adjust else max(0.1, own.image)
-        placed = _scene.elements(shown.GetMatrix())
+        # A fixed-point mapper is planned before the renderer draws its props. An assembly changes the volume's MTime
+        # whenever it draws, so that the volume is read again in the next frame, also if only the assembly was moved.
+        renderer = steering._frame_renderer
+        placed = _scene.elements(shown.GetMatrix() if self._gpu else _scene.drawn_matrix(renderer, shown))
         finest = _mappers.full_quality(own, image, placed, self._gpu)
         self._finest = min(4096.0, max(1 / 64, finest / grid.reference))
         self._held = Held(

@@ -216,7 +216,7 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     Raises
     ------
     CannotSteer
-        If the smart mapper is set to another mode.
+        If a GPU mapper cannot replace the smart mapper with its current settings.
     """
     why = _smart_refusal(smart)
     if why:

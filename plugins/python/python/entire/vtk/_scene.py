@@ -48,7 +48,7 @@ def input_of(mapper: Any) -> Any:
     Raises
     ------
     Unreadable
-        If the mapper has no input, or an input of another class.
+        If the mapper has no input, or an input that is not vtkImageData.
     """
     data = mapper.GetDataObjectInput() if hasattr(mapper, "GetDataObjectInput") else mapper.GetInput()
     if data is None:
@@ -231,6 +231,26 @@ def vertical_angle(active: Any, size: tuple[int, int]) -> float:
         return angle
     width, height = size
     return 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
+
+
+def drawn_matrix(renderer: Any, volume: Any) -> Any:
+    """The matrix with which the renderer will draw a volume: in an assembly, a product with the assembly's matrices.
+
+    While the assembly draws, the volume's own matrix is this product; do not call this function then, since the
+    assembly may delete the paths that it iterates over, and build them again.
+    """
+    if not renderer.HasViewProp(volume):
+        props = renderer.GetViewProps()
+        for i in range(props.GetNumberOfItems()):
+            prop = props.GetItemAsObject(i)
+            if not prop.IsA("vtkAssembly"):
+                continue
+            prop.InitPathTraversal()
+            for path in iter(prop.GetNextPath, None):
+                node = path.GetLastNode()
+                if node.GetViewProp() is volume and node.GetMatrix() is not None:
+                    return node.GetMatrix()
+    return volume.GetMatrix()
 
 
 def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:

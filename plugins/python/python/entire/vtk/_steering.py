@@ -28,7 +28,7 @@ from ._window import frame_of, is_picking
 
 log = logging.getLogger("entire.vtk")
 
-# Rays along each side of the probe for linear cost models. The number is low, since each ray takes about a microsecond
+# Rays along each side of the probe for analytic models. The number is low, since each ray takes about a microsecond
 # after a large frame has evicted the probe's data from the caches.
 _PROBE_SIDE = 6
 # Smallest target of the window's frame, as a share of `Steering.seconds`: the time outside of the window's drawing is
@@ -176,7 +176,7 @@ class Steering:
         self._overlay = Overlay(renderer) if overlay else None
         try:
             wanted = _volumes(renderer) if volumes is None else list(volumes)
-            # All are checked before one is taken from another steering, which continues if one is refused.
+            # All volumes are checked before any is taken from another steering, which continues if a volume is refused.
             for volume in wanted:
                 why = refusal(volume, wanted)
                 if why:
@@ -192,7 +192,7 @@ class Steering:
         ]
         self._follow_window(renderer.GetRenderWindow())
         if self._all:
-            # An earlier one would take the volumes that are added later.
+            # An earlier steering would take the volumes that are added later.
             for earlier in [each for each in _whole if each.renderer is renderer]:
                 earlier.detach()
             _whole.add(self)
@@ -617,8 +617,8 @@ def hold(
         / the window's ``DesiredUpdateRate``.
     model : Model, str, os.PathLike or bytes, optional
         Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one, about three
-        frames are needed. If the model's clock (``entire.clock`` in its metadata) differs, a warning says
-        that its scale is learned from the first frames.
+        frames are needed. If the model's clock (``entire.clock`` in its metadata) differs, a warning says that the
+        model's scale is learned from the first frames.
     coarsest, finest : float, optional
         Coarsest and finest sample distance along rays, in smallest voxel spacings. Default 8, and the
         mapper's own.
