@@ -13,8 +13,8 @@ use entire_core::kernels::Executor;
 use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::hint::black_box;
 
-/// Seconds of a time step of a series: `same` for an unchanged volume, of which all voxels are compared;
-/// `box` for a given box of 64³ changed voxels.
+/// Seconds of a time step of a series with an unchanged volume. With `same`, all voxels are compared; with
+/// `box`, only a given box of 64³ voxels is scanned.
 fn time_step(view: &VolumeView<'_>, what: &str) -> Option<f64> {
     let planes = view.shape().dims[2];
     let mut series = SummarySeries::new(view).expect("a series");

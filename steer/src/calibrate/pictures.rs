@@ -17,8 +17,8 @@ use serde::Serialize;
 /// Smallest number of scenes for a fit.
 const FEWEST_SCENES: usize = 3;
 
-/// Largest time of a picture that is used in the fit of the error, as a share of the time at full quality.
-/// Pictures closer to full quality differ from it by rounding only.
+/// The fit of the error uses only pictures that take at most this share of the time at full quality. Slower
+/// pictures differ from full quality by rounding only.
 const LONGEST: f64 = 0.75;
 
 /// Ratio of successive values of c = step · distance² at which a path is evaluated.
@@ -86,8 +86,8 @@ pub struct FittedQuality {
     /// Number of settings per scene.
     pub settings: usize,
     /// Excess error of the law's choices: ratio of the error of the law's setting to the smallest error of
-    /// any setting with the same time, interpolated between drawn settings. Geometric mean over frame times;
-    /// 1 is the best value.
+    /// all settings that take at most the same time. Errors are interpolated between drawn settings.
+    /// Geometric mean over frame times; 1 is the best value.
     pub over_best: f64,
     /// As `over_best`, for settings that coarsen only the ray step, over the frame times that such settings
     /// reach; `None` if they reach none of these times.
@@ -227,7 +227,7 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     };
     let shares: Vec<f64> =
         (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect();
-    // Every step at every image sample distance.
+    // Times and errors of all steps at all image sample distances.
     let largest = grid.lines.last().map_or(1.0, |l| l.0);
     let steps = powers(FINER, grid.lines[0].1.last().map_or(1.0, |p| p.0));
     let all: Vec<(f64, f64)> = powers(DISTANCE_RATIO, largest)
@@ -236,10 +236,10 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
         .map(|(s, d)| grid.at(s, d))
         .collect();
     let best = at_shares(&all, &shares, false);
-    // `path` is a sequence of settings, in the order in which a law tries them. For each share of the time at
-    // full quality, its error is that of its first setting within this share, and is divided by the smallest
-    // error of all settings within this share. Returns the mean of the logarithm of this ratio over the
-    // shares.
+    // `path` holds ln(time) and ln(error) of settings, in the order in which a law tries the settings. For
+    // each share of the time at full quality, the error of the first setting of `path` within this share is
+    // divided by the smallest error of all settings within this share. Returns the mean, over the shares, of
+    // ln of this ratio.
     let over_best = |path: &[(f64, f64)]| {
         let own = at_shares(path, &shares, true);
         let both = own.iter().zip(&best).filter(|(own, best)| own.is_finite() && best.is_finite());

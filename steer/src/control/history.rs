@@ -44,10 +44,10 @@ pub(super) struct History {
     frames: [(f64, f64); 3],
     pub(super) len: usize,
     next: usize,
-    /// True if the last frame is doubtful.
+    /// True if the last frame's time may include compilation and uploads.
     doubtful: bool,
     spread: f64,
-    /// Mean |ln(measured / forecast)| over frames that do not follow a change.
+    /// Mean |ln(measured / forecast)| over the compared frames ([`History::compare`]).
     history_error: f64,
     /// Mean |ln(measured / corrected prediction)| over the same frames.
     own_error: f64,
@@ -84,7 +84,8 @@ impl History {
     }
 
     /// Updates both mean errors by a measured frame; `own` is |ln(measured / corrected prediction)|. A frame
-    /// is ignored if the scene changed before it, if the previous frame was doubtful, or if there is none.
+    /// is ignored if the scene changed before it, if the previous frame was doubtful, or if there is no
+    /// previous frame.
     pub(super) fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
         if self.len == 0 || changed || self.doubtful {
             return;
@@ -106,8 +107,8 @@ impl History {
         }
     }
 
-    /// Adds a measured frame; if it follows a change, the earlier frames are dropped. A `doubtful` frame, whose
-    /// time may include compilation and uploads, is dropped with the next frame.
+    /// Adds a measured frame; if it follows a change, the earlier frames are dropped. A `doubtful` frame,
+    /// whose time may include compilation and uploads, is dropped when the next frame is added.
     pub(super) fn push(&mut self, step: f32, seconds: f64, changed: bool, doubtful: bool) {
         if changed || self.doubtful {
             self.len = 0;

@@ -31,8 +31,8 @@ pub struct HybridOptions {
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
     /// Exception: the finest allowed step is chosen, whatever its bound, if its expected time meets the
-    /// target and if the finest step whose bound is within the tolerance is coarser by at most a factor of
-    /// exp(`full`) ([`HybridConstants`]).
+    /// target and if the finest step whose bound is within the tolerance is at most exp(`full`) times the
+    /// finest allowed step ([`HybridConstants`]).
     pub tolerance: f32,
     /// Prior knowledge of the prediction's errors.
     pub prior: Prior,
@@ -124,7 +124,7 @@ pub struct Hybrid {
     /// True if the last begun frame was announced as changed.
     announced: bool,
     scene: SceneMark,
-    /// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames.
+    /// Upper limit of the margin of [`Expected::choice_upper`], in standard deviations of undisturbed frames.
     worth: f64,
     /// State before the last begun frame, for [`Controller::withdraw`]; its correction learns from every
     /// observation, too. `None` if no frame was begun since the last withdrawal or reset.
@@ -151,8 +151,8 @@ struct Last {
 /// Largest number of evaluations of the cost in a step search, besides those at the limits; usually four or
 /// five suffice.
 const EVALUATIONS: usize = 12;
-/// Largest margin of the bound by which the step is chosen, in standard deviations of undisturbed frames,
-/// unless a lower miss rate requires more. A bound with this margin covers 98 of 100 undisturbed frames.
+/// Upper limit of the margin of [`Expected::choice_upper`], in standard deviations of undisturbed frames; a
+/// low miss rate raises the limit. A bound with this margin covers 98 of 100 undisturbed frames.
 /// Slower frames are due to other programs, and a step that is coarse enough for these frames would be too
 /// coarse for all others.
 const WORTH: f64 = 2.0;
@@ -164,9 +164,9 @@ const MARGIN_PACE: f32 = 0.05;
 const DEAD_BAND: f64 = 0.01;
 /// Difference of two targets, in ln, below which they count as equal.
 const SAME_TARGET: f64 = 0.02;
-/// Trust in a session's first frame, which may include a compilation or an upload. Its noise is taken to have
-/// a hundred times the variance of other frames' noise, so this frame sets the order of magnitude only if the
-/// prior does not.
+/// Trust in a frame with [`Changes::first`], which may include a compilation or an upload. Its noise is taken
+/// to have a hundred times the variance of other frames' noise, so this frame sets the order of magnitude
+/// only if the prior does not.
 const FIRST_TRUST: f64 = 0.01;
 
 /// Expected time of a frame and its bounds, in seconds.
@@ -403,7 +403,6 @@ impl Hybrid {
     }
 }
 
-/// Returns the standing of an observed frame with respect to the present scene.
 fn standing(observed: SceneMark, present: SceneMark) -> Standing {
     match observed {
         SceneMark { number, .. } if number != present.number => Standing::Past,
@@ -562,7 +561,6 @@ impl Controller for Hybrid {
     }
 }
 
-/// Returns a prediction of `seconds` by these terms.
 fn prediction_of(terms: &CostTerms, seconds: f64, upper: f64) -> Prediction {
     Prediction {
         seconds: (seconds as f32).clamp(1.0e-9, 1.0e9),

@@ -353,7 +353,8 @@ impl Session {
                 bail!(InvalidArgument, "setting {i}: {e}");
             }
         }
-        // One probe serves all settings. It casts shadow rays only if a setting has single scattering.
+        // One probe serves all settings. It casts shadow rays if the frame or a setting has single
+        // scattering.
         let mut widest = *frame;
         if settings.iter().any(|s| s.shading.scatters()) && !frame.shading.scatters() {
             widest.shading = Shading::Scatter;
@@ -387,7 +388,6 @@ impl Session {
         Ok((index, plan))
     }
 
-    /// Adds a plan to the recording, if there is one.
     fn record_plan(&mut self, id: u64, changes: Changes, setting: Setting) {
         if let Some(recording) = &mut self.recording {
             recording.plan(id, &self.features.cost_work(&setting), changes);
