@@ -17,8 +17,8 @@ const EVICTED: usize = 8 << 20;
 /// Number of camera poses per transfer function.
 const POSES: usize = 12;
 
-/// Number of planes of the summarized volumes of bytes, 512 × 512 voxels each; other types have fewer, so
-/// that all volumes have equally many bytes.
+/// Number of planes in a volume of bytes; a plane has 512 × 512 voxels. Volumes of other voxel types have
+/// fewer planes, so that all volumes take the same number of bytes.
 const PLANES: usize = 512;
 
 /// Seconds of a call.
@@ -142,7 +142,7 @@ fn frames(shading: Shading) -> Vec<Frame> {
         .collect()
 }
 
-/// Answers `plan/SIDE/warm|cold/none|scatter`: seconds of the fastest of several plans of each scene.
+/// Answers `plan/SIDE/warm|cold/none|scatter`: for each scene, seconds of the fastest of several plans.
 fn plans(volumes: &mut Volumes, side: usize, cold: bool, shading: Shading) -> Vec<f64> {
     let summary = volumes.summary(256);
     let mut session = scene::session(side);
@@ -198,7 +198,7 @@ fn transfers(volumes: &mut Volumes, edge: usize, what: &str) -> Vec<f64> {
     out
 }
 
-/// Answers requests until the input ends; `also` handles further names.
+/// Answers requests until the input ends. `also` answers the names that this function does not know.
 pub(crate) fn serve(volumes: &mut Volumes, also: &mut dyn FnMut(&mut Volumes, &str) -> Option<()>) {
     for line in std::io::stdin().lock().lines() {
         let line = line.expect("a line");

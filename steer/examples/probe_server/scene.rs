@@ -4,7 +4,6 @@ use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeOptions, VolumeV
 use entire_steer::control::Session;
 use entire_steer::features::VolumeSummary;
 
-/// A volume with a given range.
 pub(crate) fn volume(scalars: Scalars<'_>, dims: [usize; 3], range: (f32, f32)) -> VolumeView<'_> {
     VolumeView::with(scalars, dims, VolumeOptions { range: Some(range), ..VolumeOptions::default() })
         .expect("a volume")
@@ -15,7 +14,6 @@ pub(crate) fn summary(volume: &VolumeView<'_>) -> VolumeSummary {
     VolumeSummary::new(volume).expect("a summary")
 }
 
-/// A frame of 1024 × 768 pixels.
 pub(crate) fn frame(camera: Camera, shading: Shading) -> Frame {
     Frame { shading, ..Frame::new(camera, 1024, 768).expect("a frame") }
 }

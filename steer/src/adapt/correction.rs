@@ -55,9 +55,10 @@ fn standard_deviation(variance: f64) -> f64 {
 /// uncorrected prediction. An extended Kalman filter on ln t estimates θ and b together from observed times.
 ///
 /// θ belongs to the machine: it drifts slowly and persists across scenes. b belongs to the present scene: it
-/// is the logarithm of a factor for this scene alone, and is learned from the last few frames. A new scene of
-/// novelty 1 begins with b = 0 and the variance observed among scenes; with a smaller novelty, b is multiplied
-/// by 1 − novelty. So errors learned on an expensive scene do not bias an unrelated cheap scene after it.
+/// is the logarithm of a factor for this scene alone, and is learned from the last few frames. At the first
+/// frame of a new scene, b is multiplied by 1 − novelty. If the novelty is 1, b is thus 0, and its variance
+/// is that observed among scenes. So errors learned on an expensive scene do not bias an unrelated cheap
+/// scene after it.
 ///
 /// Costs stay positive because only their logarithms change.
 ///
@@ -236,7 +237,6 @@ impl Correction {
         libm::exp(self.load)
     }
 
-    /// Share of a calm frame's error that is added to the scene's own factor.
     fn gain(&self) -> f64 {
         self.constants.gain.clamp(GAIN.0, GAIN.1)
     }

@@ -38,7 +38,7 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 pub struct PriorModel {
     /// Unit costs; 0 for work that has a cost neither in the prior's models nor in the typical costs.
     pub costs: UnitCosts,
-    /// True for costs that the prior's models have; the others are guesses.
+    /// True for costs that the prior's models have, false for guesses.
     known: [bool; COSTS],
 }
 
@@ -212,7 +212,7 @@ impl Chosen {
     }
 }
 
-/// Replaces the best fit so far, with its error, by one whose error is clearly smaller.
+/// Replaces `best`, the best fit so far with its error, by `other` if the latter's error is clearly smaller.
 fn take_better(best: &mut (f64, UnitCosts, Chosen), other: Result<(f64, UnitCosts, Chosen)>) {
     match other {
         Ok(other) if other.0 < LESS_ERROR * best.0 => *best = other,

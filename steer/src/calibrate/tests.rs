@@ -52,7 +52,7 @@ fn work(i: usize) -> [f64; COSTS] {
     })
 }
 
-/// Returns the observation of frame i: of one of six volumes, in turn.
+/// Returns the observation of frame i, which shows volume i mod 6.
 fn observed(i: usize, work: [f64; COSTS], seconds: f64) -> Observed {
     Observed { work, seconds, group: i as u64 % 6 }
 }

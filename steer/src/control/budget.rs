@@ -1,4 +1,4 @@
-//! Divides the frame time of a window among the volumes that it draws.
+//! Divides the frame time of a window among its passes. A pass draws one volume once.
 
 /// Number of recent frames over which the median of the time outside of the passes is taken.
 const REST_FRAMES: usize = 5;

@@ -292,7 +292,7 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
     let expected = measured(&next, &table, &f);
     assert_eq!(*session.features(), expected);
-    // A volume of other sizes or another type is not a time step.
+    // A volume whose sizes, spacing or type differ from those of the series is refused.
     let error = session.set_time_step(summary(&voxels[..16 * 32 * 32], [32, 32, 16]), None).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::SizeMismatch);
     let options = VolumeOptions { spacing: [1.0, 1.0, 2.0], ..VolumeOptions::default() };

@@ -14,7 +14,8 @@ const TOGETHER: f64 = 1.1;
 
 /// Hysteresis factor: an image sample distance is kept until c = step · distance² lies beyond one of its
 /// thresholds by more than this factor. Successive thresholds differ by a factor of 1.2³ = 1.73, so the
-/// geometric mean of two is a factor of 1.31 from each. `KEEP` is the square root of 1.31.
+/// geometric mean of two successive thresholds is a factor of 1.31 from each. `KEEP` is the square root of
+/// 1.31.
 const KEEP: f64 = 1.15;
 
 /// Capacity of the arrays, in levels of the image sample distance. Distance 1 and the powers of

@@ -4,8 +4,9 @@ crate::adapt::constants! {
     /// Constants of [`Hybrid`](super::Hybrid). The defaults come from a search over recorded paths
     /// (`entire-lab tune`); callers need not set any.
     HybridConstants {
-        /// Distance from the finest step, in ln(step), within which the finest step is drawn if it is
-        /// expected to meet the target: a coarser step would save little time and lose full quality.
+        /// Largest ln(step / finest allowed step), for the finest step whose bound is within the tolerance,
+        /// at which the finest allowed step is drawn instead, if it is expected to meet the target. The
+        /// coarser step would save little time and lose full quality.
         full = 0.4,
         /// Largest change of the step in a calm frame, in ln(step). It limits changes to a finer step, except
         /// to the finest allowed step. It limits a change to a coarser step only if the limited step is

@@ -99,7 +99,7 @@ fn settings_are_judged_by_the_bound_that_chooses_steps() {
             judged += usize::from(!hybrid.fits(&hybrid.judged(&seen.terms, calm), 0.02));
             bounded += usize::from(!hybrid.fits(&hybrid.correct(&seen.terms, calm), 0.02));
         }
-        // Every third frame stalls, so the upper bound is wide and the machine is not loaded.
+        // Every third frame stalls, so the upper bound is wide, but no load is detected.
         let slowed = if i % 3 == 2 { 3.0 } else { 1.0 };
         hybrid.observe(&Observed { seconds: seen.seconds * slowed, ..seen });
     }
@@ -110,7 +110,7 @@ fn settings_are_judged_by_the_bound_that_chooses_steps() {
 #[test]
 fn a_doubtful_first_frame_is_forecast_from_once_only() {
     let mut hybrid = Hybrid::new(HybridOptions::default());
-    // Out of range, so recent frames lead.
+    // The prediction is out of range, so recent frames replace it.
     let cost = |step: f32| CostTerms::whole(0.01 / step, 9.0, Source::Network);
     let mut steps = Vec::new();
     for i in 0..6 {
@@ -163,7 +163,7 @@ fn a_prediction_that_knows_nothing_of_the_step_is_not_taken_for_a_load() {
 #[test]
 fn where_the_time_hardly_depends_on_the_step_the_finest_step_that_fits_is_found_and_kept() {
     let mut hybrid = fitted(0.15);
-    // Takes 20 ms at step 2, 22 ms at step 1, and 18.2 ms at step 16.
+    // A frame takes 20 ms at step 2, 22 ms at step 1, and 18.25 ms at step 16.
     let cost = |step: f32| CostTerms::whole(0.018 + 0.004 / step, 0.0, Source::Analytic);
     let mut steps = Vec::new();
     for i in 0..60 {

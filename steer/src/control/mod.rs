@@ -141,7 +141,6 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// A plan of a step with this prediction.
     pub(crate) fn of(step: f32, p: Prediction, reason: Reason) -> Self {
         Self { step, seconds: p.seconds, upper: p.upper, out_of_range: p.out_of_range, reason }
     }
@@ -210,8 +209,8 @@ pub trait Controller {
         SceneMark::default()
     }
 
-    /// Returns the prediction by which settings are chosen: that of [`Controller::correct`], without a load of
-    /// the machine that the controller ignores, and with the upper bound by which steps are chosen.
+    /// Returns the prediction by which settings are chosen: that of [`Controller::correct`], but without a
+    /// load if the controller ignores loads, and with the upper bound by which steps are chosen.
     fn judged(&self, terms: &CostTerms, changes: Changes) -> Prediction {
         self.correct(terms, changes)
     }

@@ -63,7 +63,8 @@ pub(super) fn frame(rx: f32, ry: f32, dz: f32) -> Frame {
 fn a_session_learns_an_unknown_machine_and_holds_its_target() {
     let mut session = Session::untrained();
     session.set_volume(summary(&sphere(64), [64; 3], 48), None);
-    // The simulated machine has other ratios of unit costs than the default, and is far slower.
+    // The simulated machine's ratios of unit costs differ from the default, and it is far slower than the
+    // default costs predict.
     let truth = AnalyticModel::from_costs(UnitCosts::new([
         4e-3, 1e-8, 2e-7, 1e-7, 3e-7, 0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,

@@ -67,8 +67,8 @@ pub struct UnitCosts {
 }
 
 impl UnitCosts {
-    /// Number of cached voxels with which the quantities of frames are computed. They take 32 MB in the
-    /// reference renderer, which packs a voxel into four bytes.
+    /// Number of cached voxels with which the quantities of frames are computed. These voxels take 32 MB in a
+    /// renderer that packs a voxel into four bytes.
     pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
 
     /// Unit costs of a software renderer, in seconds of processor time: geometric means of the costs measured

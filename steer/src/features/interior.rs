@@ -149,7 +149,7 @@ mod tests {
         for grid in [[20, 17, 15], [70, 9, 11], [1, 13, 30], [3, 3, 3], [129, 4, 5], [64, 1, 1], [1, 1, 1]] {
             let n: usize = grid.iter().product();
             for seed in 0..6u64 {
-                // Clear cells: none with the first seed, more with every seed.
+                // With the first seed no cell is clear; with each further seed, more cells are clear.
                 let clear = |i: usize| (i as u64 * 0x9e37_79b9 + 77 * seed) % 2111 < seed * seed;
                 let set: Vec<bool> = (0..n).map(|i| !clear(i)).collect();
                 let mut full = vec![0u64; n.div_ceil(64)];

@@ -401,8 +401,8 @@ mod tests {
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ];
 
-    /// Returns a prior other than the built-in one. In ln(cost), its costs are alternately too high and too
-    /// low by one standard deviation ([`COST_SD`]). Costs that are 0 in [`TRUTH`] are 1 ns if
+    /// Returns a prior that differs from [`TRUTH`]. In ln(cost), its costs are alternately above and below
+    /// those of [`TRUTH`] by one standard deviation ([`COST_SD`]). Costs that are 0 in [`TRUTH`] are 1 ns if
     /// their index is below [`COMMON_COSTS`], otherwise 0.
     fn prior() -> UnitCosts {
         let mut costs = [1e-9; COSTS];

@@ -105,7 +105,7 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
         }
     }
     check_times(times)?;
-    // This check makes every node's load finite, for any assignment.
+    // This check makes every node's total time finite, for any assignment.
     let slowest = speeds.iter().copied().fold(f64::INFINITY, f64::min);
     if !times.iter().map(|t| t / slowest).sum::<f64>().is_finite() {
         bail!(

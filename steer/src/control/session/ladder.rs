@@ -88,9 +88,9 @@ impl Session {
     /// cannot change the plan: for every time within the error, the finest step meets the target, or the
     /// coarsest step does not. While the view has hardly turned since rays were cast, plans reuse the rays'
     /// results and recompute only the volume's place in the image. So `side` bounds the time of a plan, and
-    /// most plans take less. [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the
-    /// last probe. Recorded frames of a finest probe with another number of rays are dropped.
-    /// [`Session::predict`] and [`Session::choose`] use the finest probe, and so do plans while
+    /// most plans take less time than this bound. [`FrameFeatures::probe_side`] of [`Session::features`]
+    /// returns the side of the last probe. If the finest probe's number of rays changes, recorded frames are
+    /// dropped. [`Session::predict`] and [`Session::choose`] use the finest probe, and so do plans while
     /// frames are recorded ([`Session::record`]).
     ///
     /// # Errors

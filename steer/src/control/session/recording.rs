@@ -40,12 +40,10 @@ impl Recording {
         self.planned.iter_mut().for_each(|p| p.id = 0);
     }
 
-    /// Sets the present volume.
     pub(super) fn set_volume(&mut self, volume: &VolumeSummary) {
         self.shown = Shown { volume: volume.fingerprint(), transfer: 0 };
     }
 
-    /// Sets the present transfer function.
     pub(super) fn set_transfer(&mut self, transfer: &TransferSummary) {
         self.shown.transfer = transfer.fingerprint();
     }

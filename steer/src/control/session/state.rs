@@ -17,10 +17,10 @@ const TAG: [u8; 4] = *b"ENS2";
 const MAX_NAME: usize = 256;
 
 impl Session {
-    /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function, limits
-    /// and the probe of [`Session::with_probe`] stay. Recorded frames stay unless the predictor needs another
-    /// number of probe rays. VolumeNet's output stays too;
-    /// for a predictor with another encoder, set the volume again with the output of that encoder
+    /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
+    /// limits and the probe of [`Session::with_probe`] stay. Recorded frames stay if the predictor needs the
+    /// same number of probe rays as the previous one; otherwise they are dropped. VolumeNet's output stays
+    /// too; for a predictor with another encoder, set the volume again with the output of that encoder
     /// ([`Session::set_volume`]).
     pub fn set_predictor(&mut self, predictor: Box<dyn Predictor + Send>, options: HybridOptions) {
         self.controller = controller_for(&*predictor, options);

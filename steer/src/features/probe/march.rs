@@ -35,8 +35,8 @@ pub(super) const SHADOW_ALL: usize = 12;
 /// the primary ray.
 pub(super) const SEGMENTS: usize = 13;
 pub(super) const SHADOW_SEGMENTS: usize = 14;
-/// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; only with shadow
-/// rays.
+/// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; 0 without single
+/// scattering.
 pub(super) const BUSY: usize = 15;
 /// Number of a ray's fields.
 pub(super) const FIELDS: usize = 16;
@@ -83,7 +83,6 @@ impl ChordCounts {
         (length * Self::UNIT) as i32 as u32
     }
 
-    /// Adds a chord.
     #[inline(always)]
     pub(super) fn add_one(&mut self, length: f32) {
         let bin = Self::bin(length) as usize;
@@ -211,8 +210,8 @@ impl<'a> March<'a> {
     }
 
     /// Upper bound of the number of cells along a ray: it crosses each plane between cells at most once. If
-    /// cells are nearly as thin as the rounding error of t, [`Walk`] may leave the grid before t reaches the
-    /// exit.
+    /// cells are nearly as thin as the rounding error of the ray parameter t, [`Walk`] may leave the grid
+    /// before t reaches the exit.
     pub(super) fn most_cells(&self) -> i32 {
         self.grid.iter().sum::<i32>() + 3
     }

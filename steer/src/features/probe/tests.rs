@@ -270,8 +270,9 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     }
 }
 
-/// Compares the samples for which rays wait in groups of eight with their definition. Adjacent rays shade at the
-/// same time and do not wait. Rays far apart wait while any of them shades, unless all eight do.
+/// Checks the number of samples for which the rays of a group of eight wait against its definition. Adjacent
+/// rays shade at the same time and do not wait. Rays far apart wait while any of them shades, unless all
+/// eight shade.
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];

@@ -98,7 +98,7 @@ pub(super) trait Voxel: bytemuck::Pod + Into<f32> + Send + Sync + core::fmt::Deb
     fn is_non_finite(self) -> bool {
         false
     }
-    /// The stored bytes where [`Voxel::IS_ENTRY`], otherwise an empty slice.
+    /// The stored bytes where [`Voxel::IS_ENTRY`] is true, otherwise an empty slice.
     #[inline(always)]
     fn bytes(_: &[Self]) -> &[u8] {
         &[]

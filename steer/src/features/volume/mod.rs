@@ -197,7 +197,6 @@ impl VolumeSummary {
         self.non_finite_share
     }
 
-    /// Number of voxels.
     pub(crate) fn voxels(&self) -> f64 {
         self.shape.dims.iter().map(|&n| n as f64).product()
     }

@@ -17,7 +17,6 @@ struct Volume {
     floats: Vec<f32>,
 }
 
-/// Pseudo-random numbers.
 struct Random(u32);
 
 impl Random {
