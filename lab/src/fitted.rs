@@ -1,5 +1,5 @@
 //! Calibration samples of recorded timing tables, and the predictor that steers a replay: the analytic model,
-//! fitted to such samples, or a model file's.
+//! fitted to such samples, or the predictor in a model file.
 
 use anyhow::{Context, Result};
 use entire_cli::steering::calibrate::{Quality, Sample, response};
@@ -53,7 +53,8 @@ impl Calibrated {
         Self::judged(model.quality(judged), model)
     }
 
-    /// Measures the errors of a given model, which may use features of each sample's volume (its path).
+    /// Measures the errors of a given model, which may use features of volumes. `samples` holds each sample
+    /// with the path of its volume.
     pub(crate) fn given(model: SteeringModel, samples: &[(String, Sample)]) -> Result<Self> {
         let mut codes: BTreeMap<&str, Option<Vec<f32>>> = BTreeMap::new();
         for (volume, _) in samples.iter().filter(|_| model.volume_features().is_some()) {
@@ -117,7 +118,7 @@ pub(crate) fn samples_by_volume(tables: &[PathBuf]) -> Result<Vec<(String, Sampl
     })
 }
 
-/// G, the curve of frame time over the step, from samples.
+/// Returns the response curve G, fitted to samples.
 pub(crate) fn response_of(samples: &[Sample]) -> Result<StepResponse> {
     response(samples)
         .context("G, the curve of frame time over step, needs scenes that were timed at several steps")

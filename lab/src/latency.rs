@@ -19,9 +19,9 @@ const FRAMES: u64 = 200;
 const ROUNDS: usize = 5;
 
 /// Seconds of one prediction in one thread, scene features included. Work per volume is not included; work
-/// per transfer function is separate. The opacity of a cell is computed when a ray first meets it: in
-/// the first frame this counts as work per transfer function, in later frames, after the camera has turned, as part
-/// of the prediction.
+/// per transfer function is separate. The opacity of a cell is computed when a ray first meets the cell. In
+/// the first frame of a transfer function, this counts as work per transfer function. In later frames, after
+/// the camera has turned, it counts as part of the prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Latency {
     /// Median with cold caches, seconds.

@@ -31,8 +31,9 @@ use std::time::{Duration, Instant};
 /// Default ray steps of the grid, reference steps: half octaves over the default limits.
 pub(crate) const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
 
-/// Smaller images of every frame at the reference step, as s for images with 1 / s of the pixels: half octaves as for
-/// the steps, and further to image sample distance 10, the largest of VTK's fixed-point mapper.
+/// Smaller images of every frame at the reference step, each given by s if it has 1 / s of the pixels: half
+/// octaves as for the steps up to 16; then up to 100, which is image sample distance 10, the largest of VTK's
+/// fixed-point mapper.
 pub(crate) const TRACE_IMAGES: [f32; 11] = [1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0, 32.0, 64.0, 100.0];
 
 /// Image scales of every fourth frame, at the steps of [`SCALED_STEPS`], for the quality law.
@@ -138,7 +139,8 @@ const KEEP_EVERY: Duration = Duration::from_secs(5);
 
 /// Draws every frame of a path at every point of the grid, except frames that `begun` holds.
 ///
-/// `keep` saves the trace every few seconds and at the end; it is incomplete after a failure or `stop`.
+/// `keep` saves the trace every few seconds and at the end; the saved trace is incomplete after a failure or
+/// `stop`.
 pub(crate) fn record(
     recording: &Recording<'_>,
     renderer: &mut dyn Renderer,
@@ -439,7 +441,8 @@ mod tests {
                 .collect();
             assert!(images.iter().zip(TRACE_IMAGES).all(|(a, b)| (a / b - 1.0).abs() < 1e-5), "{images:?}");
             assert_eq!(grid[..TRACE_STEPS.len()].to_vec(), TRACE_STEPS.map(|s| (s, 1.0)));
-            // Half of every side at the reference step is a fourth of the pixels.
+            // Half of every side at the reference step (s = 4) is in both lists, so only 7 of the 8 points of
+            // the second list are new.
             assert_eq!(grid.len(), if index % 4 == 0 { 9 + 11 + 7 } else { 9 + 11 });
             assert!(grid.iter().enumerate().all(|(i, point)| !grid[..i].contains(point)), "{grid:?}");
             for step in SCALED_STEPS.iter().filter(|_| index % 4 == 0) {

@@ -1,4 +1,5 @@
-//! Gradient-boosted trees of the crate forust-ml, a reference in studies without model files and renderers.
+//! Gradient-boosted trees of the crate forust-ml: a reference in studies that no model file can hold and no
+//! renderer can use.
 
 use anyhow::{Result, anyhow, ensure};
 use entire_core::model::Model;

@@ -43,7 +43,8 @@ pub(crate) fn setting(slots: usize) -> Setting {
     Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
 }
 
-/// A farm of equal slots: task i takes `seconds[i]` on volume `volume[i]`; loading volume v, `load[v]`.
+/// A farm of equal slots. Task i draws volume `volume[i]` and takes `seconds[i]`; loading volume v takes
+/// `load[v]` seconds.
 pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots: usize) -> World {
     World { seconds, volume, load, speeds: vec![1.0; slots], ..World::default() }
 }
@@ -168,7 +169,7 @@ fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
 }
 
 pub(crate) fn all(folder: &Path) -> Result<Vec<Bar>> {
-    // This runs first, since it measures the peak memory of the whole process so far.
+    // The job of a million tasks comes first, since the peak memory of the whole process so far is measured.
     let (first, last, peak) = at_scale(folder)?;
     let mut pools = Vec::new();
     for (table, model) in HELD_OUT {

@@ -85,7 +85,8 @@ impl<'a> State<'a> {
                 }
                 for other in (0..self.node_of.len()).filter(|t| self.node_of[*t] != last) {
                     let node = self.node_of[other];
-                    // If both are of one volume, `end` may be too early; the exact end follows below.
+                    // If both tasks are of one volume, `end` may be too early; the exact end is computed
+                    // below.
                     let there = self.ends[node] - self.frees(other) + self.adds(node, task);
                     let here = longest - freed + self.adds(last, other);
                     let end = here.max(there);
@@ -126,8 +127,9 @@ pub(super) fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     out
 }
 
-/// Shortest makespan from `starts` random starts. Even ones fill one node after the other, volume by volume
-/// in random order; odd ones assign tasks in random order, each to the node that ends first with it.
+/// Returns the shortest makespan from `starts` random starts. Starts with even numbers fill one node after
+/// the other, volume by volume in random order. Starts with odd numbers assign tasks in random order, each to
+/// the node that then ends first.
 pub(super) fn best_of(problem: &Problem<'_>, starts: u64) -> f64 {
     (0..starts)
         .into_par_iter()

@@ -23,9 +23,9 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     }
 }
 
-/// Returns the bars; a bar without a value is short. A bar on a data set is about the paper's split of that
-/// data set, and about the paper's base mode unless its name has another mode. `missing` is the number of
-/// labels without a table or figure.
+/// Returns the bars; a bar without a value counts as missed. A bar on a data set is about the paper's split
+/// of that data set, and about the paper's base mode unless its name has another mode. `missing` is the
+/// number of labels without a table or figure.
 pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],
@@ -102,7 +102,8 @@ pub(crate) fn bars(
         let name = format!("paper/{}/without-over-with-feature-vector", d.name);
         out.push(Bar::at_least(name, without_over_with(all, d), ablation));
     }
-    // Not measured: no study varies the volume alone where volumes have variants of different sparsity.
+    // Not measured: no experiment varies only the volume on a data set that has variants of different
+    // sparsity.
     out.push(Bar::at_least("paper/without-over-with-feature-vector-volume-alone", None, alone));
     let main = |r: &&Reconstruction| {
         r.encoder.channels.is_empty() && (r.encoder.size, r.encoder.features) == paper.encoders.main
@@ -148,7 +149,8 @@ fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
     Some(rmse(&format!("without {FEATURE_VECTOR}"))? / rmse(NETWORK)?)
 }
 
-/// A note with the ratio to the constant that was measured on fewer frames than the description says.
+/// Returns a note with the network's RMSE divided by the constant's, and the numbers of measured and of
+/// described frames. It is for results on fewer frames than the description specifies.
 fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     let of = |r: &&Results| r.panel == Panel::Overall && r.set == set && r.mode == BASE_MODE;
     let found = all.iter().find(of)?;
@@ -158,8 +160,8 @@ fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> 
     Some(format!("{:.4} {brackets} with {frames} of {expected} frames", row.over_constant?))
 }
 
-/// Returns a note with the error of the one network that was trained on all data sets, on the held-out
-/// members of a data set, relative to the constant prediction.
+/// Returns a note on the network that was trained on all data sets together: its RMSE on the held-out members
+/// of a data set, divided by the RMSE of the constant prediction.
 fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     let of = |r: &&Results| r.panel == Panel::Procedure && r.mode == BASE_MODE;
     let title = &paper.data_set(set).filter(|d| d.rule == Rule::Members)?.title;
@@ -179,7 +181,7 @@ fn nth_best(values: &mut [f64], n: usize) -> Option<f64> {
     values.get(n.checked_sub(1)?).copied()
 }
 
-/// Number of voxels of the rendered volumes divided by that of the low-resolution proxy.
+/// Number of voxels of a rendered volume, divided by the number of voxels of the low-resolution proxy.
 fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
     let times = results.fact("times")?;
     let side = |k: &str| times.get(k).copied();

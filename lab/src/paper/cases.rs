@@ -16,8 +16,9 @@ const UNIFORM: &str = "uniform";
 /// Name of the assignment by measured times.
 const GROUND_TRUTH: &str = "GT";
 
-/// Load of the slowest node when tasks are assigned by a predictor's times, divided by that when they are
-/// assigned by measured times; the largest ratio over all numbers of nodes.
+/// Total time of the slowest node when tasks are assigned by a predictor's times, divided by the total time
+/// of the slowest node when they are assigned by measured times; the largest such ratio over all numbers of
+/// nodes.
 pub(super) fn slowest_node(all: &[Results], predictor: &str) -> Option<f64> {
     let facts = all.iter().filter(|r| r.panel == Panel::Balancing).flat_map(|r| &r.facts);
     facts.filter(|f| f.name == predictor).filter_map(|f| f.values.get("slowest")).copied().reduce(f64::max)
@@ -28,8 +29,9 @@ pub(crate) fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
     out.join("cases").join(format!("tasks-{set}-{mode}.csv"))
 }
 
-/// Assigns the orbit's tasks to nodes, longest first, by measured, predicted and equal times. Stores the loads of the
-/// nodes, divided by the load of the slowest node when measured times assign tasks. Writes the task list.
+/// Assigns the orbit's tasks to nodes, longest first, by measured, predicted and equal times. Stores the
+/// total time of each node, divided by that of the slowest node in the assignment by measured times. Writes
+/// the task list.
 pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
     let all = read_all(out, Vec::new())?;
     for from in all.iter().filter(|r| r.panel == Panel::Varied) {

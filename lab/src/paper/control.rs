@@ -347,7 +347,8 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
     }
 }
 
-/// Adds G to the report: the frame time over the ray step, divided by that at the reference step.
+/// Adds G to the report: the frame time as a function of the ray step, divided by the time at the reference
+/// step.
 pub(super) fn response_section(of: &[&Results], s: &mut Section) {
     for r in of {
         let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == "G").collect();

@@ -150,7 +150,7 @@ impl Rule {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct MemberSplit {
-    /// Members that decide when training stops; if empty, a tenth of the volumes not for testing decides.
+    /// Members that decide when training stops; if empty, a tenth of the volumes that are not for testing.
     #[serde(default)]
     pub(crate) validation: BTreeSet<String>,
     pub(crate) test: BTreeSet<String>,
@@ -159,7 +159,7 @@ pub(crate) struct MemberSplit {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct YtFrames {
-    /// The Python program that collects them.
+    /// The Python program that collects frames drawn by yt.
     pub(crate) script: PathBuf,
     /// Number of renderings of each frame.
     pub(crate) repeats: u32,
@@ -380,7 +380,8 @@ pub(crate) struct Limits {
     pub(crate) over_constant: BTreeMap<String, f64>,
     /// The ratio of `over_constant` on frames that yt drew, for each data set in `over_constant`.
     pub(crate) yt_over_constant: f64,
-    /// RMSE divided by that of LVRP; checked only if LVRP renders at most 1 / `lvrp_voxels` of the voxels.
+    /// RMSE of the network divided by that of LVRP; checked only if LVRP renders at most 1 / `lvrp_voxels` of
+    /// the voxels.
     pub(crate) over_lvrp: f64,
     /// Voxels of the paper's volumes divided by the voxels that its LVRP renders.
     pub(crate) lvrp_voxels: f64,
@@ -393,9 +394,11 @@ pub(crate) struct Limits {
     pub(crate) psnr: f64,
     /// Number of data sets whose volumes must reach the signal-to-noise ratio `psnr`.
     pub(crate) data_sets: usize,
-    /// Mean distance from the target of Algorithm 1 over that of OLP: in first frames after a change, in all.
+    /// Mean distance from the target under Algorithm 1, divided by that under OLP: in first frames after a
+    /// change, and in all frames.
     pub(crate) algorithm1_over_olp: (f64, f64),
-    /// Load of the slowest node by the network's times, divided by that by measured times.
+    /// Total time of the slowest node if tasks are assigned by the network's times, divided by that if they
+    /// are assigned by measured times.
     pub(crate) slowest_node: f64,
     /// Seconds within which the report must be written.
     pub(crate) report_seconds: f64,
@@ -421,8 +424,8 @@ impl Paper {
     }
 }
 
-/// Reads the values of a description. If the file has the key `base`, the name of another description in the same
-/// folder, the values that it lacks are those of the base.
+/// Reads the values of a description. If the file has the key `base` (the name of another description in the
+/// same folder), the values that the file lacks are taken from that description.
 fn values(path: &Path) -> Result<serde_json::Map<String, serde_json::Value>> {
     let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut own: serde_json::Map<_, _> = serde_json::from_str(&text)

@@ -72,7 +72,8 @@ impl Loaded {
         Ok(index)
     }
 
-    /// The frames of a split: of a validation volume the described number, of a test volume all.
+    /// Returns the frames of a split: of a validation volume, the number that the description specifies; of a
+    /// training or test volume, all.
     pub(super) fn split(&self, work: &Work<'_>, parts: &Parts, clock: Clock) -> SplitFrames<'_> {
         let of = |names: &BTreeSet<String>, most: u32| {
             let each = u64::from(work.paper.frames.training);

@@ -171,7 +171,8 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// The errors of a predictor's runs on all frames, or on those with a low-resolution twin, if any.
+    /// Returns the errors of a predictor's runs on `frames`: all frames of this judge, or only those that
+    /// were also rendered at low resolution. `None` without frames.
     fn judged(&self, name: &str, runs: &[Vec<f64>], frames: &TimedFrames<'_>) -> Option<Row> {
         let measured = &frames.seconds;
         // The proxy's line and a network may predict times that are not positive.

@@ -1,4 +1,5 @@
-//! Renderings of the data sets: examples, their change over time, and the poses of the figure of G.
+//! Renderings of the data sets: examples, their change over time, and the camera poses in the figure of the
+//! response curve G.
 
 use super::Work;
 use super::collect::protocol;

@@ -135,7 +135,8 @@ impl Results {
     /// Returns the interval of a row's RMSE divided by the RMSE of the constant baseline, [`CONSTANT`].
     pub(crate) fn over_constant_interval(&self, row: &Row) -> Option<(f64, f64)> {
         let constant = self.row(&row.split, CONSTANT)?;
-        // Rows of the low-resolution proxy have fewer frames; they are compared on these frames alone.
+        // The row of the low-resolution proxy has fewer frames than the constant's row; the two are compared
+        // on these frames.
         let under = if row.frames == constant.frames { &constant.by_volume } else { &constant.of_twins };
         interval::of_ratio(&row.by_volume, under)
     }

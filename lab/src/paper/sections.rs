@@ -526,7 +526,8 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     (table, caption)
 }
 
-/// Table of the errors of the unchanged recipe by mode and data set, relative to baselines of that data set alone.
+/// Table of the errors of the unchanged recipe by mode and data set, relative to baselines that are computed
+/// on the frames of the same data set.
 fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
     let mut table = Table::headed(
         "data set, renderer | #test frames | #RMSE / SD of the times | #RMSE / that of the mean of 15 % | \

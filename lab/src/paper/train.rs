@@ -356,7 +356,8 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Trains networks with the layers of `preset` and the encoder of `network`, or reads the main ones.
+    /// Returns networks with the layers of `preset` and the encoder of `network`: the main networks if their
+    /// recipe is the same, else networks that are trained for the comparison.
     fn with_layers(
         &self,
         preset: &str,

@@ -29,7 +29,7 @@ use std::time::Instant;
 
 /// Name of the trial without a change.
 pub(super) const AS_IT_IS: &str = "as it is";
-/// Name of the split of all test frames together; that of one data set has the data set's title.
+/// Name of the split that holds all test frames. The split of a single data set has the data set's title.
 pub(super) const TOGETHER: &str = "left-out members";
 /// Name under which results list all data sets together.
 const SETS: &str = "all";
@@ -164,7 +164,7 @@ fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Resul
         .collect()
 }
 
-/// Trials of the recipe on growing numbers of labels of each volume, with the same validation volumes.
+/// Trials of the recipe on growing numbers of labels of each volume, all with the same validation volumes.
 fn by_number(work: &Work<'_>, measured: &Measured) -> Result<Vec<Trial>> {
     let path = &work.paper.trials.labels;
     if !path.exists() {
@@ -414,7 +414,8 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
         }
     }
     results.rows.append(&mut judge.rows);
-    // Adds the errors of the first trial on each data set, beside baselines of that data set alone.
+    // Adds the errors of the first trial on each data set, beside baselines that are computed on that data
+    // set's frames.
     for set in work.paper.data_sets.iter().filter(|d| !d.only_tests) {
         let of = |volume: &str| volume.split('/').any(|part| part == set.name);
         let chosen: Vec<usize> =

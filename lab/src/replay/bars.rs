@@ -54,7 +54,8 @@ pub(crate) fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     ])
 }
 
-/// Bars on the number of played paths: one for all `paths`, and one that is short for each path that was not played.
+/// Bars on the number of played paths: one for all `paths`, and a missed bar for each path that was not
+/// played.
 pub(crate) fn played(paths: usize, unplayed: &[String]) -> Vec<Bar> {
     let mut out =
         vec![Bar::at_least("steer-paths-played", Some((paths - unplayed.len()) as f64), paths as f64)];

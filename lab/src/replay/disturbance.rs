@@ -103,7 +103,8 @@ mod tests {
         };
         near(0.2, 0.5, 0.5);
         near(1.0, 0.5, 1.0);
-        // The first of these frames is half before the slow part and half in it; the second ends after it.
+        // The first of these frames is half before the slow part and half in it; the second frame ends after
+        // the slow part.
         near(0.5, 1.0, 1.5);
         near(2.5, 1.0, 0.5 + 0.75);
         // A frame that lasts longer than the recording: the recording repeats.

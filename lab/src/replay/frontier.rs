@@ -14,8 +14,9 @@ use std::path::Path;
 pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<String> {
     let fitted: BTreeSet<&Path> =
         traces.iter().step_by(2).flat_map(|t| &t.trace.volumes).map(|v| v.file.as_path()).collect();
-    // Returns the points of every frame that was also drawn with both a coarser step and a smaller image: in traces
-    // with even index, or in the traces that show none of their volumes.
+    // Returns the points of every frame that was also drawn with both a coarser step and a smaller image. If
+    // `test` is false, the frames are those of traces with an even index. If it is true, they are those of
+    // traces that show no volume of the former traces.
     let points = |test: bool| {
         let fitted = &fitted;
         traces

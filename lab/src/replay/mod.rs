@@ -26,7 +26,8 @@ use entire_steer::features::{Changes, VolumeSummary};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Number of uncalm frames from a path's start or from a change other than gradual motion of the camera.
+/// Number of frames that are not calm, counted from a path's first frame, or from the frame with a change
+/// other than gradual motion of the camera.
 pub const SETTLING: usize = 3;
 
 /// Allowed ray steps of the commands, reference steps. Rules that act on image resolution have their own ranges.

@@ -120,7 +120,8 @@ pub(crate) fn by_law(recorded: &Replayable, law: Option<f64>) -> Replayable {
     let mut out = recorded.clone();
     let Some(share) = law else { return out };
     for frame in &mut out.trace.frames {
-        // Images smaller than those of TRACE_SCALES, which no controller uses, may take less than that time.
+        // Removes images with scales other than 1 and TRACE_SCALES: the replay does not use them, and they
+        // may take less time than `coarsest`.
         frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
         let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
         for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
@@ -145,13 +146,14 @@ pub(crate) struct Course<'a> {
 pub(crate) struct Cost {
     /// Scores with a fitted predictor.
     pub(crate) fitted: Three,
-    /// Share of the frames with a fitted predictor that were coarser than full quality, which met the target.
+    /// Share of the frames with a fitted predictor that were coarser than full quality although full quality
+    /// met the target.
     pub(crate) fitted_coarse: f64,
     /// Share of the calm frames of a fitted predictor at which the step jumps.
     pub(crate) jumps: f64,
     /// Scores of sessions without a model, over the frames after the first.
     pub(crate) cold: Three,
-    /// Share of the frames of sessions without a model, after the first, that were coarser than needed.
+    /// Share of such frames in sessions without a model, over the frames after the first.
     pub(crate) cold_coarse: f64,
     /// Share of the second frames of sessions without a model that took no more than their upper bound.
     pub(crate) second_in_bound: f64,

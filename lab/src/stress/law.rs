@@ -195,7 +195,7 @@ impl Wrong {
     }
 }
 
-/// Plays a scene of this file; `None` for other scenes. `soak` is the number of frames of the long run.
+/// Plays a scene of this file; `None` for other scenes. `soak` is the number of frames of scene 27.
 pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let go = |limits: Limits, script: Script<'_>| {

@@ -123,7 +123,7 @@ fn the_rule_takes_the_smallest_of_the_good_ones_and_looks_at_no_test_frame() {
     };
     assert_eq!(rule(1.104, 0.0), "good");
     assert_eq!(rule(1.106, 0.0), "large");
-    // Without the noise, the larger predictor's error is more than 5 % lower.
+    // After the noise is subtracted, the error of `large` is more than 5 % below that of `good`.
     assert_eq!(rule(1.104, 0.08), "large");
 }
 

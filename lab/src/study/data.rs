@@ -41,7 +41,8 @@ impl SetTables {
     }
 }
 
-/// Frames for training a predictor: those that weights are fitted to, and those that decide when it stops.
+/// Frames for training a predictor: frames that weights are fitted to, and frames that decide when training
+/// stops.
 pub(super) struct Learned<'a> {
     pub(super) all: TimedFrames<'a>,
     /// Frames that decide when training stops.

@@ -46,7 +46,8 @@ pub(crate) struct Ship {
 #[serde(deny_unknown_fields)]
 pub(crate) struct Set {
     pub(crate) name: String,
-    /// Training tables; a tenth of their members (of volumes below ten members) decides when training stops.
+    /// Training tables; a tenth of their members (of their volumes, if there are fewer than ten members)
+    /// decides when training stops.
     pub(crate) training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
@@ -63,7 +64,8 @@ pub(crate) struct Set {
     /// Name of the split that tests calibration: predictors are calibrated to a hundred of its frames.
     #[serde(default)]
     pub(crate) calibration_split: Option<String>,
-    /// Name of a group of sets of one shading mode on several machines, for which the rule selects together.
+    /// Name of a group of sets of one shading mode on several machines; the rule selects one predictor for
+    /// the whole group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) group: Option<String>,
     /// Goals that `make bars-accuracy` checks; a missing limit means no goal.

@@ -30,7 +30,8 @@ fn choose(contenders: &[Contender]) -> Option<usize> {
     contenders.iter().enumerate().filter(|c| good(&c)).min_by_key(|c| c.1.size).map(|c| c.0)
 }
 
-/// True if the rule may select it: cross-validated, storable, trained on the set's training frames only.
+/// True if the rule may select the predictor: it is cross-validated, can be stored in a model file, and is
+/// trained on the set's training frames only.
 fn may_choose(named: &Named, set: &str) -> bool {
     named.cross_validated
         && named.is_of(set)
@@ -100,7 +101,8 @@ mod tests {
         // The larger predictor is 10 % better on one machine only.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.98], 400, 11)])), Some(0));
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.94], 400, 11)])), Some(1));
-        // Of equally large predictors that no other one beats on every machine, the one with the fewest rays.
+        // Of equally large predictors that no other one beats on every machine, the one with the fewest rays
+        // is chosen.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([1.03, 1.2], 15, 7), ([1.3, 1.3], 15, 4)])), Some(1));
         assert_eq!(choose(&of(&[([f64::INFINITY, 1.0], 1, 1), ([1.0, 0.9], 9, 9)])), Some(1));
         assert_eq!(choose(&[]), None);

@@ -207,7 +207,8 @@ impl Runner<'_> {
                     out.noise.push((set.name.clone(), split.name.clone(), noise, part.frames.len()));
                 }
             }
-            // These are read before any training, so that a table with other scenes is reported at once.
+            // The frames at low resolution are read before any training, so that a table with other scenes is
+            // reported at once.
             let low = low_resolution(set, &tables.tables, clock)?;
             let mut bench = Bench::new(&volume, data.one_step.all.frames[0].scene.shading)?;
             let on = OnSet { study, set, data: &data, context: &context };
@@ -246,7 +247,8 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// Trains a predictor for a set and cross-validates it if required; with upper bound and training errors.
+    /// Trains a predictor for a set, and cross-validates it if required. Returns it with its upper bound, and
+    /// with its errors in training and cross-validation.
     fn on_set(
         &self,
         on: &OnSet<'_>,

@@ -1,4 +1,4 @@
-//! Tests of cross-validation, of stored models, and of frames at low resolution.
+//! Tests of cross-validation, of stored models, of frames at low resolution, and of the repository's studies.
 
 use super::baselines::low_resolution;
 use super::cache::identity;
@@ -13,6 +13,7 @@ use entire_train::bound;
 use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use serde_json::json;
+use std::path::Path;
 
 /// A table with a frame for each volume and member.
 pub(super) fn table<S: AsRef<str>>(volumes: &[(S, S)]) -> Table {
@@ -147,5 +148,17 @@ fn a_twin_shows_the_same_scene_but_for_its_voxels() {
     ];
     for change in changes {
         assert!(low(change).unwrap_err().contains("frame 0 shows another scene than in t.csv"));
+    }
+}
+
+#[test]
+fn the_studies_of_the_repository_are_valid() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings");
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let studies: Vec<_> = paths.filter(|path| path.to_string_lossy().ends_with("study.json")).collect();
+    assert!(!studies.is_empty());
+    for path in studies {
+        let study = read(&path).unwrap_or_else(|e| panic!("{e:#}"));
+        assert!(!study.sets.is_empty() && !study.predictors.is_empty(), "{}", path.display());
     }
 }

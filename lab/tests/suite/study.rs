@@ -64,7 +64,8 @@ fn a_small_study_goes_from_tables_to_bars() {
     std::fs::write(at.join("study.json"), description.to_string()).unwrap();
 
     let (output, text) = study(at, &["--bars"]);
-    // One bar is about a predictor and tables that the study lacks: it is `short`, and the command fails.
+    // One bar is about a predictor and tables that the study lacks. This bar is missed (`short`), so the
+    // command fails.
     assert_eq!(output.status.code(), Some(1), "{text}");
     let bars: Vec<Vec<&str>> =
         text.lines().filter(|l| l.starts_with("bar ")).map(|l| l.split(' ').collect()).collect();

@@ -60,7 +60,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// A frame of a script, in the size of this machine.
+    /// A frame of a script. On a real renderer, the image sides are enlarged by [`GROWN`].
     fn frame(&self, shot: &Shot) -> Result<Frame> {
         let camera = Camera::from_arcball(shot.camera)?;
         Ok(Frame::new(camera, self.grown() * shot.size.0, self.grown() * shot.size.1)?)

@@ -66,9 +66,10 @@ pub(super) struct Shot {
     pub(super) lobes: Vec<GaussianLobe>,
     pub(super) camera: Arcball,
     pub(super) size: (u32, u32),
-    /// Size at which the CPU version draws; its counts of work are scaled to `size`, which may be too large.
+    /// Size at which the CPU version draws. Its counts of work are scaled to `size`, which may be too large
+    /// to draw.
     pub(super) drawn: (u32, u32),
-    /// Factor on the seconds that no predictor models.
+    /// Factor on the seconds, from effects that no predictor models.
     pub(super) speed: f64,
     pub(super) camera_cut: bool,
 }
