@@ -1,7 +1,6 @@
 //! Executors of parallel work: the calling thread alone, or threads that the caller owns.
 
-/// Threads on which encoding and resampling run: the calling thread alone, or threads that the caller
-/// provides.
+/// Threads on which parallel work runs: the calling thread alone, or threads that the caller provides.
 ///
 /// The executor never changes the result: every output is computed by one thread, with the same operations in
 /// the same order.

@@ -35,13 +35,13 @@ pub enum Key {
     /// `entire.provenance`: origin of the weights (free text, JSON where structured).
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
-    /// for analytic models `low` and `high` (the range of each cost quantity in training), and for learned
-    /// factors `input_low` and `input_high` (one number per input, to which inputs are clamped: `InputRange`
-    /// of `entire-steer`). Optional.
+    /// for analytic models `low` and `high` (ranges of ln of the training frames' pixels, and of ln of their
+    /// rays, skips, samples and lane samples per pixel), and for learned factors `input_low` and `input_high`
+    /// (one number per input, to which inputs are clamped: `InputRange` of `entire-steer`). Optional.
     Calibration,
     /// `entire.unit_costs`: JSON object that maps names to unit costs in seconds. The input
     /// `estimated_seconds` is computed from them. The names are `frame` and those in `COST_QUANTITIES` of
-    /// `entire-steer`; a missing name costs nothing.
+    /// `entire-steer`; the unit cost of a missing name is 0.
     UnitCosts,
     /// `entire.cached_voxels`: number of voxels that the caches hold, for the file's scene features and unit
     /// costs, as a decimal number. In a frame that touches this many voxels, half of the reads that no
