@@ -200,8 +200,8 @@ mod limits {
     use super::{Instant, black_box};
     use std::arch::x86_64::*;
 
-    /// Defines a function that returns the arithmetic operations per second of twelve independent chains of an
-    /// instruction, each of which does `$operations` of them.
+    /// Defines a function that runs twelve independent chains of an instruction and returns their arithmetic
+    /// operations per second. One instruction does `$operations` operations.
     macro_rules! rate {
         ($name:ident, $feature:literal, $zero:ident, $operations:literal, [$($i:literal)*],
          |$x:ident, $y:ident, $sum:ident| $next:expr) => {
@@ -406,7 +406,8 @@ fn main() {
         let wanted =
             |name: &str, storage: &str| format!("{name} {} {storage}", level.isa()).contains(&options.only);
         let short = Duration::from_millis(150);
-        // Time limit of the warm calls of one row. Their number is at most `--calls`; the table states it.
+        // Time limit of the warm calls of one row of the table. The table states the number of these calls,
+        // which is at most `--calls`.
         let long = if level == Level::detect() { Duration::from_millis(2500) } else { short };
         for (network, inputs, hidden) in NETWORKS {
             let parts = self::network(inputs, hidden);

@@ -33,7 +33,7 @@ struct Options {
     models: PathBuf,
     storage: Storage,
     level: Level,
-    /// Two threads; `None` for one.
+    /// Pool of two threads; `None` for one thread.
     pool: Option<rayon::ThreadPool>,
 }
 

@@ -225,8 +225,8 @@ impl ModelFile {
     }
 }
 
-/// The names in a safetensors header, for the check that none occurs twice. The format forbids this; the
-/// parser of [`safetensors`] would keep the last entry.
+/// The names in a safetensors header, for the check that none occurs twice. The format forbids repeated
+/// names; the parser of [`safetensors`] would keep the last entry of a repeated name.
 #[derive(Deserialize)]
 #[serde(expecting = "a JSON object")]
 struct Names {

@@ -10,7 +10,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 fn layer(inputs: usize, outputs: usize, dtype: Dtype) -> DenseParts {
-    // Multiples of 1/8 below 4 are exact in all three formats.
+    // Multiples of 1/8 below 4 are exact in F32, F16 and BF16.
     let number = |i: usize| (i % 13) as f32 * 0.125 - 0.75;
     DenseParts {
         inputs,

@@ -83,7 +83,7 @@ impl Resampler {
         reserve(&mut self.columns, n)?;
         self.columns.extend((0..n).map(|i| Span::of(i, dims[0], n)));
         let row_len = kernel::scratch_len(dims[0], n);
-        // A few parts per thread balance the load where the system delays a thread.
+        // With a few parts per thread, the other threads take over work of a thread that the system delays.
         let parts = match executor.threads() {
             1 => 1,
             threads => (4 * threads).min(n),

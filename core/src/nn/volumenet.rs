@@ -358,7 +358,7 @@ mod tests {
     }
 
     const NETWORKS: [(usize, &[Layer]); 16] = [
-        // This one and the next have buffers of equal sizes, but other borders.
+        // This network and the next have buffers of equal sizes, but different borders.
         (10, &[(4, 3, 2, 0)]),
         (8, &[(4, 3, 2, 1)]),
         (9, &[(5, 3, 2, 1), (7, 3, 2, 1)]),
@@ -525,7 +525,7 @@ mod tests {
     #[test]
     fn a_scratch_of_equal_sizes_and_other_borders_is_made_to_fit() {
         let pairs: [[&[Layer]; 2]; 2] = [
-            // The planes between the first two layers have other borders.
+            // The planes between the first two layers have borders of different widths in the two networks.
             [&[(72, 1, 1, 0), (16, 2, 3, 1)], &[(32, 1, 1, 0), (16, 4, 3, 2)]],
             // The planes of the two networks differ in size, but take the same number of floats in total.
             [&[(32, 1, 1, 0), (16, 2, 3, 1)], &[(16, 1, 1, 0), (16, 4, 3, 1)]],

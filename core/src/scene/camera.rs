@@ -310,7 +310,7 @@ mod tests {
         let across =
             Camera::from_world_view(across, Vec3::ZERO, 1.0).unwrap().with_parallel_scale(1.0).unwrap();
         assert!((across.to_arcball().rx - b.rx).abs() < 1e-3);
-        // A field of view makes it a perspective camera again.
+        // Setting a field of view turns the parallel camera into a perspective camera.
         assert_eq!(parallel.with_fov_y_degrees(45.0).unwrap(), arc(25.0, 130.0, 7.0));
     }
 

@@ -183,7 +183,8 @@ impl Kernel for Tiles<'_> {
             bias: layer.bias.as_slice()[channel..].as_ptr(),
         };
         let Shape { output: edge, stride, .. } = layer.shape;
-        // True if the positions are whole groups of 16, each in one row, where its inputs are equally spaced.
+        // True if the positions are whole groups of 16 that each lie in one row. The inputs of such a group
+        // are equally spaced.
         let rows_of_16 = [edge, positions.start, positions.end].iter().all(|n| n % 16 == 0);
         let step = if layer.cut.wide && vectors == 1 && rows_of_16 { 16 } else { layer.cut.positions };
         let (mut z, mut y, mut x) =

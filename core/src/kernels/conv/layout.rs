@@ -86,7 +86,7 @@ pub(super) struct Taps<'a> {
     pub(super) first: usize,
 }
 
-/// Pointer to an output that several threads write. Each thread writes other positions or channels.
+/// Pointer to an output that several threads write. No two threads write the same floats.
 #[derive(Clone, Copy)]
 pub(super) struct Output(pub(super) *mut f32);
 

@@ -114,7 +114,7 @@ impl Encoder {
         let whole = if self.rest.is_empty() { f.lead + f.shape.output * f.out_plane } else { 0 };
         // The extra line keeps the reads of the last row, rounded up to whole vectors, inside the buffer.
         let buffers = [f.shape.kernel * f.plane + LINE, ring + LINE, whole + LINE];
-        // Buffers of equal sizes can have borders at other places.
+        // Two encoders can have buffers of equal sizes with borders at different places.
         let layout = [f.plane, f.row, f.phase, f.shape.padding, f.out_plane, f.border];
         buffers.into_iter().chain(layout).chain(
             self.rest.iter().flat_map(|l| [l.out_len.next_multiple_of(LINE), l.border, l.out_channels]),

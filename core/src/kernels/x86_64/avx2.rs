@@ -243,7 +243,7 @@ unsafe fn add_bits(a: __m256i, b: __m256i, c: __m256i) -> (__m256i, __m256i) {
     }
 }
 
-/// Adds to each count `weight` times the number of bytes in which its bit is set.
+/// Adds to count i `weight` times the number of bytes of `sums` in which bit i is set.
 ///
 /// # Safety
 /// The CPU has AVX2.

@@ -168,8 +168,8 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         // SAFETY: the token proves AVX-512; `from` is not empty, and each index is clamped to its last word.
         unsafe {
             let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
-            // Scalar loads replace a gather instruction, which takes two to three times as long on many
-            // machines.
+            // Scalar loads replace a gather instruction, which takes two to three times as long as these
+            // loads on many machines.
             let mut at = [0u32; 16];
             _mm512_storeu_si512(at.as_mut_ptr().cast(), index);
             let [low, high] = [eight_words(from, &at, 0), eight_words(from, &at, 8)];
@@ -280,7 +280,7 @@ unsafe fn add_eight(p: *const u8, first: u8, [ones, twos, fours]: [__m512i; 3]) 
     }
 }
 
-/// Adds to each count `weight` times the number of bytes in which its bit is set.
+/// Adds to count i `weight` times the number of bytes of `sums` in which bit i is set.
 ///
 /// # Safety
 /// The CPU has AVX-512 BW.
