@@ -131,8 +131,8 @@ impl PredNet {
     /// Predicts one frame's time in seconds from [`inputs`](Self::inputs) values in the model's order.
     ///
     /// The result is not clamped: it may be zero, negative (target `seconds`) or infinite. It is NaN for a
-    /// NaN input (with [`Storage::Int8`], for any input that is not finite), for a wrong number of inputs, and
-    /// for a scratch that is too small because another network made it. Never allocates.
+    /// NaN input (with [`Storage::Int8`], for any input that is not finite), for a wrong number of inputs,
+    /// and for a scratch that is too small because another network made it. Never allocates.
     #[inline]
     pub fn predict(&self, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward(inputs, &mut scratch.mlp) {
