@@ -142,7 +142,8 @@ inline bool Jumps(const entire_frame& before, const entire_frame& now)
   return !(ratio > 0.67f && ratio < 1.5f);
 }
 
-// True if the renderer draws this volume, by itself or as a part of an assembly.
+// True if the renderer draws this volume, by itself or as a part of an assembly. Do not call this function while an
+// assembly draws, since the assembly may delete the paths that it iterates over, and build them again.
 bool IsDrawnBy(vtkRenderer* renderer, vtkVolume* volume);
 }
 

@@ -504,8 +504,7 @@ bool vtkEntireSteering::vtkInternals::Leaf::UpdateInput(vtkVolumeMapper* mapper)
     const vtkEntire::Busy::Elsewhere elsewhere(this->Internals->Busy);
     pipeline->Update();
   }
-  return this->Alive && this->Internals->Renderer &&
-    vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume);
+  return this->Alive && this->Internals->Renderer;
 }
 
 //------------------------------------------------------------------------------
@@ -534,8 +533,9 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
       return;
     }
   }
-  else if (!this->UpdateInput(mapper))
+  else if (!this->UpdateInput(mapper) || !vtkEntire::IsDrawnBy(this->Internals->Renderer, volume))
   {
+    // An observer of the pipeline ended the attachment, or removed the volume from the renderer.
     return;
   }
   this->Plan();

@@ -225,8 +225,7 @@ public:
     // before it invokes its start event: so its settings are written at its renderer's start, and restored at its
     // renderer's end. Inside a smart mapper this is done only if the smart mapper is about to draw with it.
     bool SetEarly() const { return !this->Gpu; }
-    // Brings the mapper's input up to date. Returns false if an observer of its pipeline ended the attachment, or
-    // removed the volume from the renderer.
+    // Brings the mapper's input up to date. Returns false if an observer of its pipeline ended the attachment.
     bool UpdateInput(vtkVolumeMapper* mapper);
     void Plan();
     void Restore();

@@ -2,7 +2,9 @@
 // Tests of how vtkEntireSteering detects changes, frames and frame times: TestFollowing NAME MAPPER.
 #include "Scene.h"
 
+#include "vtkActor.h"
 #include "vtkAssembly.h"
+#include "vtkAssemblyPaths.h"
 #include "vtkDataArray.h"
 #include "vtkDataObject.h"
 #include "vtkDoubleArray.h"
@@ -234,6 +236,46 @@ void FollowsAssemblies(Kind kind)
   CHECK(small > 0 && small == predicted(false, 0.5) && small != predicted(false, 1.0));
 }
 
+// An assembly that counts how often its paths are built again while it draws volumes. It holds the paths that it
+// iterates over, so that they outlive such a call.
+class CountedAssembly : public vtkAssembly
+{
+public:
+  static CountedAssembly* New();
+  vtkTypeMacro(CountedAssembly, vtkAssembly);
+  int RenderVolumetricGeometry(vtkViewport* viewport) override
+  {
+    this->UpdatePaths();
+    const vtkSmartPointer<vtkAssemblyPaths> drawn(this->Paths);
+    const int rendered = this->Superclass::RenderVolumetricGeometry(viewport);
+    ++this->Drawn;
+    this->Rebuilt += this->Paths != drawn.GetPointer();
+    return rendered;
+  }
+  int Drawn = 0;
+  int Rebuilt = 0;
+};
+vtkStandardNewMacro(CountedAssembly);
+
+// An assembly of several parts keeps its paths while it draws.
+void LeavesPathsAlone(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<CountedAssembly> assembly;
+  vtkNew<vtkActor> other;
+  scene.Renderer->RemoveVolume(scene.Volume);
+  assembly->AddPart(scene.Volume);
+  assembly->AddPart(other);
+  scene.Renderer->AddViewProp(assembly);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  scene.Draw(4);
+  CHECK(steering->GetNumberOfSteeredFrames() > 1 && Empty(steering->GetStatus()));
+  CHECK(assembly->Drawn >= 4 && assembly->Rebuilt == 0);
+}
+
 // The library gets the quality law that was set for the class of the drawing mapper, and checks it. A law for another
 // class has no effect.
 void KnowsItsPictures(Kind kind)
@@ -443,6 +485,7 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "LeavesModifiedTimesAlone", LeavesModifiedTimesAlone },
   { "WaitsForTheDevice", WaitsForTheDevice },
   { "FollowsAssemblies", FollowsAssemblies },
+  { "LeavesPathsAlone", LeavesPathsAlone },
   { "KnowsItsPictures", KnowsItsPictures },
   { "ReadsRefusedVoxelsOnce", ReadsRefusedVoxelsOnce },
   { "ReadsRefusedModelsOnce", ReadsRefusedModelsOnce },
