@@ -116,8 +116,8 @@ impl<'a> Database<'a> {
 
     /// Compares the input files with those of the last run, and removes the pictures of changed files. Prints
     /// a note on changed files and a note on pictures that belong to no task. Stores the identities of the
-    /// files in the journal. `then`: identities of the last run, keyed by [`Job::shown`]; `gone`: ids in the
-    /// journal that belong to no task of the job.
+    /// files in the journal. `then`: identities of the files in the last run, keyed by [`Job::shown`];
+    /// `gone`: ids in the journal that belong to no task of the job.
     fn compare_inputs(
         &mut self,
         then: &BTreeMap<String, Vec<Identity>>,
@@ -177,9 +177,9 @@ impl<'a> Database<'a> {
         self.run
     }
 
-    /// Adds answers of the spool to the journal: those without an error whose images are complete and whose
-    /// tasks the journal does not list as finished. Then empties the spool folder and the folders of orders,
-    /// of cancellations and of images in progress.
+    /// Adds those answers of the spool to the journal that have no error, whose images are complete, and
+    /// whose tasks the journal does not list as finished. Then empties the spool folder and the folders of
+    /// orders, of cancellations and of images in progress.
     pub(crate) fn take_over(&mut self) -> Result<()> {
         let state = self.job.state();
         let folder = state.join("spool");

@@ -294,7 +294,8 @@ impl Dispatcher {
         (!bundle.is_empty()).then_some(bundle)
     }
 
-    /// Returns the volume of the next task in the sending order, for example of the longest waiting task.
+    /// Returns the volume of the next task in the sending order; with the default order, of the longest
+    /// waiting task.
     fn longest(&mut self) -> Option<usize> {
         while let Some((key, Reverse(v))) = self.heap.pop() {
             self.listed[v] = false;

@@ -42,7 +42,8 @@ pub struct Summary {
     pub seconds: f64,
 }
 
-/// Queues all tasks that have not ended; with `preview`, every eighth view, small and coarse, first.
+/// Queues all tasks that have not ended. If `preview` is true, every eighth view at the smallest size and the
+/// coarsest step comes first.
 pub fn queue(planner: &mut Planner, job: &Job, preview: bool) {
     let all = (0..job.len() as u32).filter(|t| planner.state(*t) == State::Idle);
     if !preview {

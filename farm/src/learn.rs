@@ -565,7 +565,8 @@ impl Learner {
                 return (drawn, probable.max(LEAST));
             }
         }
-        // No draw was longer than `seconds`, so the returned time is longer by half a standard deviation.
+        // No draw was longer than `seconds`, so the returned time exceeds `seconds` by half a standard
+        // deviation.
         (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 
@@ -586,7 +587,7 @@ impl Learner {
         sums[((level * DRAWS as f64) as usize).min(DRAWS - 1)]
     }
 
-    /// As [`Learner::draw`], but draws only the effects of the volumes of every `stride`-th task of `tasks`.
+    /// As [`Learner::draw`], but draws effects only for the volumes of every `stride`-th task in `tasks`.
     fn draw_few(&self, rng: &mut ChaCha8Rng, tasks: &[u32], stride: usize) -> Draw {
         let (beta, shift) = self.draw_beta(rng);
         let mut effects = self.effects.clone();

@@ -34,7 +34,8 @@ pub enum State {
 pub struct Setting {
     /// Number of slots that work at once.
     pub slots: usize,
-    /// True if each bundle goes to a slot that keeps its volume; else to any slot, which loads its volume.
+    /// True if each bundle goes to a given slot, which keeps its volume between bundles. Otherwise, a bundle
+    /// goes to any slot, and the slot loads the volume.
     pub bound: bool,
     /// Overhead of a bundle on its slot, seconds.
     pub overhead: f64,

@@ -59,7 +59,7 @@ struct Own {
 struct Painted {
     load_s: f64,
     render_s: Option<f64>,
-    /// Seconds of an attempt that failed.
+    /// Seconds of an earlier attempt at the task, which failed; 0 without such an attempt.
     lost_s: f64,
 }
 

@@ -22,7 +22,8 @@ const START: Duration = Duration::from_secs(60);
 pub struct Options {
     /// The Python interpreter in which HyperQueue's package is installed.
     pub python: String,
-    /// Number of workers to start, each for one bundle; of a given server, the assumed number of workers.
+    /// Number of workers to start, each for one bundle; if a server is given, the assumed number of its
+    /// workers.
     pub workers: usize,
     /// The folder of a running server; default: a new one is started.
     pub server_dir: Option<String>,

@@ -68,7 +68,8 @@ impl<'a> State<'a> {
         (0..self.ends.len()).fold(0, |m, n| if self.ends[n] > self.ends[m] { n } else { m })
     }
 
-    /// Moves and exchanges tasks of the node that ends last until the best estimated change does not help.
+    /// Moves and exchanges tasks of the node that ends last until the best estimated change does not shorten
+    /// the schedule.
     fn improve(&mut self) {
         loop {
             let last = self.last();

@@ -119,9 +119,10 @@ pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>
 }
 
 /// Returns the encoder for the parts of the study that do not compare encoders, with its description in
-/// words. For `own`, a data set whose main split is tested, it is an encoder trained on the data set: of the
-/// main size if it exists, else of another size with as many features. If there is none, and for all other
-/// splits, it is the shipped encoder, which was trained without the test members.
+/// words. If the main split of a data set is tested, `own` is this data set. The encoder is then one that was
+/// trained on the data set: of the main size if it exists, else of another size with as many features. If
+/// there is none, or if `own` is `None`, the encoder is the shipped one, which was trained without the test
+/// members.
 pub(super) fn main_encoder(work: &Work<'_>, own: Option<&str>) -> Result<(PathBuf, String)> {
     let (size, features) = work.paper.encoders.main;
     if let Some(set) = own {

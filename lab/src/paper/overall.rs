@@ -75,7 +75,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((chart, what.into()));
 }
 
-/// A table with a row for every data set and mode with the split; appends each row's ratios to `parts`.
+/// Returns a table with a row for every data set and mode that was tested on the split. `split` returns the
+/// split for the data set's rule. Appends each row's ratios to `parts`.
 fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
     let mut table = Table::headed(
         "data set, renderer | tested on | #training frames | #test frames | #network: RMSE, s | \

@@ -16,7 +16,7 @@ use super::volumes::in_words;
 use entire_report::{Axis, Chart, Mark, Series, Table};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Our counterpart of a label, from the available results.
+/// Returns our counterpart of a table or figure of the paper, from the available results.
 pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Section {
     let of: Vec<&Results> = material.all.iter().filter(|r| r.panel == label.panel).collect();
     let mut s = Section::default();

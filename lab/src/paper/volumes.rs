@@ -244,7 +244,8 @@ mod tests {
         assert_eq!((found[0].validation.len(), found[0].test.len()), (4, 4));
         assert!(found[1].test.iter().all(|n| n.contains("/m03/")));
         assert_eq!(found[1].training.len(), 20);
-        // Without validation members, some of the other members' volumes are used.
+        // If no members are named for validation, some volumes of the members that are not for testing are
+        // used.
         let found = splits(&set(Some(serde_json::json!({ "test": ["m03"] }))), &jobs()).unwrap();
         assert_eq!((found[1].training.len(), found[1].validation.len()), (27, 3));
         // Missing members make no split.

@@ -366,7 +366,7 @@ fn resonance(method: ControllerKind) -> Verdict {
     judge(24, method, &all, Limits::missed(1.0), broken)
 }
 
-/// Scene 26: memory pressure: bursts of slow frames.
+/// Scene 26: bursts of slow frames, as under memory pressure.
 fn paging(method: ControllerKind) -> Verdict {
     let mut shot = |i: usize, n: &mut Noise| {
         let burst = (150..300).contains(&i);

@@ -231,7 +231,8 @@ pub(crate) fn run_real(
     })
 }
 
-/// Bar on the number of scenes that entire's controller passed; a scene that was not played was not passed.
+/// Bar on the number of scenes that entire's controller passed; a scene that was not played counts as not
+/// passed.
 fn passed(name: &str, verdicts: &[Verdict], all: usize) -> Bar {
     let mut ours: Vec<&Verdict> = verdicts.iter().filter(|v| v.is_ours()).collect();
     ours.sort_by_key(|v| v.scene);

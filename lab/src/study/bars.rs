@@ -28,7 +28,8 @@ fn best<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a Spl
     models(found, set, split).min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
 }
 
-/// Result of the predictor that the rule selects; of the best on the test frames if it selects none.
+/// Result of the predictor that the rule selects; if it selects none, of the predictor that is best on the
+/// test frames.
 fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a SplitResult> {
     match shipped(study, found, set, SELECTED) {
         Some(name) => found.of(set, split, name),

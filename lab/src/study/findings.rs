@@ -132,7 +132,8 @@ impl Findings {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
     }
 
-    /// Median relative error of a perfect predictor due to noise: 0.6745 deviations of a frame's median.
+    /// Median relative error of a perfect predictor due to noise: 0.6745 standard deviations of the noise of
+    /// a frame's median time.
     pub(crate) fn noise_mdape(&self, set: &str, split: &str) -> f64 {
         self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| n.2.mdape())
     }

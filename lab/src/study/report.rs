@@ -103,7 +103,8 @@ fn frontier(found: &Findings, set: &str, split: &str) -> Chart {
             front.push(p);
         }
     }
-    // Only the frontier, the selected predictor and the paper's networks are labeled; others are too close.
+    // Only the frontier, the selected predictor and the paper's networks are labeled; more labels would
+    // overlap.
     let selected = found.selected.get(set);
     let named = |&(cold, error, name): &(f64, f64, &str)| {
         let text = match () {

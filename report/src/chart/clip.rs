@@ -4,7 +4,8 @@ use super::axis::Span;
 
 type Point = (f64, f64);
 
-/// The parts of a line inside both ranges, broken at points that no scale can place (as 0 on a log axis).
+/// Returns the parts of a line inside both ranges. The line is broken at points that a scale cannot place,
+/// such as 0 on a logarithmic axis.
 pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
     let mut parts: Vec<Vec<Point>> = Vec::new();
     for run in points.split(|p| !x.takes(p.0) || !y.takes(p.1)) {
