@@ -29,16 +29,18 @@
  * and the Status of the other says so.
  *
  * A still frame is one for which the render window's DesiredUpdateRate is below StillUpdateRate. VTK draws it
- * without steering, pixel for pixel; its time still corrects predictions. The exception is a still frame of a
- * mapper with AutoAdjustSampleDistances at a rate of 0.01 or more, which VTK may draw coarsely. VTK also draws
- * frames that cannot be predicted without steering; GetStatus() then gives the reason. Rendering for a hardware
- * selector (picking) is left to VTK and does not count as a frame.
+ * without steering, pixel for pixel; its time still corrects predictions. The time of a still frame is not
+ * used if the mapper has AutoAdjustSampleDistances and the rate is 0.01 frames per second or more, since VTK
+ * may draw such a frame coarsely. VTK also draws frames that cannot be predicted without steering;
+ * GetStatus() then gives the reason. Rendering for a hardware selector (picking) is left to VTK and does not
+ * count as a frame.
  *
- * No model file is needed. Without one, a linear cost model starts from rough costs and learns the speed of the
- * mapper and the device from the first frames; with one (see `entire train`), the first frame is predicted too.
+ * No model file is needed. Without one, an analytic model (unit costs times estimated work) starts from rough
+ * unit costs and learns the speed of the mapper and the device from the first frames. With a model file (see
+ * `entire train`), the first frame is predicted too.
  *
- * The prediction does not read clipping planes, geometry in front of the volume, gradient opacity, 2D transfer
- * functions, masks, cropping other than to a box, and all but one of several independent components. Their
+ * The prediction ignores clipping planes, geometry in front of the volume, gradient opacity, 2D transfer
+ * functions, masks, cropping other than to a box, and all independent components except the first. Their
  * effect on the time is corrected from frame to frame.
  */
 #ifndef vtkEntireSteering_h

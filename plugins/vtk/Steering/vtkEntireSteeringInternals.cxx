@@ -22,7 +22,7 @@
 
 namespace
 {
-// Rays along each side of the finest probe for a linear cost model; a network's file states its own. The number is
+// Rays along each side of the finest probe for an analytic model; a network's file states its own number. The number is
 // lower than the library's default, since a ray takes almost a microsecond after a frame has evicted the probe's data
 // from the caches.
 constexpr std::uint32_t PROBE_SIDE = 7;
@@ -222,7 +222,7 @@ void vtkEntireSteering::vtkInternals::Report(const char* reason, const char* sta
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::FallBack(const std::string& why)
 {
-  // Said once for an attachment, whatever numbers it contains: other mappers of the volume may be steered.
+  // Warns of a reason once per attachment, even if the numbers in it change or other mappers of the volume are steered.
   std::string key;
   std::copy_if(why.begin(), why.end(), std::back_inserter(key),
     [](unsigned char c) { return !std::isdigit(c) && c != '.' && c != '-'; });
@@ -427,8 +427,8 @@ void vtkEntireSteering::vtkInternals::RendererStart()
     this->Report(nullptr, "the volume is not among the props of the renderer that Attach() was given");
     return;
   }
-  // A leaf that is the volume's own mapper needs no check. Without leaves the mapper may be of another class, and a
-  // smart mapper may have been set to another render mode.
+  // A leaf that is the volume's own mapper needs no check. Without leaves, the mapper may be of a class that cannot be
+  // steered. A smart mapper may have been set to another render mode.
   vtkAbstractVolumeMapper* const mapper = this->Volume->GetMapper();
   if (mapper && (this->Drawing.empty() || this->Drawing[0]->Outer))
   {
@@ -631,7 +631,7 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
     auto loaded = made->load_state(this->State);
     if (!loaded && !leaf.RefusedState)
     {
-      // This mapper is drawn without the state, which stays for the others.
+      // This mapper is drawn without the state, which stays for the other mappers.
       this->Warn("LoadState(): " + loaded.message());
     }
     leaf.RefusedState = !loaded;
