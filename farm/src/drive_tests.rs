@@ -83,7 +83,7 @@ impl Engine for Fake {
     }
 }
 
-/// A folder with a job of two tasks, each with `attempts`.
+/// A folder with a job of two tasks. A task is given up after `attempts` failures.
 fn setting(attempts: u32) -> (tempfile::TempDir, Job) {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("v.raw"), [0u8; 8]).unwrap();

@@ -452,7 +452,7 @@ impl Learner {
         if self.nodes.len() < 2 {
             return;
         }
-        // Variance of the nodes' residuals beyond their tasks' errors; unknown with one time per node.
+        // Variance of the nodes' mean residuals that the errors of their tasks do not explain.
         let of_nodes: f64 =
             sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
         let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);

@@ -48,8 +48,8 @@ mod tests {
     use std::os::unix::process::ExitStatusExt;
     use std::process::Command;
 
-    /// Starts a shell that runs `on_term` at SIGTERM and then continues. [`wait`] asks it to end once its
-    /// trap is set. Returns the result of [`wait`] and its duration.
+    /// Starts a shell that runs `on_term` at SIGTERM and then continues. [`wait`] asks the shell to end once
+    /// the shell's trap is set. Returns the result of [`wait`] and its duration.
     fn told_to_end(on_term: &str, grace: Duration) -> ((ExitStatus, bool), Duration) {
         let dir = tempfile::tempdir().unwrap();
         let ready = dir.path().join("ready");

@@ -1,5 +1,5 @@
-//! Gradient-boosted trees of the crate forust-ml: a reference in studies that no model file can hold and no
-//! renderer can use.
+//! Gradient-boosted trees of the crate forust-ml. Studies use them as a reference: no model file can hold
+//! them, and no renderer can use them.
 
 use anyhow::{Result, anyhow, ensure};
 use entire_core::model::Model;

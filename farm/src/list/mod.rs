@@ -196,7 +196,7 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], speeds: &[f64]) -> Res
     }
 }
 
-/// A schedule before the run.
+/// A schedule that is computed before the run.
 #[derive(Clone, Debug)]
 pub enum Plan {
     /// The node of every task, and the order in which nodes run their tasks.

@@ -13,7 +13,7 @@ use entire_io::progress::progress_bar;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Number of frames of scene 27, the long run.
+/// Number of disturbed frames in scene 27, the long run.
 const LONG_RUN: u64 = 1_000_000;
 
 /// Play the stress scenes: scripts in which methods of holding a frame time are known to fail.

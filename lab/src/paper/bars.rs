@@ -74,7 +74,8 @@ pub(crate) fn bars(
         let found = find(&overall, set, BASE_MODE).and_then(|r| Some((r, network(r)?)));
         let voxels = found.as_ref().and_then(|(r, _)| voxels_over_proxy(paper, r));
         out.push(match found.zip(voxels) {
-            // A proxy with a larger share of the voxels is a stronger baseline than the paper's.
+            // A proxy with a larger share of the voxels is a stronger baseline than the paper's, so the bar
+            // gets no value.
             Some(((_, row), voxels)) if voxels < limits.lvrp_voxels => {
                 let over = row.over_lvrp.map_or("-".into(), |v| format!("{v:.4}"));
                 let (here, papers) = (voxels.round(), limits.lvrp_voxels);
@@ -188,7 +189,7 @@ fn voxels_over_proxy(paper: &Paper, results: &Results) -> Option<f64> {
     Some(side("x")? * side("y")? * side("z")? / (paper.proxy as f64).powi(3))
 }
 
-/// Numbers of frames: those that the study's description specifies, and those that there are.
+/// Number of frames that the study's description specifies, and number of frames in the results.
 fn frames_of(results: &Results) -> Option<[f64; 2]> {
     let times = results.fact("times")?;
     Some([*times.get("expected frames")?, *times.get("frames")?])

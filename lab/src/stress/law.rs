@@ -195,7 +195,7 @@ impl Wrong {
     }
 }
 
-/// Plays a scene of this file; `None` for other scenes. `soak` is the number of frames of scene 27.
+/// Plays a scene of this file; `None` for other scenes. `soak` is the number of disturbed frames in scene 27.
 pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
     let go = |limits: Limits, script: Script<'_>| {
@@ -396,7 +396,7 @@ fn paging(method: ControllerKind) -> Verdict {
     judge(26, method, &seen, Limits::missed(1.0), broken)
 }
 
-/// Scene 27: a long run with all disturbances.
+/// Scene 27: a long run of `frames` frames with all disturbances, then 500 ordinary frames.
 fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     let mut c = new(method);
     let mut wrong = Wrong { scene: 0.0, drift: 0.0 };

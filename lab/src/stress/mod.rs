@@ -201,7 +201,7 @@ fn verdicts(
     Ok(out)
 }
 
-/// Plays scenes under methods on a scripted clock. `soak` is the number of frames of scene 27, the long run.
+/// Plays scenes under methods on a scripted clock. `soak` is the number of disturbed frames in scene 27.
 pub(crate) fn run(
     scenes: &[usize],
     methods: &[ControllerKind],

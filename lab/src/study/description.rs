@@ -30,7 +30,7 @@ fn cpu() -> String {
     Clock::Cpu.name().into()
 }
 
-/// Name of the selected predictor in [`Ship`].
+/// Value of [`Ship::predictor`] for the predictor that the rule selects.
 pub(crate) const SELECTED: &str = "selected";
 
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -141,7 +141,8 @@ impl Findings {
 
 impl Fit {
     /// The error by which the rule compares predictors: the geometric mean of median error and RMSE/SD in
-    /// cross-validation, each without the noise of the measured times. `None` without a cross-validation.
+    /// cross-validation, after the square of the noise is subtracted from the square of each. `None` without
+    /// a cross-validation.
     pub(super) fn error(&self) -> Option<f64> {
         let crossed = self.crossed.as_ref()?;
         let [mdape, rmse_over_sd] = [(crossed.mdape, self.noise[0]), (crossed.rmse_over_sd, self.noise[1])]

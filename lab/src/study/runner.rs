@@ -96,7 +96,8 @@ pub(crate) struct Runner<'a> {
 }
 
 impl Runner<'_> {
-    /// Trains a predictor, or reads one stored with the same data and recipe. Returns the model and its path.
+    /// Trains a predictor, or reads the model that is stored for the same data and recipe. Returns the model
+    /// and its path.
     pub(crate) fn made(
         &self,
         key: &str,

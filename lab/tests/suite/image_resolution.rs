@@ -65,7 +65,8 @@ fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
         let frames = play(&recorded, player, 0.02).unwrap();
         for (index, (f, curve)) in frames.iter().zip(&recorded.curves).enumerate() {
             let place = format!("{} at {index}: {f:?}", player.kind.name());
-            // The oracle chooses a ray step, so feasibility is about the step, too.
+            // The oracle chooses a ray step, so a frame is feasible if the coarsest ray step meets the
+            // target.
             assert_eq!(f.oracle_step, curve.oracle(0.02, 1.0, 12.0), "{place}");
             assert!(close(f.oracle_ssim, curve.ssim(f.oracle_step)), "{place}");
             assert_eq!(f.feasible, curve.seconds(12.0) <= 0.02, "{place}");

@@ -105,7 +105,7 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     std::fs::write(&table, text).unwrap();
     let (output, said) = paper(at, "collect", &[]);
     assert!(output.status.success(), "{said}");
-    // Of five volumes, one that is a training volume in some split has eight frames, any other has four.
+    // Each of the five volumes has eight frames if it is a training volume in some split, else four.
     let rows = lines(&table) - 1;
     assert!((5 * 4..=5 * 8).contains(&rows) && rows.is_multiple_of(4), "{rows}");
     assert_eq!(lines(&at.join("out/tables/castro_blast-none-low.csv")) - 1, 5 * 4);

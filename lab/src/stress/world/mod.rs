@@ -37,7 +37,7 @@ pub(crate) struct Machine<'a> {
     pub(crate) clock: Option<Clock>,
 }
 
-/// Factor on image sides on a real renderer, so that times are measurable.
+/// Factor on image sides on a real renderer, so that frame times are long enough to be measured.
 const GROWN: u32 = 4;
 
 /// Scenes that can be played on a real renderer. The images of scene 12 are too large for a software driver;
