@@ -15,7 +15,8 @@ cargo=${CARGO:-cargo}
 if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
     skip_all miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
 fi
-# Under Miri, code runs some thousand times slower, so these are small tests that reach every scalar kernel.
+# Under Miri, code runs about a thousand times slower than natively, so these are small tests that reach every scalar
+# kernel.
 kernels=(
     kernels::level::
     kernels::scalar::

@@ -151,7 +151,7 @@ def measure(options, bars):
             bars.found(name, min(a["med"] for a in answers) / 1e3,
                        f"median of a window; smallest call {min(a['min'] for a in answers) / 1e3:.3f} us")
     for name, _, edge, threads in READS:
-        # Five times longer windows: one call takes milliseconds, and the first calls also wait for memory pages.
+        # Windows of five times SECONDS: one call takes milliseconds, and the first calls also wait for memory pages.
         specs = options.rounds * [f"resample/{edge}"]
         if name in bars.asked and (answers := several(name, threads, specs, 1, 5 * options.seconds)):
             ours, read = (min(a[k] for a in answers) for k in ("min", "read"))

@@ -31,8 +31,8 @@ WALL_SECONDS = {"demo": 140, "test": 900, "change": 2100}
 COMMANDS = {"demo": ["make", "demo"], "test": ["make", "test"], "change": [".ci/run"], "nightly": [".ci/nightly"]}
 # The gates that list their skips.
 SKIPPING = ("change", "nightly")
-# A step counts as doubled if its processor time is over twice the committed time, and over by at least this many
-# seconds.
+# A step counts as doubled if its processor time is over twice the committed time, and over the committed time plus this
+# many seconds.
 NOISE_SECONDS = 20
 # Renamed tests: old name, new name.
 RENAMED = {

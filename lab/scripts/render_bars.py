@@ -48,7 +48,7 @@ CAMERA = "20 30 3.8637"
 
 
 class Contestant(Server):
-    """A server that says at its start what it is."""
+    """A server whose first answer describes the renderer."""
 
     def __init__(self, command):
         super().__init__(command)
@@ -115,7 +115,7 @@ def write_png(path, rgb, width, height):
 
 
 def compare(a, b):
-    """PSNR in dB and mean absolute difference, of 255, over all channels."""
+    """PSNR in dB, and mean absolute difference in levels of 255, over all channels."""
     square = total = 0
     for x, y in zip(a, b):
         d = x - y
@@ -268,7 +268,8 @@ def say(bars, results, lacking):
                 theirs = times[f"vtk/{peer}"]["cpu"]
                 note = f"{1e3 * own:.1f} ms CPU, skipping distance; {1e3 * theirs:.1f} ms CPU"
                 bars.found(ratio_name(scene, peer), own / theirs, note)
-                # Times are comparable only if the pictures agree: this bar is the mean difference of a channel, of 255.
+                # Times are comparable only if the pictures agree. This bar is the mean difference of a channel, in
+                # levels of 255.
                 name = f"render_{scene}_picture_difference_{peer}"
                 bars.found(name, results[f"{scene}/difference/{peer}"], "levels of 255, mean")
         if f"render_{scene}_distance_vs_blocks" in bars.asked:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Errors of predictors per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
-and an analytic model are trained, and `entire calibrate` fits a model to a twentieth of the training frames. All are
-tested on the other volumes. Needs no renderer. bars.py calls this; bars of a missing table are short.
+and an analytic model are trained, and `entire calibrate` fits a model to a twentieth of the training frames. All models
+are tested on RENDERER-test. Needs no renderer. bars.py calls this; bars of a missing table are short.
 
 ENTIRE_DATA  folder to which the volume names in the tables are relative (default ../shared/data)
 """

@@ -2,8 +2,8 @@
 """VTK's AutoAdjustSampleDistances against vtkEntireSteering on one camera path.
 
 256^3 voxels, 512 x 512 pixels, 200 frames: an orbit with changing elevation and distance, a transparent and an opaque
-transfer function in turn, switched abruptly at frames 50, 100 and 150. Contenders draw each frame one after the other, so
-that other work on the machine affects all alike:
+transfer function in turn, switched abruptly at frames 50, 100 and 150. Contenders draw each frame one after the other,
+so that other work on the machine affects all contenders equally:
 
   full        full quality: sample distance 1, nothing adjusted
   auto        AutoAdjustSampleDistances as shipped, asked for 1 / target
