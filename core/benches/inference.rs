@@ -1,6 +1,7 @@
-//! Measures the time of PredNet for each network, SIMD level and storage type, and that of VolumeNet and of
-//! resampling for each level, on one thread. Compares the times with the machine's limits (memory bandwidth
-//! and peak arithmetic rate), which are measured in the same run. Times in the table are in microseconds.
+//! Measures the time of PredNet for each network, SIMD level and storage type, and the times of VolumeNet and
+//! of resampling for each level, on one thread. Compares the times with the machine's limits (memory
+//! bandwidth and peak arithmetic rate), which are measured in the same run. Times in the table are in
+//! microseconds.
 //!
 //! ```text
 //! cargo bench -p entire-core --bench inference [-- --record DATE] [--only TEXT] [--calls N]

@@ -1,6 +1,7 @@
-//! Times this crate's inference for `make bars-inference`, which compares it with other libraries. For each
-//! line `NAME BATCH SECONDS` of its input (network, batch size, duration of the measurement), the program
-//! prints one line `@@{json}` with the result. So a script can measure programs of several libraries in turns.
+//! Times this crate's inference for `make bars-inference`, which compares this crate with other libraries.
+//! For each line `NAME BATCH SECONDS` of its input (network, batch size, duration of the measurement), the
+//! program prints one line `@@{json}` with the result. So a script can measure programs of several libraries
+//! in turns.
 //!
 //! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
 //!
@@ -12,7 +13,7 @@
 //!   network's output is taken as the logarithm of seconds.
 //! - `small/warm` and `small/cold` return the times of a 2×64 network on 24 inputs. Before each cold call,
 //!   the weights are evicted from the first two cache levels.
-//! - `vol_…` runs a VolumeNet on a byte volume, `vol_…:f32` on the float volume of the other libraries.
+//! - `vol_…` runs a VolumeNet on a byte volume, `vol_…:f32` on the float volume that the other libraries get.
 //! - `resample/N` resamples N³ bytes to 128³; `read` in its result is the time of reading the bytes once.
 
 use entire_core::kernels::{Executor, Level, SELU_ALPHA, SELU_SCALE, Storage};
@@ -268,8 +269,8 @@ fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> 
     Ok(error(&single).max(error(&batch)))
 }
 
-/// Returns, as JSON, the times of `predict` calls of a 2×64 network with 24 normalized inputs. Its output is
-/// the logarithm of seconds.
+/// Returns, as JSON, the times of `predict` calls of a 2×64 network with 24 normalized inputs. The network's
+/// output is the logarithm of seconds.
 fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem> {
     let number = |i: usize| ((i * 2_654_435_761) % 2000) as f32 / 10_000.0 - 0.1;
     let layer = |inputs: usize, outputs: usize| DenseParts {
@@ -292,8 +293,8 @@ fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem>
             Box::new(move || f64::from(net.predict(std::hint::black_box(&x), &mut scratch)));
         return Ok(measure(&mut case, seconds));
     }
-    // More than twice the second-level cache of a current core: writing it evicts the weights from the first
-    // two levels.
+    // The buffer is more than twice as large as the second-level cache of current cores, so that writing the
+    // buffer evicts the weights from the first two levels.
     let mut eviction = vec![1u8; 8 << 20];
     // Time of reading the clock, in nanoseconds; it is subtracted from each call's time.
     let clock = (0..1000).map(|_| Instant::now().elapsed().as_nanos()).min().unwrap_or(0);

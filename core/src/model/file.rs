@@ -90,7 +90,7 @@ impl<'a> Source<'a> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelFile {
     pub(super) tensors: BTreeMap<String, TensorData<'static>>,
-    /// All metadata: the entries of [`Key`] and any other.
+    /// All metadata: the entries of [`Key`] and all other entries.
     pub metadata: BTreeMap<String, String>,
 }
 
@@ -201,8 +201,8 @@ impl ModelFile {
     /// As [`Model::from_bytes`].
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         self.to_model()?;
-        // Tensors are sorted by the width of their type, widest first: each is then aligned to its own type,
-        // as other writers of the format do.
+        // Tensors are sorted by the width of their type, widest first. Each tensor is then aligned to its own
+        // type, as in files of other writers of the format.
         let mut order: Vec<_> = self.tensors.iter().collect();
         order.sort_by(|(name, t), (other, o)| o.dtype.cmp(&t.dtype).then_with(|| name.cmp(other)));
         let mut header = json(&Header { metadata: &self.metadata, tensors: &order })?.into_bytes();

@@ -54,7 +54,7 @@ pub enum Key {
     ProbeSide,
     /// `entire.lobe_order`: order of Gaussian lobes in a model's inputs: `center` for ascending centers.
     /// Without this entry, lobes keep the caller's order. A sum of lobes does not depend on their order; a
-    /// network that always sees the same order need not learn this.
+    /// network that always sees the same order need not learn this independence.
     LobeOrder,
     /// `entire.quality`: JSON object of the four numbers of `Quality` of `entire-steer`: picture errors of
     /// coarser steps and smaller images, for the renderer that [`Key::Renderer`] names. Optional.

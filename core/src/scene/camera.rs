@@ -187,9 +187,9 @@ impl Camera {
     ///
     /// `origin[0]` is the eye (for parallel rays at most 2 bounding-sphere radii in front of the center),
     /// `direction[0]` the unit vector forward. For a perspective projection, `direction[1]` and
-    /// `direction[2]` are half of the visible width and height at distance 1, and the other origins are 0.
-    /// For a parallel projection, `origin[1]` and `origin[2]` are half of the visible width and height, and
-    /// the other directions are 0.
+    /// `direction[2]` are half of the visible width and height at distance 1, and `origin[1]` and `origin[2]`
+    /// are 0. For a parallel projection, `origin[1]` and `origin[2]` are half of the visible width and
+    /// height, and `direction[1]` and `direction[2]` are 0.
     pub fn ray_basis(&self, width: u32, height: u32) -> ([Vec3; 3], [Vec3; 3]) {
         let r = Mat3::from_mat4(self.view).transpose();
         let half_height = 0.5 * self.height_at(1.0);

@@ -143,8 +143,8 @@ pub struct VolumeOptions {
     /// Voxel spacing along x, y, z, in any common unit of length; 1 by default.
     pub spacing: [f32; 3],
     /// The scalar range that maps to [0, 1] (the same for all members of an ensemble). `None` is the default:
-    /// 0…255 for unsigned bytes, the finite minimum…maximum without [fill values](VolumeView::fill_values)
-    /// for other types, which scans the voxels.
+    /// 0…255 for unsigned bytes; for other types, the finite minimum…maximum without
+    /// [fill values](VolumeView::fill_values), for which the voxels are scanned.
     pub range: Option<(f32, f32)>,
 }
 
@@ -168,9 +168,9 @@ pub struct VolumeView<'a> {
 }
 
 impl<'a> VolumeView<'a> {
-    /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the
-    /// finite minimum…maximum without [fill values](Self::fill_values) for other types (a scan over the
-    /// voxels).
+    /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes; for
+    /// other types, the finite minimum…maximum without [fill values](Self::fill_values), for which the voxels
+    /// are scanned.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size of 0; [`ErrorKind::SizeMismatch`] for a size over

@@ -12,7 +12,7 @@ pub(super) struct Tile {
     pub(super) input: [*const f32; MAX_POSITIONS],
     /// Per position: pointer to the output of the block's first channel.
     pub(super) output: [*mut f32; MAX_POSITIONS],
-    /// Number of distinct positions; the entries after them repeat the last one.
+    /// Number of distinct positions; the entries after them repeat the last distinct position.
     pub(super) distinct: usize,
     /// True if the inputs of neighboring positions are two floats apart.
     pub(super) two_apart: bool,

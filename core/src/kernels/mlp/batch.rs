@@ -102,7 +102,8 @@ impl Mlp {
                     _ => {}
                 }
                 line += layer.panel_lines(n);
-                // The next panel is prefetched while this one is used: a part of its lines with each tile.
+                // While a panel is used, the next panel is prefetched: a part of the next panel's lines with
+                // each tile.
                 let tiles = rows.count.div_ceil(TILE_ROWS);
                 let share = layer.panel_lines(n).div_ceil(tiles);
                 let mut ahead = line;

@@ -174,8 +174,8 @@ impl Mlp {
                         >= scratch.rows * self.width.next_multiple_of(32)))
     }
 
-    /// Returns the last layer's output for one row of inputs, or `None` if the number of inputs is wrong or
-    /// the scratch, made by another network, is too small.
+    /// Returns the last layer's output for one row of inputs, or `None` if the number of inputs is wrong, or
+    /// if the scratch is too small because another network made it.
     #[inline]
     pub(crate) fn forward(&self, inputs: &[f32], scratch: &mut MlpScratch) -> Option<f32> {
         if inputs.len() != self.inputs || !self.fits(scratch) {

@@ -169,7 +169,7 @@ impl Mlp {
                 panel_row_int8::<S, $n>(simd, $p, layer.inputs, q, $range, $y)
             };
         }
-        // In an int8 network the first and the last layer are F32, the others Int8.
+        // In an int8 network the first and the last layer are F32, all other layers Int8.
         match layer.storage {
             Storage::F32 => walk!(panel_row, AsF32),
             Storage::F16 if !INT8 => walk!(panel_row, AsF16),

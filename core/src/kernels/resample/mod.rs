@@ -92,8 +92,8 @@ pub(crate) trait Scalar: Pod + Into<f32> + Send + Sync {
 }
 
 impl Scalar for u8 {
-    /// Splits one word by a mask and a shift: compilers turn shuffles of single bytes into far more
-    /// instructions.
+    /// Splits one word by a mask and a shift. Without them, compilers shuffle single bytes, which takes far
+    /// more instructions.
     #[inline(always)]
     fn pair(pair: [Self; 2]) -> [f32; 2] {
         let word = i32::from(u16::from_le_bytes(pair));
