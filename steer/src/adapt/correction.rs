@@ -67,11 +67,11 @@ fn standard_deviation(variance: f64) -> f64 {
 /// standard deviations is a stall, and its error is clipped to three standard deviations. The error of a
 /// frame that is too fast is clipped at `clip_below`. Two successive frames that are both too slow, or both
 /// too fast, by more than three standard deviations begin a *load*: a factor on the times of all scenes. The
-/// load ends with the first frame whose time is more likely without it. During a load, later frames of the
-/// present scene do not update θ and b; its first frame does. If a load lasts longer than [`ESTABLISHED`]
-/// frames, it is added to θ: from then on, the changed speed counts as the machine's normal speed. A scene of
-/// at most [`ESTABLISHED`] frames may have begun under an undetected load: if its frames become faster, b is
-/// changed instead of the load. All state is bounded.
+/// load ends with the first frame whose time is more likely without the load than with it. During a load,
+/// later frames of the present scene do not update θ and b; its first frame does. If a load lasts longer than
+/// [`ESTABLISHED`] frames, it is added to θ: from then on, the changed speed counts as the machine's normal
+/// speed. A scene of at most [`ESTABLISHED`] frames may have begun under an undetected load: if its frames
+/// become faster, b is changed instead of the load. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// Estimates of the filter: the logarithm θ_i of each term's factor, then the logarithm b of the scene's
@@ -168,8 +168,8 @@ const LEAST_TRUST: f64 = 1.0e-3;
 /// Novelty at or above which a frame begins a scene, on a scale from 0 (same scene) to 1 (unrelated): one
 /// half by definition.
 pub(crate) const NOVEL: f64 = 0.5;
-/// Limit beyond which an error is an outlier (a stall, a load, or another machine), in standard deviations:
-/// only 0.3 % of normal errors are larger.
+/// Limit beyond which an error is an outlier (a stall, a load, or a change of the machine's speed), in
+/// standard deviations: only 0.3 % of normal errors are larger.
 pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {
@@ -286,9 +286,9 @@ impl Correction {
     }
 
     /// Updates the filter by the observed time (finite and positive) of a frame for which
-    /// [`Correction::advance`] was called. A `trust` below 1 weakens an observation that may include other
-    /// work. Returns the error before the update, ln(observed / corrected prediction), in standard
-    /// deviations; NaN if the time or the prediction is invalid.
+    /// [`Correction::advance`] was called. A `trust` below 1 weakens an observation that may include work
+    /// that most frames do not include. Returns the error before the update, ln(observed / corrected
+    /// prediction), in standard deviations; NaN if the time or the prediction is invalid.
     pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
         let c = self.constants;
         let this_scene = standing != Standing::Past;
@@ -321,8 +321,8 @@ impl Correction {
             return normalized;
         }
         let error = free - self.load;
-        // The distribution of errors is skewed: frames faster than expected are clipped earlier than slower
-        // ones.
+        // The distribution of errors is skewed, so the clipping limit is smaller for frames that are faster
+        // than expected than for slower frames.
         let taken = if whole { error } else { error.clamp(-c.clip_below * sd, CLIP * sd) };
         // In a scene's first frame, the squared error, less the variances of the terms' factors and of the
         // noise, updates the variance of the scenes' own factors. In a calm frame, the squared error updates

@@ -1,8 +1,8 @@
 //! Fits a model to frames timed on the present machine.
 //!
 //! A [`Calibration`] keeps timed frames and fits a model to them, with a model of another machine as prior. A
-//! session adds its observed frames to a calibration ([`crate::Session::record`]), so that a host never
-//! leaves its render loop. [`PriorModel::choose`] does the fit.
+//! session adds its observed frames to a calibration ([`crate::Session::record`]), so that a program
+//! calibrates without leaving its render loop. [`PriorModel::choose`] does the fit.
 
 mod pictures;
 mod posterior;
@@ -50,11 +50,12 @@ pub(crate) struct Shown {
 pub enum HeldOut {
     /// None: there were too few frames. The errors are those of the frames that the model was fitted to.
     Nothing = 0,
-    /// Volumes: the errors are those expected for other volumes.
+    /// Volumes: the errors are those expected for volumes that were not timed.
     Volumes = 1,
-    /// Transfer functions: the errors are those expected for the same volumes under other transfer functions.
+    /// Transfer functions: the errors are those expected for the same volumes under transfer functions that
+    /// were not timed.
     TransferFunctions = 2,
-    /// Time intervals: the errors are those expected for other views of the same scenes.
+    /// Time intervals: the errors are those expected for views of the same scenes that were not timed.
     Stretches = 3,
 }
 

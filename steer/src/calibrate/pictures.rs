@@ -387,7 +387,7 @@ mod tests {
                         step,
                         distance,
                         seconds: 0.01 * (1.0 + scene as f64) * truth.time_share(s, d) * wobble(),
-                        // The law's error to the power of 1.4, in another unit for each scene.
+                        // The law's error to the power of 1.4, times a factor that differs between scenes.
                         error: (0.02 + 0.01 * scene as f64) * libm::pow(truth.error(s, d), 1.4) * wobble(),
                     });
                 }
@@ -427,7 +427,7 @@ mod tests {
         let mut all = pictures(&TRUTH, 4, 0.0);
         all.pop();
         assert_eq!(fit_quality(&all).unwrap().scenes, 3);
-        // A scene with one more setting, and one without full quality, leave the others.
+        // A scene with an additional setting and a scene without full quality are ignored.
         let mut more = pictures(&TRUTH, 5, 0.0);
         more.push(Picture { step: 6.0, ..more[4] });
         more.retain(|p| p.scene != 1 || p.step > 1.0);

@@ -121,8 +121,8 @@ impl PriorModel {
     /// that may have drawn the frames. The model is that of the first kind, unless another kind has a clearly
     /// smaller error in cross-validation. For work whose cost the prior model lacks, the prior is a tenth of
     /// the typical cost, scaled to the speed of the prior model. Costs that are 0 in the prior model and in
-    /// the typical costs stay 0. Then other numbers of cached voxels are compared, each by its error in
-    /// cross-validation; without cross-validation, the prior's number stays.
+    /// the typical costs stay 0. Then numbers of cached voxels that differ from the prior's are tried, each
+    /// by its error in cross-validation; without cross-validation, the prior's number stays.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, or

@@ -7,10 +7,10 @@ const LEAST_SHARE: f32 = 0.2;
 /// Weight of a pass's newest time in the mean of its times.
 const NEWEST: f32 = 0.3;
 
-/// Divides the target time of a window's frame among the passes that draw volumes in it: several volumes, two
-/// eyes, several renderers. The time of the window's other work is first subtracted from the target. Each
-/// pass gets a share in proportion to its time at full quality, so all passes are coarsened by the same
-/// factor.
+/// Divides the target time of a window's frame among its passes. A window has several passes if it draws
+/// several volumes, draws for two eyes, or has several renderers. The time of the window's other work is
+/// first subtracted from the target. Each pass gets a share in proportion to its time at full quality, so all
+/// passes are coarsened by the same factor.
 ///
 /// The caller reports each frame: [`FrameBudget::begin`], then for each pass [`FrameBudget::share`] before and
 /// [`FrameBudget::drew`] after it, then [`FrameBudget::end`]. The value of a new budget is all zeros.
@@ -110,7 +110,8 @@ impl FrameBudget {
     pub fn drew(&mut self, pass: &mut PassShare, seconds: f32, full: f32) {
         if pass.frame != self.frame {
             if self.is_new(pass) && self.passes[0] > 0 {
-                // A second pass of the object, such as the other eye's, shares the target with the first.
+                // From now on, the sum includes the object, so that its second pass, such as the other eye's,
+                // gets the same share as its first.
                 self.full[0] += self.expected_seconds(pass);
                 self.passes[0] += 1;
             }

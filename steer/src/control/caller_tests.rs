@@ -83,7 +83,7 @@ fn a_plan_withdrawn_after_an_earlier_frame_was_observed_leaves_no_trace() {
     assert_eq!((step, seconds, scene.first), (expected.0, expected.1, expected.2.first));
 }
 
-/// Predicts a time in proportion to the image's height, and does not depend on the step.
+/// Predicts a time that is proportional to the image's height and independent of the step.
 struct ByHeight;
 
 impl Predictor for ByHeight {
@@ -97,7 +97,7 @@ impl Predictor for ByHeight {
     }
 }
 
-/// Predicts the same time for steps below 4, and fails for others.
+/// Predicts the same time for all steps below 4, and fails for coarser steps.
 struct FineOnly;
 
 impl Predictor for FineOnly {
@@ -125,7 +125,7 @@ fn a_choice_that_fails_leaves_no_trace() {
 
 #[test]
 fn images_of_one_width_and_several_heights_have_their_own_times() {
-    // All smaller images are one pixel wide.
+    // All images smaller than the frame's are one pixel wide.
     let f = Frame { width: 2, height: 400, ..frame(20.0, 30.0, 2.0) };
     let made = || {
         let mut session = Session::new(Box::new(ByHeight), HybridOptions::default());
@@ -204,7 +204,7 @@ fn a_cancelled_frame_says_something_only_when_it_took_longer_than_expected() {
     let f = frame(20.0, 30.0, 2.0);
     let cancelled = ObserveFlags { cancelled: true, ..ObserveFlags::default() };
     let raw = ready_session().predict(&f).unwrap().seconds;
-    // The machine is 20 times slower, then 20 times faster than the model.
+    // The machine is 20 times slower, then 20 times faster than the model predicts.
     for speed in [20.0, 0.05] {
         let mut session = ready_session();
         for _ in 0..30 {

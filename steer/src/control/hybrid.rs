@@ -19,7 +19,7 @@ const DEFAULT_MISS_RATE: f32 = 0.05;
 /// would be learned too slowly.
 const NEW_SCENE_MISS_RATE: f32 = 0.07;
 
-/// Default share of the target by which an upper bound may exceed it.
+/// Default tolerance: share of the target by which an upper bound may exceed the target.
 const DEFAULT_TOLERANCE: f32 = 0.1;
 
 /// Settings of [`Hybrid`].
@@ -160,7 +160,7 @@ const WORTH: f64 = 2.0;
 /// on the training paths, but does not keep a miss rate.
 const MARGIN_PACE: f32 = 0.05;
 /// Relative change of the step, and relative difference of the expected time from the target, below which the
-/// step is kept; too small to be visible.
+/// step is kept. Smaller changes are not visible.
 const DEAD_BAND: f64 = 0.01;
 /// Difference of two targets, in ln, below which they count as equal.
 const SAME_TARGET: f64 = 0.02;

@@ -161,7 +161,8 @@ pub struct Observed {
     pub terms: CostTerms,
     /// Scene of the frame, from [`Controller::scene`] when it was planned.
     pub scene: SceneMark,
-    /// True where the time includes other work (see [`crate::adapt::ObserveFlags`]).
+    /// True where the time includes work that most frames do not include (see
+    /// [`crate::adapt::ObserveFlags`]).
     pub unusual: bool,
 }
 
@@ -189,8 +190,8 @@ pub trait Controller {
     /// Forgets all observations.
     fn reset(&mut self);
 
-    /// Tells the controller if observed times come from another clock than the predicted times. If this
-    /// changes, the caller calls this method and then [`Controller::reset`].
+    /// Sets `converted`, which is true if observed times come from another clock than the predicted times.
+    /// When the value changes, the caller calls this method and then [`Controller::reset`].
     fn convert(&mut self, converted: bool) {
         let _ = converted;
     }

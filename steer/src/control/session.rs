@@ -431,8 +431,8 @@ impl Session {
     }
 
     /// Withdraws the newest plan if the caller draws no frame with it. The next plan gets its id and
-    /// continues the frame before the withdrawn one. An older or an observed plan is not changed: only one
-    /// plan in a row can be withdrawn.
+    /// continues the frame before the withdrawn one. An older or an observed plan is not changed. So the plan
+    /// before a withdrawn one cannot be withdrawn.
     pub fn withdraw(&mut self, id: u64) {
         let Some((_, before)) = self.newest.take_if(|newest| newest.0 == id) else { return };
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
@@ -464,7 +464,7 @@ impl Session {
         Ok(())
     }
 
-    /// Tells the controller about a frame whose setting it does not choose.
+    /// Tells the controller about a frame whose setting the caller chooses.
     fn begin(&mut self, changes: Changes, setting: Setting) -> Result<()> {
         let (controller, mut cost) = self.costing(changes, setting)?;
         controller.begin(changes, setting.step, &mut |step| cost.at(step));

@@ -17,7 +17,7 @@ pub(super) fn fitted(log_sd: f32) -> Hybrid {
     Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd }, ..HybridOptions::default() })
 }
 
-/// The changes of a frame; `first`: it starts a session.
+/// Changes of a frame, which starts a session if `first` is true.
 pub(super) fn starts(first: bool) -> Changes {
     Changes { first, ..Changes::default() }
 }
@@ -483,8 +483,8 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
     );
     assert!(plans.iter().all(|p| (p.3 == Reason::Off) == (p.3 as u32 == 8)));
     assert!(plans[100..110].iter().all(|p| p.3 == Reason::Off && f32::from_bits(p.0) == 1.0));
-    // While steering is off, the machine becomes three times slower; the session has learned it when steering
-    // is on again.
+    // While steering is off, the machine becomes three times slower; the session has learned the new speed
+    // when steering is on again.
     let mut session = ready_session();
     let f = frame(10.0, 0.0, 2.0);
     for i in 0..80 {
@@ -597,7 +597,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     // Each view is compared with the view for which rays were cast, not with the previous view.
     assert_eq!(seen(&mut session, &frame(24.0, 33.0, 2.64)).0, first.0);
     assert_ne!(seen(&mut session, &frame(26.0, 36.0, 2.66)).0, first.0);
-    // After any other change, rays are cast again.
+    // After a change of anything but the view, rays are cast again.
     let wide = Frame { width: 300, ..frame(24.0, 34.0, 2.64) };
     let mut before = seen(&mut session, &wide).0;
     for change in 0..3 {

@@ -92,7 +92,7 @@ impl UnitCosts {
     /// Two sets of typical unit costs for a renderer of unknown kind. Both have a cost for the conversion of
     /// stored values. The second set, for a GPU, also has unit costs for the samples, the lookups in the skip
     /// map and the shadow samples of the longest ray. Each is 10⁴ times the unit cost of the same work summed
-    /// over all rays. The ratio is smaller on a processor with two cores, and larger on a large GPU.
+    /// over all rays. This ratio is below 10⁴ on a processor with two cores, and above 10⁴ on a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
         let mut costs = Self::CONVERTING;
         let mut longest = COMMON_COSTS + 1;
@@ -125,7 +125,7 @@ impl UnitCosts {
         core::iter::once("frame").chain(COST_QUANTITIES.iter().map(|q| q.name())).zip(self.seconds)
     }
 
-    /// Returns the seconds that `work` takes. Its elements are 1 for the frame, then the values of
+    /// Returns the seconds that `work` takes. The elements of `work` are 1 for the frame, then the values of
     /// [`COST_QUANTITIES`].
     pub fn time(&self, work: &[f64; COSTS]) -> f64 {
         self.seconds.iter().zip(self.work(work)).map(|(c, w)| c * w).sum()

@@ -163,9 +163,9 @@ const WAITING_ENDED: f64 = 10.0;
 /// Features of a camera's view of a volume under a transfer function, measured once per frame.
 ///
 /// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step,
-/// skipping mode and image size (of the same aspect ratio) without marching again. It also evaluates other
-/// shading modes. Single scattering and skipping by a distance map require a frame measured with them. No
-/// method allocates.
+/// shading mode, skipping mode and image size (of the same aspect ratio) without marching again. But single
+/// scattering and skipping by a distance map can be evaluated only if the measured frame has them. No method
+/// allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe_side: usize,

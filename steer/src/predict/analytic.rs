@@ -154,8 +154,8 @@ impl AnalyticModel {
     /// calibrated on the same frames. Costs of work that no measurement has keep their prior values; costs
     /// that are 0 in `default` stay 0. The model's clock and picture quality law are removed. The fit ignores
     /// frames with a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), with work
-    /// that is negative or not finite, or without work. Returns |predicted / measured − 1| of the other
-    /// frames.
+    /// that is negative or not finite, or without work. Returns |predicted / measured − 1| of the frames that
+    /// are not ignored.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable, or if a fitted cost is not

@@ -28,7 +28,7 @@ impl UpperBound {
     /// Returns the bound from held-out residuals ln(measured / predicted) of frames in groups (volumes), for
     /// new frames that belong to new groups. `residuals` are pairs of residual and group; all groups have the
     /// same weight, regardless of their numbers of frames. Residuals of fitted frames may be used if there
-    /// are so many that holding out makes no difference. NaN residuals count as infinite.
+    /// are so many frames that holding out makes no difference. NaN residuals count as infinite.
     ///
     /// The bound of n frames of one group is the ⌈(n + 1)·[`UPPER_LEVEL`]⌉-th smallest residual, or the
     /// largest if there are fewer.

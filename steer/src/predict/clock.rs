@@ -1,5 +1,5 @@
 //! Clocks of frame times. If a model predicts times of one clock and a renderer reports times of another
-//! clock, they differ by a factor that is neither the model's error nor the machine's speed.
+//! clock, these times differ by a factor that is neither the model's error nor the machine's speed.
 
 use entire_core::model::{Key, Model};
 use entire_core::names;

@@ -173,9 +173,9 @@ impl InputLayout {
         self.write_from(&values, scene, row)
     }
 
-    /// Writes a row like [`InputLayout::write`], from other values. `scene` returns a quantity of the scene in its
-    /// unit, or `None` where it is unknown. If `scene` gets unit costs, the quantity is the seconds that the
-    /// frame's work takes with these costs.
+    /// Writes a row as [`InputLayout::write`] does, but from `values` and `scene`. `scene` returns a
+    /// quantity of the scene in its unit, or `None` where it is unknown. If `scene` gets unit costs, the
+    /// quantity is the seconds that the frame's work takes with these costs.
     ///
     /// # Errors
     /// As [`InputLayout::write`].

@@ -82,7 +82,7 @@ pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor 
 /// Predictor that runs a model file's PredNet on inputs assembled from named groups in the file's order.
 ///
 /// The out-of-range score uses the inputs' distances from their training means, where the file has them.
-/// Volume features do not count, since an encoder's outputs are in a similar range for every volume.
+/// VolumeNet's outputs do not count, since they are in a similar range for every volume.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,
@@ -526,7 +526,7 @@ mod tests {
         let (a, b) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());
         assert!((a.seconds / b.seconds - 1.0).abs() < 1e-5);
         assert_eq!((a.source, b.source), (Source::Analytic, Source::Network));
-        // Both take the file's number of cached voxels: with fewer of them, more reads wait.
+        // Both predictors use the file's number of cached voxels: with fewer cached voxels, more reads wait.
         let mut file = analytic.to_model_file().unwrap();
         file.metadata.insert(Key::CachedVoxels.into(), "1e6".into());
         let model = file.to_model().unwrap();

@@ -74,8 +74,8 @@ impl Session {
         [Clock::named(&self.timing[1]), self.predictor.clock()]
     }
 
-    /// Tells the controller if both clocks are known and differ. Returns true if this has changed; the caller
-    /// then resets the session.
+    /// Tells the controller if both clocks are known and differ. Returns true if the answer has changed since
+    /// the previous call; the caller then resets the session.
     pub(super) fn reconcile_clocks(&mut self) -> bool {
         let converted = matches!(self.clocks(), [Some(own), Some(other)] if own != other);
         let new = converted != self.converted;

@@ -204,9 +204,9 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
 const LIMIT_TOLERANCE: f64 = 0.01;
 
 /// As [`LIMIT_TOLERANCE`], for quantities that count samples along shadow rays. A ray's shadow ray starts at
-/// a point selected by comparing a random number with shares of lengths: where a share is close to that
-/// number, another point may be selected, with a far longer or shorter shadow ray. This happens to some of
-/// the 121 rays and causes nearly all of the difference, which is at most 3.2 %.
+/// a point selected by comparing a random number with shares of lengths. Where a share is close to that
+/// number, the two cameras may select different points, whose shadow rays differ much in length. This happens
+/// to some of the 121 rays and causes nearly all of the difference, which is at most 3.2 %.
 const SHADOW_LIMIT_TOLERANCE: f64 = 0.04;
 
 /// As [`LIMIT_TOLERANCE`], for lookups in the skip map, which differ between shadow rays even more than
@@ -214,7 +214,7 @@ const SHADOW_LIMIT_TOLERANCE: f64 = 0.04;
 const SEGMENTS_LIMIT_TOLERANCE: f64 = 0.05;
 
 /// As [`LIMIT_TOLERANCE`], for the ray with the most samples or lookups along shadow rays. It is a single
-/// ray, and its shadow ray may start at another point.
+/// ray, and its shadow ray may start at different points for the two cameras.
 const LONGEST_LIMIT_TOLERANCE: f64 = 0.25;
 
 #[test]

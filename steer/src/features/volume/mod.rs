@@ -40,7 +40,7 @@ const BLOCKS_PER_CELL_AXIS: usize = 8;
 ///
 /// Along each axis, cell i with edge e covers the samples between the centers of voxels e·i and e·(i + 1). So
 /// the bounds of a cell include one voxel beyond its far side. In a summary of voxels, the edge is 8 voxels,
-/// or a larger power of two along an axis that would otherwise have more than 48 cells; cells with larger
+/// or a larger power of two along an axis that would otherwise have more than 48 cells. Cells with larger
 /// edges also keep the value bounds of the blocks inside them, because a renderer skips single blocks. In a
 /// summary of bricks ([`VolumeSummary::from_bricks`]), each brick is a cell.
 #[derive(Clone, Debug, PartialEq)]

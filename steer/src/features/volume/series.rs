@@ -17,8 +17,8 @@ use entire_core::scene::{Scalars, VolumeView};
 /// summarized again.
 ///
 /// Where the caller gives the box of voxels that changed, only the cells that the box touches are read.
-/// Otherwise all voxels are read to find the cells that changed, which is much faster than making a summary.
-/// Either way the summary is bit-identical to that of [`VolumeSummary::new`].
+/// Otherwise all voxels are read to find the cells that changed; this search is much faster than making a
+/// summary. Either way the summary is bit-identical to that of [`VolumeSummary::new`].
 ///
 /// In addition to the summary, a series keeps for each cell:
 ///
