@@ -19,8 +19,8 @@ pub const ENTIRE_CAMERA_VIEW: entire_camera = 2;
 pub type entire_projection = u32;
 /// Perspective, with the field of view entire_frame.fov_y; rays start at the eye.
 pub const ENTIRE_PROJECTION_PERSPECTIVE: entire_projection = 1;
-/// Orthographic, with the height entire_frame.parallel_scale; rays start in the plane through the eye and run
-/// along the view direction.
+/// Orthographic; entire_frame.parallel_scale is half of the visible height. Rays start in the plane through
+/// the eye and run along the view direction.
 pub const ENTIRE_PROJECTION_PARALLEL: entire_projection = 2;
 
 /// Shading of each sample: one of the `ENTIRE_SHADING_*` numbers.

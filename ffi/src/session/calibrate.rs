@@ -15,11 +15,13 @@ use entire_steer::calibrate::{HeldOut, Picture};
 pub type entire_held_out = u32;
 /// Nothing, since there were too few frames: the error is that of the training frames.
 pub const ENTIRE_HELD_OUT_NOTHING: entire_held_out = 0;
-/// Volumes: the error is that on other volumes.
+/// Volumes: the error is that on volumes without training frames.
 pub const ENTIRE_HELD_OUT_VOLUMES: entire_held_out = 1;
-/// Transfer functions: the error is that on the same volumes under other transfer functions.
+/// Transfer functions: the error is that on the training volumes with transfer functions without training
+/// frames.
 pub const ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS: entire_held_out = 2;
-/// Stretches of time: the error is that on other views of the same data.
+/// Stretches of time: the error is that on views without training frames, of the training volumes and
+/// transfer functions.
 pub const ENTIRE_HELD_OUT_STRETCHES: entire_held_out = 3;
 
 const _: () = assert!(
@@ -185,8 +187,8 @@ pub unsafe extern "C" fn entire_session_recorded_count(
 /// probe rays changes with the model. If the model takes volume features, set the volume again. The session
 /// holds a reference to the model.
 ///
-/// Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an
-/// input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
+/// Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with
+/// an input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
 /// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT (`model` may not be NULL here).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_model(

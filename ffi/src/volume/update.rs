@@ -95,7 +95,7 @@ unsafe fn update(
         Ok(summary) if first => warn_of_non_finite(summary),
         Ok(_) => {}
         Err(error) => {
-            // A series that ran out of memory has no summary; the next use makes a new series from the
+            // A series that ran out of memory has no summary; the next use makes a new summary from the
             // volume's voxels.
             volume.series = series.summary().is_ok().then_some(series);
             return Err(error.into());
