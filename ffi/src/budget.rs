@@ -99,8 +99,8 @@ pub unsafe extern "C" fn entire_budget_share(
     })
 }
 
-/// Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` times
-/// entire_plan.step, divided by the finest step, times the square of entire_plan.image_sample_distance.
+/// Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` *
+/// entire_plan.step / (finest step) * entire_plan.image_sample_distance^2.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -123,8 +123,8 @@ pub unsafe extern "C" fn entire_budget_drew(
 }
 
 /// Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included unusual
-/// work, such as reading a volume or compiling a shader. Its time outside of the passes is then used only if
-/// the previous frame was unusual, too.
+/// work, such as reading a volume or compiling a shader. The time of such a frame outside of its passes is
+/// used only if the previous frame was unusual, too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

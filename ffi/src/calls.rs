@@ -56,7 +56,7 @@ fn transfer_function() -> *mut entire_transfer_function {
     made(|out| unsafe { entire_transfer_function_from_lobes(&raw const lobe, 1, out) })
 }
 
-/// A session that was given a volume and a transfer function, which are freed.
+/// Returns a session that has a volume and a transfer function. Both handles are freed before the return.
 ///
 /// # Safety
 /// `model` is NULL or live.
@@ -243,7 +243,7 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
         let (mut model, mut own) = (ENTIRE_CLOCK_CPU, ENTIRE_CLOCK_CPU);
         ok(entire_session_clocks(session, &raw mut model, &raw mut own));
         assert_eq!((model, own), (ENTIRE_CLOCK_UNSTATED, ENTIRE_CLOCK_WALL));
-        // A refused call changes nothing.
+        // The refused calls above have changed nothing.
         assert_eq!(taken(session, &state), ENTIRE_OK);
     }
     assert_eq!(taken(session_on(c"a mapper", c"wall"), &state), ENTIRE_OK);

@@ -261,7 +261,8 @@ pub unsafe extern "C" fn entire_model_open(
 /// Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
 /// folder: entire/machine-none.safetensors, machine-local.safetensors, machine-scatter.safetensors or
 /// machine-local-scatter.safetensors below XDG_DATA_HOME, else below LOCALAPPDATA on Windows and
-/// ~/.local/share elsewhere. Its metadata key entire.clock says whether it predicts cpu, wall or device seconds.
+/// ~/.local/share elsewhere. Its metadata key entire.clock says whether it predicts cpu, wall or device
+/// seconds.
 ///
 /// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
 /// ENTIRE_INVALID_ARGUMENT (an unknown shading), and with the same results as entire_model_open for an
@@ -616,8 +617,8 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
     Ok(())
 }
 
-/// Copies the text of the most recent failure of a call on this model, by any thread, like
-/// entire_session_last_error; empty if no call has failed.
+/// As entire_session_last_error, for the most recent failure of a call with this model on any thread. The
+/// text is empty if no call has failed.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -18,7 +18,7 @@ pub enum entire_result {
     ENTIRE_SIZE_MISMATCH = 2,
     /// The bytes are not a model file that this version reads, or the model's result is not a frame time.
     ENTIRE_INVALID_MODEL = 3,
-    /// A tensor of the model is missing or has another shape than its neighbors require.
+    /// A tensor of the model is missing, or its shape does not fit those of the model's other tensors.
     ENTIRE_INVALID_TENSOR = 4,
     /// The model needs an input group that the caller did not supply, that was supplied in another size, or
     /// that this version does not know.

@@ -26,23 +26,23 @@ use std::sync::OnceLock;
 pub type entire_scalar_type = u32;
 /// Unsigned 8-bit integers.
 pub const ENTIRE_SCALAR_U8: entire_scalar_type = 1;
-/// Signed 8-bit integers. Copied only (kept as 16-bit integers).
+/// Signed 8-bit integers, which can only be copied (kept as 16-bit integers).
 pub const ENTIRE_SCALAR_I8: entire_scalar_type = 2;
 /// Unsigned 16-bit integers.
 pub const ENTIRE_SCALAR_U16: entire_scalar_type = 3;
 /// Signed 16-bit integers.
 pub const ENTIRE_SCALAR_I16: entire_scalar_type = 4;
-/// Unsigned 32-bit integers. Copied only (kept as 32-bit floats).
+/// Unsigned 32-bit integers, which can only be copied (kept as 32-bit floats).
 pub const ENTIRE_SCALAR_U32: entire_scalar_type = 5;
-/// Signed 32-bit integers. Copied only (kept as 32-bit floats).
+/// Signed 32-bit integers, which can only be copied (kept as 32-bit floats).
 pub const ENTIRE_SCALAR_I32: entire_scalar_type = 6;
 /// 32-bit floats.
 pub const ENTIRE_SCALAR_F32: entire_scalar_type = 7;
-/// 64-bit floats. Copied only (kept as 32-bit floats).
+/// 64-bit floats, which can only be copied (kept as 32-bit floats).
 pub const ENTIRE_SCALAR_F64: entire_scalar_type = 8;
-/// Unsigned 64-bit integers. Copied only (kept as 32-bit floats).
+/// Unsigned 64-bit integers, which can only be copied (kept as 32-bit floats).
 pub const ENTIRE_SCALAR_U64: entire_scalar_type = 9;
-/// Signed 64-bit integers. Copied only (kept as 32-bit floats).
+/// Signed 64-bit integers, which can only be copied (kept as 32-bit floats).
 pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
 
 /// Ownership of the voxels: one of the two `ENTIRE_VOXELS_*` numbers.

@@ -32,7 +32,7 @@ impl CpuRaycaster {
     }
 
     /// Renders a frame and returns its premultiplied colors and opacities before they are rounded to 8 bits,
-    /// row by row from the top, with the counts.
+    /// row by row from the top, and the counts of its work.
     ///
     /// # Errors
     /// When volume or transfer function were not set, or as [`Frame::checked`].

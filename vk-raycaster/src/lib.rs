@@ -18,7 +18,7 @@
 //!
 //! *Value.* Voxels are mapped to \[0, 1] over the volume's range (clamped; NaN is the low end) and
 //! interpolated trilinearly between voxel centers, clamped to the edge: the normalized scalar s. Integer
-//! voxels keep their stored precision; where the range is narrower than the data they are requantized to 16
+//! voxels keep their stored precision; if the range is narrower than the data, they are requantized to 16
 //! bits over the range.
 //!
 //! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities α
@@ -44,9 +44,10 @@
 //!
 //! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells (a cell lies between eight voxel centers) store the smallest
 //! and largest value of their samples; a block is empty when the table is transparent over that interval. A
-//! sample inside an empty block is not taken: the ray continues with the first sample beyond it (`blocks`),
-//! or beyond all blocks that the Chebyshev distance map shows to be empty (`distance`). Sample positions are
-//! the same with every skipping mode, and so is the picture. Shadow rays skip empty blocks, too.
+//! sample inside an empty block is not taken: the ray continues with the first sample beyond the block
+//! (`blocks`), or beyond all blocks that the Chebyshev distance map shows to be empty (`distance`). Sample
+//! positions are the same with every skipping mode, and so is the picture. Shadow rays skip empty blocks,
+//! too.
 //!
 //! *Counts.* See [`WorkCounts`].
 

@@ -87,10 +87,10 @@ pub unsafe extern "C" fn entire_session_new(
     })
 }
 
-/// Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its closing
-/// NUL; empty if no call has failed since the last successful call that may change the session. `length`, if
-/// not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be NULL with
-/// capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
+/// Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its
+/// closing NUL; empty if no call has failed since the last successful call that may change the session.
+/// `length`, if not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be
+/// NULL with capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -18,8 +18,8 @@ pub struct entire_session_options {
     /// Coarsest ray step that may be chosen, in multiples of the reference step, at most 4096; default 16.
     pub coarsest_step: f32,
     /// Share of calm frames (without a scene change) that may exceed their upper bound, over 0 and at most
-    /// 0.5; default 0.05. Of the frames that no other program slows down, fewer exceed (1 + `tolerance`) *
-    /// target, since many bounds are below that limit.
+    /// 0.5; default 0.05. Of the frames that no other program slows down, a share below `miss_rate` exceeds
+    /// (1 + `tolerance`) * target, since many bounds are below that limit.
     pub miss_rate: f32,
     /// Share of the target by which the upper bound for undisturbed frames (frames that no other program
     /// slows down) may exceed the target, not negative; default 0.1.

@@ -72,9 +72,9 @@ pub struct entire_plan {
     pub id: u64,
     /// Ray step to draw with, in multiples of the reference step.
     pub step: f32,
-    /// Distance of neighboring rays in pixels of the frame, along each side of the image: divide the frame's
-    /// width and height by this, rounded down, but at least 1. The number is 1 unless
-    /// entire_session_set_max_image_sample_distance allows more.
+    /// Distance of neighboring rays in pixels of the frame, along each side of the image. To get the image
+    /// size, divide the frame's width and height by this number, and round down to a whole number of at least
+    /// 1. The number is 1 unless entire_session_set_max_image_sample_distance allows more.
     pub image_sample_distance: f32,
     /// Expected seconds: finite and positive, or NaN where ENTIRE_ABSENT_SECONDS says so.
     pub seconds: f32,
@@ -212,8 +212,8 @@ pub unsafe extern "C" fn entire_session_predict(
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (a frame that is out of
-/// range, or a target that is not finite and positive), ENTIRE_INVALID_MODEL (the model's result is not a frame
-/// time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// range, or a target that is not finite and positive), ENTIRE_INVALID_MODEL (the model's result is not a
+/// frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_plan(
     session: *mut entire_session,

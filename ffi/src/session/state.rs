@@ -14,9 +14,9 @@ use std::ffi::c_char;
 /// another: it is forgotten, with all recorded frames, if a name that was not empty changes. Saved states
 /// contain both names, and entire_session_load_state refuses states with other names. Both names are empty in
 /// a new session; a state saved with empty names loads only into a session with empty names. Call this
-/// function before states are loaded or saved. A clock named "cpu", "wall" or "device" is compared with the model's
-/// (entire_session_clocks); if the result of the comparison changes, the learned correction is forgotten,
-/// too.
+/// function before states are loaded or saved. A clock named "cpu", "wall" or "device" is compared with the
+/// model's (entire_session_clocks); if the result of the comparison changes, the learned correction is
+/// forgotten, too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
 /// ENTIRE_NULL_ARGUMENT.

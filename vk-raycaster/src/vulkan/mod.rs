@@ -178,8 +178,8 @@ impl VulkanRaycaster {
     /// Opens a device.
     ///
     /// # Errors
-    /// When there is no Vulkan loader, no driver or no such device; names the package to install or the
-    /// devices to choose from.
+    /// When there is no Vulkan loader, no driver or no such device. The error names the package to install or
+    /// the devices to choose from.
     pub fn new(options: VulkanOptions) -> Result<Self> {
         Self::open(options, &|device| device)
     }

@@ -25,7 +25,7 @@ pub(crate) enum Target {
 pub(crate) enum Command {
     /// Writes the frame's parameters.
     WriteSetup(Box<FrameSetup>),
-    /// Writes the texels of the step table into its staging buffer on the device.
+    /// Writes the texels of the step table into the table's staging buffer on the device.
     WriteTable(Vec<u8>),
     /// Makes an image ready to be copied to; its contents are lost unless `keep`.
     PrepareCopy { target: Target, keep: bool },
