@@ -366,7 +366,7 @@ void vtkEntireSteering::vtkInternals::FindMappers()
       {
         leaf->Session = std::move(gone->Session);
         leaf->RefusedState = gone->RefusedState;
-        // Forgets what was learned if the class is another one.
+        // Forgets what was learned if the new mapper's class differs.
         static_cast<void>(leaf->Session->set_timing_source(leaf->Mapper->GetClassName(), this->ClockName()));
         if (this->LastLeaf.lock() == gone)
         {

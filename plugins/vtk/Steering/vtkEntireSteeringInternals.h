@@ -378,7 +378,7 @@ public:
   bool InFrame = false;
   std::shared_ptr<WindowFrame> Shared;
   double MapperSeconds = 0;
-  // Predicted seconds of these mappers; NaN if the time of one of them is unknown.
+  // Predicted seconds of the mappers whose measured seconds MapperSeconds has; NaN if one prediction is unknown.
   double PredictedSeconds = 0;
   int Drawn = 0;
   // The owner's clock at the start of the window's last frame, or at Attach(). The owner's clock may change in a frame.

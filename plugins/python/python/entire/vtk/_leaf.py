@@ -590,7 +590,8 @@ def refusal(volume: Any, wanted: Iterable[Any] = ()) -> str:
         # Each volume gets a GPU mapper of its own in place of a smart mapper.
         return why
     others = [*wanted, *(leaf.volume for leaf in _observing)]
-    # The settings that steering has written for one volume would be taken for the application's settings of the other.
+    # The settings that steering has written for one volume would be taken for the application's settings of the other
+    # volume.
     if any(other is not None and other is not volume and other.GetMapper() is mapper for other in others):
         return "the mapper draws another held volume too; give each volume a mapper of its own"
     return ""
