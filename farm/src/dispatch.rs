@@ -52,7 +52,7 @@ impl Ord for Time {
     }
 }
 
-/// Waiting tasks, in one list per volume that ends with the task to send first.
+/// Waiting tasks. Each volume has a list, whose last entry is the task to send first.
 #[derive(Clone, Debug)]
 pub(crate) struct Dispatcher {
     seconds: Vec<f32>,

@@ -94,7 +94,8 @@ struct Drive<'a, 'b> {
     down: Option<String>,
 }
 
-/// Runs a job. `base`: ln of the base seconds of every task; `start` starts an engine for a run's number.
+/// Runs a job. `base`: ln of the base seconds of every task; `start` starts an engine for the run with the
+/// given number.
 ///
 /// # Errors
 /// When the engine cannot be used, the disk is full, or Ctrl-C is pressed; finished tasks stay finished.

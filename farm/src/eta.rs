@@ -114,7 +114,8 @@ impl Planner {
         }
     }
 
-    /// The remaining seconds of a bundle in a draw; the probability that its current task still runs.
+    /// Returns the remaining seconds of a bundle in a draw, and the probability that its current task still
+    /// runs.
     fn drawn_rest(&self, u: &UnderWay<'_>, draw: &Draw, rng: &mut ChaCha8Rng) -> (f64, f64) {
         let Some((first, others)) = u.running.open.split_first() else { return (0.0, 1.0) };
         let others: f64 =

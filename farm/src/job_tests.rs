@@ -133,7 +133,7 @@ fn every_mistake_is_named() {
         let said = format!("{:#}", open(&text, dir.path()).unwrap_err());
         assert!(said.contains(word) && said.contains("job.toml"), "{to}: {said}");
     }
-    // Of the project's raycaster, settings that no frame can have are refused with the job.
+    // Settings of the project's raycaster that no frame can have are refused when the job is opened.
     for (steps, termination, word) in
         [("0.001", "0.9", "ray step is 0.001"), ("1.0", "0.0", "termination is 0")]
     {

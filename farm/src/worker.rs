@@ -161,7 +161,7 @@ impl Worker {
         append(&mut spool, &Line::End { end: number })
     }
 
-    /// Renders a task and returns the result. A failure is a result too.
+    /// Renders a task and returns the result. If the task fails, the result has the error.
     fn answer(&mut self, order: &Order, bundle: u64) -> Answer {
         let begin = unix_now();
         let clock = Instant::now();
@@ -383,8 +383,8 @@ mod tests {
         let picture = dir.path().join("picture.png");
         let png = encode_png(&Image { width: 1, height: 1, rgba: vec![9; 4] }).unwrap();
         std::fs::write(&picture, png).unwrap();
-        // The program answers the first task, and ends one second after it has read the second. A new process
-        // gets the second.
+        // The program answers one task. It ends while it has the next task, after a sleep of 1 s. A new
+        // process then gets this task.
         let script = r#"read -r line; out=${line##*\"out\":\"}; out=${out%%\"*}; cp "$0" "$out"
             echo '{"task": "7", "seconds": 0.01}'; read -r line; sleep 1; exit 1"#;
         let command = ["sh", "-c", script, picture.to_str().unwrap()].map(str::to_owned).to_vec();

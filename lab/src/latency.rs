@@ -28,8 +28,8 @@ pub(crate) struct Latency {
     pub(crate) cold: f64,
     /// Median over consecutive calls, seconds.
     pub(crate) warm: f64,
-    /// Median for a new transfer function, seconds: its immediate work, plus the time by which its first prediction
-    /// exceeds the next one; 0 for models that do not use the scene.
+    /// Median for a new transfer function, seconds: its immediate work, plus the time by which its first
+    /// prediction exceeds its second prediction; 0 for models that do not use the scene.
     pub(crate) transfer: f64,
 }
 

@@ -27,9 +27,10 @@ pub struct Options {
     pub workers: usize,
     /// The folder of a running server; default: a new one is started.
     pub server_dir: Option<String>,
-    /// Number of processors of a bundle, and of a worker that is started.
+    /// Number of processors of a bundle, and of a worker that this engine starts.
     pub cpus: u32,
-    /// Time limit of a given server's workers, for planning, seconds. Workers that are started have none.
+    /// Time limit of a given server's workers, for planning, seconds. Workers that this engine starts have no
+    /// limit.
     pub worker_limit: Option<f64>,
 }
 
@@ -167,7 +168,8 @@ impl Engine for HyperQueue {
     }
 
     fn cancel(&mut self) -> Result<()> {
-        // The Python package cannot cancel bundles; workers end at a marker file before their next task.
+        // The Python package cannot cancel bundles. A worker ends before its next task if it finds a marker
+        // file.
         self.spool.bundles().for_each(|b| super::cancel(&self.places.state, b));
         Ok(())
     }

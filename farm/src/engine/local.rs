@@ -1,4 +1,5 @@
-//! Workers as persistent processes of this machine that keep their volume and get bundles through a pipe.
+//! Workers that are persistent processes of this machine. They keep their volume, and get bundles through a
+//! pipe.
 
 use super::{Bundle, Engine, Event, Places, STILLBORN};
 use crate::command::leader;

@@ -4,7 +4,7 @@ use anyhow::Result;
 use entire_steer::schedule::Assignment;
 
 const ROUNDS_PER_NODE: usize = 40;
-/// Smallest gain of a round, as a share of the longest load.
+/// Smallest gain of a round, as a share of the makespan.
 const LEAST_GAIN: f64 = 1.0e-6;
 
 /// A round's change: the node that ends last gives the task `give` to the node `to` and takes `take`, if any.
@@ -20,9 +20,9 @@ struct Change {
 /// after 40 rounds per node. The makespan for `times` never grows. A round takes O(tasks of the node that
 /// ends last · nodes · log tasks).
 ///
-/// After assignment by longest processing time first, loads differ by about one short task. With few tasks
-/// per node, that is several percent; exchanges remove this difference. Errors of predicted times are not
-/// reduced.
+/// After assignment by longest processing time first, the ends of the nodes differ by about the time of one
+/// short task. With few tasks per node, that is several percent; exchanges remove this difference. Errors of
+/// predicted times are not reduced.
 ///
 /// # Errors
 /// When the numbers of tasks or nodes differ from those of the assignment, or a time or speed is invalid.

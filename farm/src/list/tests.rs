@@ -145,7 +145,7 @@ proptest! {
                 at = s.end;
             }
         }
-        // Twice the tasks never take less time.
+        // With every task twice, the makespan is never shorter than with every task once.
         let doubled: Vec<f64> = times.iter().chain(&times).copied().collect();
         let twice: Vec<usize> = order.iter().copied().chain(order.iter().map(|t| t + times.len())).collect();
         prop_assert!(simulate_queue(&twice, &doubled, &[], &speeds).unwrap().makespan >= line.makespan);
@@ -191,7 +191,7 @@ fn every_plan_counts_the_loading_times() {
     let seconds = times(&tasks, By::Predicted).unwrap();
     for method in [Method::Longest, Method::Queue] {
         let plan = plan(method, &seconds, &ones(1)).unwrap();
-        // Both tasks on v come first, since order follows the list where times are equal.
+        // Both tasks on v come first, since tasks with equal times keep the order of the list.
         assert_eq!(play(&plan, &seconds, &tasks, &ones(1)).unwrap().makespan, 23.0, "{method:?}");
     }
     // Loading takes equally long on a fast and on a slow node.

@@ -56,7 +56,7 @@ pub(crate) fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol>
     })
 }
 
-/// Experiments with one varied parameter, by the thousands digit of their frame numbers.
+/// Names of the experiments with one varied parameter. The index is the thousands digit of the frame numbers.
 pub(crate) const EXPERIMENTS: [&str; 4] = ["volume", "image resolution", "transfer function", "camera pose"];
 /// First frame number of the orbit for load balancing: poses around several volumes.
 pub(crate) const ORBIT: u64 = 10_000;

@@ -62,13 +62,13 @@ const LEAST_DRAWN: f64 = 1e-4;
 pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result<()> {
     let paper = work.paper;
     let mode = &paper.tuning.mode;
-    // The network is pre-trained on all available data, whatever is selected.
+    // The network is pre-trained on all available data sets, even if only some are selected.
     let everything = Selection::default();
     let all = places(paper, &everything, work.data)?;
     let mut tables: Vec<Table> = Vec::new();
     let mut pieces: Vec<(usize, usize)> = Vec::new();
     for (p, place) in all.iter().enumerate() {
-        // This computes missing features of the table.
+        // The call computes missing features of the table.
         if Loaded::read(work, place, mode, clock)?.is_none() {
             continue;
         }

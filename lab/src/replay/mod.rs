@@ -30,7 +30,8 @@ use std::sync::Arc;
 /// other than gradual motion of the camera.
 pub const SETTLING: usize = 3;
 
-/// Allowed ray steps of the commands, reference steps. Rules that act on image resolution have their own ranges.
+/// Limits of the ray step in `entire-lab replay` and `entire-lab tune`, reference steps. Rules that act on
+/// image resolution have their own ranges.
 const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 16.0 };
 
 /// A trace that is ready to be replayed.

@@ -13,7 +13,8 @@ pub struct Player {
     pub kind: ControllerKind,
     /// The quantity that the controller sets in this replay.
     pub acts_on: ActsOn,
-    /// True if its steps ignore a detected load ([`entire_steer::control::HybridOptions::ignore_load`]).
+    /// True if the controller's steps ignore a detected load
+    /// ([`entire_steer::control::HybridOptions::ignore_load`]).
     pub ignore_load: bool,
 }
 

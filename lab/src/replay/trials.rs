@@ -124,7 +124,8 @@ mod tests {
     use crate::trace::Trace;
     use std::path::Path;
 
-    /// A recorded path with other frame times: `seconds` of the frame's index and recorded seconds.
+    /// A recorded path with other frame times, which `seconds` returns from a frame's index and recorded
+    /// seconds.
     fn path(name: &str, seconds: impl Fn(usize, f64) -> f64) -> Replayable {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let mut trace = Trace::open(&root.join(format!("data/steer/traces/{name}.json.gz"))).unwrap();

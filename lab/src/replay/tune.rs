@@ -153,7 +153,7 @@ pub(crate) struct Cost {
     pub(crate) jumps: f64,
     /// Scores of sessions without a model, over the frames after the first.
     pub(crate) cold: Three,
-    /// Share of such frames in sessions without a model, over the frames after the first.
+    /// As `fitted_coarse`, for sessions without a model, over the frames after the first.
     pub(crate) cold_coarse: f64,
     /// Share of the second frames of sessions without a model that took no more than their upper bound.
     pub(crate) second_in_bound: f64,

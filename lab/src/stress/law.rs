@@ -179,7 +179,8 @@ fn seen_of(method: ControllerKind, seed: u64, course: Course, script: Script<'_>
     out
 }
 
-/// Errors of the prediction in ln(seconds): `scene` is constant in a scene, `drift` changes along the path.
+/// Errors of the prediction in ln(seconds): `scene` is constant from one new scene to the next, `drift`
+/// changes along the path.
 struct Wrong {
     scene: f64,
     drift: f64,

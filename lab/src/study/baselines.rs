@@ -71,7 +71,8 @@ pub(crate) fn with_twins<'a>(all: &TimedFrames<'a>, proxy: &[Option<f64>]) -> Ti
     TimedFrames { frames, seconds }
 }
 
-/// Evaluates the low-resolution proxy: seconds as a linear function of those of the frame on 64³ voxels.
+/// Evaluates the low-resolution proxy: seconds as a linear function of the seconds of the same frame on 64³
+/// voxels.
 pub(super) fn proxy(on: &OnSet<'_>, low: &Low, out: &mut Findings) -> Result<()> {
     let (set, training, splits) = (on.set, &on.data.one_step.all, &on.data.splits);
     if low.is_empty() {

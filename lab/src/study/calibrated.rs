@@ -1,4 +1,5 @@
-//! Error of a predictor on other data, after calibration to a hundred frames of other volumes of that data.
+//! Error of a predictor on the calibration split, after calibration to a hundred frames of other volumes of
+//! this split.
 
 use super::data::OnSet;
 use super::findings::CalibratedResult;

@@ -103,7 +103,8 @@ pub(crate) struct Findings {
     /// Errors on the training tables.
     pub(crate) fits: Vec<Fit>,
     pub(crate) latencies: Vec<(String, String, Latency)>,
-    /// RMSE with eight-bit weights divided by that with stored ones, on the main split, by set and predictor.
+    /// RMSE with eight-bit weights divided by the RMSE with the weights as stored, on the main split, by set
+    /// and predictor.
     pub(crate) eight_bit: Vec<(String, String, f64)>,
     /// Noise floor and number of frames, by set and split.
     pub(crate) noise: Vec<(String, String, NoiseFloor, usize)>,

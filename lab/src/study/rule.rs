@@ -98,7 +98,7 @@ mod tests {
             };
             values.iter().map(contender).collect::<Vec<_>>()
         };
-        // The larger predictor is 10 % better on one machine only.
+        // The error of the larger predictor is 10 % lower on one machine only.
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.98], 400, 11)])), Some(0));
         assert_eq!(choose(&of(&[([1.0, 1.0], 15, 11), ([0.9, 0.94], 400, 11)])), Some(1));
         // Of equally large predictors that no other one beats on every machine, the one with the fewest rays

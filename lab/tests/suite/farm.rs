@@ -27,7 +27,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         let output = lab(&[&["farm", "--trace", &tasks, "--report", &report][..], more].concat());
         (output.status.code(), printed(&output.stdout) + &printed(&output.stderr))
     };
-    // The report compares every method, and states the limit by noise.
+    // The report compares every method, and states the effect of noise.
     let (code, said) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
     assert_eq!(code, Some(0), "{said}");
     for word in [
