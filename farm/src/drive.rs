@@ -290,8 +290,8 @@ impl Drive<'_, '_> {
         format!("{:016x}", self.database.job.id(task as usize))
     }
 
-    /// Returns the result, except an error that says that the disk is full: this is recorded, and the run
-    /// then ends.
+    /// Returns the result. An error that says that the disk is full is recorded instead, and the run then
+    /// ends.
     fn unless_full(&mut self, result: Result<()>) -> Result<()> {
         match result {
             Err(error) if says_full(&error) => {

@@ -383,7 +383,7 @@ mod tests {
         let picture = dir.path().join("picture.png");
         let png = encode_png(&Image { width: 1, height: 1, rgba: vec![9; 4] }).unwrap();
         std::fs::write(&picture, png).unwrap();
-        // The program answers one task. It ends while it has the next task, after a sleep of 1 s. A new
+        // The program answers one task. It reads the next task and ends 1 s later without an answer. A new
         // process then gets this task.
         let script = r#"read -r line; out=${line##*\"out\":\"}; out=${out%%\"*}; cp "$0" "$out"
             echo '{"task": "7", "seconds": 0.01}'; read -r line; sleep 1; exit 1"#;

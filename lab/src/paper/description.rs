@@ -183,7 +183,7 @@ pub(crate) struct Encoders {
     /// Epochs without a better validation loss after which training stops.
     pub(crate) patience: usize,
     /// Input side and number of features of the main encoder. All parts of the study that do not compare
-    /// encoders use it.
+    /// encoders use this encoder.
     pub(crate) main: (usize, usize),
     /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main encoder.
     pub(crate) shipped: Vec<PathBuf>,
