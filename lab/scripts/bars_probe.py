@@ -4,8 +4,7 @@ each; exit status 1 when any is short.
 
 usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT]
 
-Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with
-the working tree's calls.rs). In each of N rounds, both programs run every measurement, in random order. The time of a
+Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER). In each of N rounds, both programs run every measurement, in random order. The time of a
 scene is its minimum over all rounds; the time of a measurement is the mean over its scenes. A ratio is the working
 tree's time divided by REVISION's.
 """
@@ -97,7 +96,8 @@ def build(where, target):
 
 
 def prepare(revision, work):
-    """Checks the revision out into a worktree, adds the working tree's calls.rs, and returns the worktree's path."""
+    """Checks the revision out into a worktree and returns the worktree's path. Adds the working tree's calls.rs if the
+    revision has no example of its own."""
     tree = work / "before"
     commit = subprocess.run(["git", "rev-parse", f"{revision}^{{commit}}"], cwd=ROOT, check=True, capture_output=True,
                             text=True).stdout.strip()
@@ -105,6 +105,8 @@ def prepare(revision, work):
         subprocess.run(["git", "worktree", "prune"], cwd=ROOT, check=True)
         subprocess.run(["git", "worktree", "add", "--detach", str(tree), commit], cwd=ROOT, check=True)
     subprocess.run(["git", "checkout", "--quiet", "--force", "--detach", commit], cwd=tree, check=True)
+    if (tree / EXAMPLE / "scene.rs").exists():
+        return tree
     to = tree / crate(tree) / "examples/probe_server"
     to.mkdir(parents=True, exist_ok=True)
     for name, text in ("calls.rs", (ROOT / EXAMPLE / "calls.rs").read_text()), ("scene.rs", SCENE_BEFORE):
