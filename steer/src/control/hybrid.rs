@@ -140,7 +140,7 @@ struct Before {
     scene: SceneMark,
 }
 
-/// The last planned frame.
+/// The last begun frame.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     step: f32,
