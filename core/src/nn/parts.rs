@@ -229,7 +229,6 @@ pub struct VolumeNetParts {
 }
 
 impl VolumeNetParts {
-    /// Number of features.
     pub(crate) fn features(&self) -> usize {
         self.fc.outputs
     }

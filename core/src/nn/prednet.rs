@@ -178,7 +178,6 @@ impl PredNet {
         }
     }
 
-    /// Predicts rows with one scratch.
     fn rows(&self, inputs: &[f32], seconds: &mut [f32], scratch: &mut PredScratch) -> Result<()> {
         if self.mlp.forward_rows(inputs, seconds, &mut scratch.mlp).is_none() {
             let (found, rows, each) = (inputs.len(), seconds.len(), self.inputs());

@@ -51,7 +51,6 @@ impl Scalars<'_> {
         (0..self.len()).map(|i| self.get(i))
     }
 
-    /// Number of elements in the slice.
     pub(crate) fn len(&self) -> usize {
         match self {
             Self::U8(s) => s.len(),
@@ -344,7 +343,6 @@ fn normalized(v: Vec3) -> (Vec3, i32) {
     (Vec3::from_array(v.to_array().map(|c| libm::ldexpf(c, -exponent))), exponent)
 }
 
-/// Radius of a box's bounding sphere.
 fn bounding_radius(extent: Vec3) -> f32 {
     let (scaled, exponent) = normalized(extent);
     libm::ldexpf(0.5 * scaled.length(), exponent)

@@ -181,7 +181,6 @@ pub(crate) struct Geometry<'a> {
     pub(crate) n: usize,
     /// One span per output column.
     pub(crate) columns: &'a [Span],
-    /// SIMD level of the loops.
     pub(crate) level: Level,
 }
 
