@@ -36,7 +36,6 @@ pub(crate) enum Standing {
     Past,
 }
 
-/// A corrected prediction.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Corrected {
     /// Expected seconds.
@@ -85,7 +84,7 @@ pub(crate) struct Correction {
     spread_of_all: f64,
     /// Variance, from scene to scene, of the logarithm of a scene's own factor.
     change: f64,
-    /// Load: ln of a factor on the times of all scenes; 0 without a load.
+    /// ln of the load, which is a factor on the times of all scenes; 0 without a load.
     load: f64,
     /// Number of frames under the present load.
     loaded: u64,
@@ -106,8 +105,8 @@ pub(crate) struct Correction {
 const STATES: usize = TERMS + 1;
 /// Index, among the states, of the logarithm of the scene's own factor.
 const LOCAL: usize = TERMS;
-/// Largest absolute value of a state and of the load, which are logarithms of factors: e¹⁰ exceeds the speed
-/// ratio of any two machines.
+/// Largest absolute value of a state and of the field `load`. Both are logarithms of factors, and e¹⁰
+/// exceeds the speed ratio of any two machines.
 const STATE_LIMIT: f64 = 10.0;
 /// Range of the variance of calm frames' errors in ln(time), for standard deviations from 0.3 % (below any
 /// clock's noise) to 50 %.
@@ -156,8 +155,8 @@ const LOAD_FRAMES: f64 = 8.0;
 /// longest burst of load by other programs in the recordings.
 const ESTABLISHED: u64 = 32;
 /// Variance added to ln of the unit costs' common factor when an established load becomes a part of that
-/// factor, as a share of the variance of the scenes' own factors ([`Correction::change`]): a guess, since few
-/// scenes were observed under the load.
+/// factor, as a share of the variance of the scenes' own factors ([`Correction::change`]). The share is a
+/// guess, since few scenes were observed under the load.
 const LEARNED_SHARE: f64 = 0.25;
 /// Clipping limit of the ratio of a squared error to its expected value; 1.4 % of normal errors exceed it.
 const SQUARE_LIMIT: f64 = 6.0;

@@ -271,7 +271,6 @@ impl Calibration {
 }
 
 impl Calibrated {
-    /// Writes the file's metadata.
     fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
         self.upper.store(&mut self.file)?;
         // The prior's picture quality law belongs to another renderer.

@@ -62,7 +62,6 @@ fn fitted(prior: &PriorModel, frames: &[Observed]) -> Chosen {
     prior.choose(frames, &[UnitCosts::SOFTWARE]).unwrap()
 }
 
-/// The unit costs of a fitted linear model.
 fn costs_of(chosen: &Chosen) -> UnitCosts {
     AnalyticModel::from_model(&chosen.file.to_model().unwrap()).unwrap().unwrap().costs()
 }

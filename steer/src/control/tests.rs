@@ -253,7 +253,7 @@ pub(super) fn make_ready(session: &mut Session) {
     session.set_transfer(&table, None).unwrap();
 }
 
-/// Draws some frames that take a number of seconds.
+/// Draws `frames` frames, each of which takes `seconds`.
 pub(super) fn draw(session: &mut Session, frame: &Frame, target: f32, seconds: f32, frames: usize) {
     for _ in 0..frames {
         let plan = session.plan(frame, target).unwrap();

@@ -1,5 +1,5 @@
-//! Features of a scene: names, order and units; computed once per volume, once per transfer function and once
-//! per frame.
+//! Features of a scene, with their names, order and units. Each is computed once per volume, once per
+//! transfer function or once per frame.
 //!
 //! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume, or updated
 //!   from one time step to the next by a [`SummarySeries`].

@@ -373,7 +373,6 @@ impl Predictor for AnalyticModel {
 /// Number of quantities of a frame that are compared with the model's range.
 const RANGE_TERMS: usize = 5;
 
-/// Returns the range of frames with the given work.
 fn range_of<'a>(works: impl Iterator<Item = &'a [f64; COSTS]>) -> InputRange {
     let rows: Vec<_> = works.map(range_point).collect();
     InputRange::of_rows(rows.as_flattened(), RANGE_TERMS, 0)

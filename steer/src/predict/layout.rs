@@ -298,7 +298,6 @@ impl InputLayout {
     }
 }
 
-/// True where one of the features needs probe rays.
 fn need_probe(features: &[SceneFeature]) -> bool {
     features.iter().any(|f| f.quantity.needs_probe())
 }

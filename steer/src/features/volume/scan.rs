@@ -132,7 +132,6 @@ pub(super) struct Source<'a, T> {
 }
 
 impl<T: Voxel> Source<'_, T> {
-    /// Element index of a voxel.
     #[inline(always)]
     fn index(&self, x: usize, y: usize, z: usize) -> usize {
         let [along_x, along_y, along_z] = self.volume.strides();
