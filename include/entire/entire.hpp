@@ -426,7 +426,7 @@ public:
         if (!with.get()) return detail::no_model();
         return make(with.get(), options);
     }
-    // Makes a session without a model: a linear cost model predicts, which adapts to the observed frames.
+    // Makes a session without a model: an analytic model predicts, which adapts to the observed frames.
     static result<session> untrained(const entire_session_options &options = session_options()) {
         return make(nullptr, options);
     }

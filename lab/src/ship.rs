@@ -364,7 +364,7 @@ fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Res
              the training volumes may have large errors."
         } else {
             "Predictions for scenes unlike the training data (far larger images, other steps) may have large \
-             errors. The out-of-range score is then above 0."
+             errors. The out-of-range score is above 0 if a scene feature lies outside the range of the training data."
         }
     );
     Ok(md)

@@ -501,7 +501,8 @@ fn card(
     md.push(format!(
         "The times are those of one renderer on one machine. On another machine, driver or renderer, \
          calibrate first. Predictions for scenes unlike the training data (other modalities, sizes, shading \
-         modes, steps) may have large errors. The out-of-range score is then above 0. {tested}"
+         modes, steps) may have large errors. The out-of-range score is above 0 if a value lies outside the range \
+         of the training data. {tested}"
     ));
     md.join("\n\n") + "\n"
 }
