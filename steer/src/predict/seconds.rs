@@ -4,8 +4,8 @@ use core::ops::RangeInclusive;
 use entire_core::bail;
 use entire_core::{Error, ErrorKind, Result};
 
-/// Range to which predictions are clamped, in seconds. A network trained on seconds may predict zero or less
-/// for cheap frames, and the exponential of a network trained on log-seconds can underflow.
+/// Range to which networks' predictions are clamped, in seconds. A network trained on seconds may predict
+/// zero or less for cheap frames, and the exponential of a network trained on log-seconds can underflow.
 pub const PREDICTED_SECONDS: RangeInclusive<f32> = 1.0e-6..=1.0e9;
 
 /// Longest accepted time of an observed frame, and of a frame that a model is fitted to, in seconds.
