@@ -231,7 +231,7 @@ mod limits {
     rate!(dot512, "avx512f,avx512vnni", _mm512_setzero_si512, 128, [0 1 2 3 4 5 6 7 8 9 10 11],
           |x, y, sum| _mm512_dpbusd_epi32(sum, x, y));
 
-    /// Defines a function that reads floats once, as four sums of vectors of `$lanes` floats.
+    /// Defines a function that reads floats once and adds them to four vectors of `$lanes` sums.
     macro_rules! read {
         ($name:ident, $feature:literal, $zero:ident, $load:ident, $add:ident, $lanes:literal) => {
             #[target_feature(enable = $feature)]
