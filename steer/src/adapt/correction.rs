@@ -160,7 +160,8 @@ const ESTABLISHED: u64 = 32;
 const LEARNED_SHARE: f64 = 0.25;
 /// Clipping limit of the ratio of a squared error to its expected value; 1.4 % of normal errors exceed it.
 const SQUARE_LIMIT: f64 = 6.0;
-/// Largest learning rate of the variance of calm frames' errors, so that no single early error dominates it.
+/// Largest learning rate of the variance of calm frames' errors, so that no single early error dominates the
+/// variance.
 const FASTEST_PACE: f64 = 0.25;
 /// Lower clamp of the trust in an observation; full trust is 1.
 const LEAST_TRUST: f64 = 1.0e-3;

@@ -169,7 +169,7 @@ impl PriorModel {
         Ok(best.2)
     }
 
-    /// Fits a model with `prior` as the unit costs of the prior.
+    /// Fits a model, and for cross-validation one without each fold; `prior` holds the prior unit costs.
     fn fit_from(
         &self,
         prior: &UnitCosts,

@@ -250,7 +250,7 @@ mod tests {
         assert!(near(frame(&mut budget, &mut passes[..1], 2.0)[0], 0.045));
         budget.begin(0);
         assert!(near(budget.share(&passes[1].0, 0.050), 0.0225));
-        // A third pass, never drawn before, is assumed to take the mean time of the other two.
+        // A third object, never drawn before, is assumed to take the mean time of the other two objects.
         assert!(near(budget.share(&PassShare::default(), 0.050), 0.0225));
     }
 

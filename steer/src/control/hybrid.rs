@@ -324,8 +324,8 @@ impl Hybrid {
         Some(best)
     }
 
-    /// Returns the corrected prediction for the present frame at `step`, where the cost has these `terms`, or
-    /// the forecast from recent frames.
+    /// Returns the corrected prediction for the present frame at `step`, where the cost has these `terms`;
+    /// with `by_history`, the forecast from recent frames.
     fn expected(&self, terms: &CostTerms, step: f32, by_history: bool) -> Expected {
         if by_history {
             let (seconds, upper) = self.history.forecast(step, self.calm.multiple);
@@ -335,8 +335,8 @@ impl Hybrid {
         }
     }
 
-    /// Returns the step for the present frame, with the reason for it, by the prediction or by the forecast
-    /// from recent frames.
+    /// Returns the step for the present frame and its reason, by the corrected prediction; with `by_history`,
+    /// by the forecast from recent frames.
     fn choose(&self, request: &mut PlanRequest<'_>, by_history: bool) -> (f32, Reason) {
         let limits = request.limits;
         let c = self.options.constants;

@@ -7,8 +7,8 @@ use crate::numeric::Noise;
 use crate::predict::Source;
 use std::vec::Vec;
 
-/// Returns the plans for frames of one scene that takes 60 ms at step 1, with a target of 20 ms. Frame i
-/// takes `slowed(i)` times as long as an undisturbed frame.
+/// Returns the plans, for a target of 20 ms, of the frames of one scene. An undisturbed frame takes 60 ms at
+/// step 1. Frame i takes `slowed(i)` times as long as an undisturbed frame.
 fn played(frames: usize, changes: impl Fn(usize) -> Changes, slowed: impl Fn(usize) -> f32) -> Vec<Decision> {
     played_with(HybridOptions::default(), frames, changes, slowed)
 }

@@ -148,7 +148,7 @@ fn an_impossible_target_is_said_and_leaves_nothing_behind() {
 
 #[test]
 fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
-    // Random predictions, far out of range.
+    // The predictions are random and far out of range.
     let mut hybrid = fitted(0.2);
     let mut noise = Noise(11);
     let (mut history, mut misses) = (0, 0);

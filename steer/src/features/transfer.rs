@@ -350,8 +350,8 @@ impl TransferSummary {
         self.distance_ready = true;
     }
 
-    /// Chebyshev distance of each cell to the nearest occupied cell, in cells (at most 255, also where there
-    /// is none); `None` before [`TransferSummary::prepare_distance`].
+    /// Chebyshev distance of each cell to the nearest occupied cell, in cells; 255 if this distance is larger
+    /// or no cell is occupied. `None` before [`TransferSummary::prepare_distance`].
     pub(super) fn distance(&self) -> Option<&[u8]> {
         self.distance_ready.then_some(&self.distance)
     }

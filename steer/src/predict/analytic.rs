@@ -365,7 +365,8 @@ impl Predictor for AnalyticModel {
     }
 
     fn log_sd(&self) -> Option<f32> {
-        // Costs without a calibrated bound are assumed to have errors of 0.3 in ln(seconds).
+        // Costs without a calibrated bound are assumed to have errors with a standard deviation of 0.3 in
+        // ln(seconds).
         self.fitted.then(|| self.calibration.log_sd().unwrap_or(0.3))
     }
 }

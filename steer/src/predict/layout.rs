@@ -317,8 +317,8 @@ fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
     Ok(())
 }
 
-/// States the number of rays along each side of the probe in a model file, unless the model needs no probe (`side` is 0)
-/// or the default one.
+/// States the number of rays along each side of the probe in a model file, unless the model needs no probe
+/// (`side` is 0) or `side` is the default.
 pub(crate) fn store_probe_side(side: usize, file: &mut ModelFile) {
     if ![0, PROBE_SIDE].contains(&side) {
         file.metadata.insert(Key::ProbeSide.into(), side.to_string());

@@ -172,7 +172,7 @@ impl Session {
         self.measure(frame)
     }
 
-    /// Number of rays along each side of the finest probe, the one of recorded frames.
+    /// Number of rays along each side of the finest probe, which measures recorded frames.
     #[cfg(feature = "calibrate")]
     pub(super) fn finest_probe_side(&self) -> usize {
         self.ladder.map_or(self.features.probe_side(), |ladder| ladder.finest)

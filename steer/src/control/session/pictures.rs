@@ -9,8 +9,8 @@ impl Session {
     /// Allows plans to coarsen the image: neighboring rays are up to `distance` pixels apart along each side
     /// (VTK's ImageSampleDistance). Ray step and image are coarsened together
     /// ([`Plan::image_sample_distance`](super::Plan::image_sample_distance)), from `step_alone` times the
-    /// finest step on; 1 couples step and image from the start. A `distance` of 1, the initial value, keeps
-    /// the full image size. The predictor should depend on the image size.
+    /// finest step on; a `step_alone` of 1 couples step and image from the start. A `distance` of 1, the
+    /// initial value, keeps the full image size. The predictor should depend on the image size.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
@@ -49,7 +49,7 @@ impl Session {
         self.quality.or_else(|| self.predictor.quality(&self.timing[0]))
     }
 
-    /// Recomputes the image sizes that plans choose from the present picture quality law.
+    /// Recomputes, from the present picture quality law, the image sizes that plans choose.
     pub(super) fn weigh_pictures(&mut self) {
         self.coarsening.set_quality(self.quality());
     }

@@ -255,7 +255,7 @@ impl<'a> March<'a> {
         if !(t_enter < t_exit) {
             return out;
         }
-        // Reference steps per unit of t.
+        // Reference steps per unit of the ray parameter t.
         let rate = direction.length() * self.per_step;
         out[CHORD] = (t_exit - t_enter) * rate;
         let start = (origin + t_enter * safe + self.half_extent) * self.scale - self.shift;

@@ -99,8 +99,8 @@ impl Probe {
     }
 
     /// Marches the probe's rays through a volume, with the instructions of a SIMD level; without a level, one
-    /// by one. Results are bit-identical in every case. The image's aspect ratio matters, its number of pixels
-    /// does not.
+    /// by one. Results are bit-identical in every case. They depend on the image's aspect ratio, not on its
+    /// number of pixels.
     ///
     /// A ray ends where its opacity reaches the frame's `termination`. `transfer` must be made from `volume`.
     /// `side` is the number of rays along each side of the footprint's bounding rectangle, reduced to

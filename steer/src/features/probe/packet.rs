@@ -392,7 +392,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let mut alive = simd.and_m(simd.lt(t_enter, t_exit), existing);
         let [x, y, z] = direction;
         let length = simd.sqrt(simd.add(simd.add(simd.mul(x, x), simd.mul(y, y)), simd.mul(z, z)));
-        // Reference steps per unit of t.
+        // Reference steps per unit of the ray parameter t.
         let rate = simd.mul(length, simd.splat(self.march.per_step));
         let chord = simd.select(alive, simd.mul(simd.sub(t_exit, t_enter), rate), zero);
         self.spread(chord, rays[CHORD], order, count);
