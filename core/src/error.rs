@@ -16,8 +16,8 @@ pub enum ErrorKind {
     InvalidModel = 3,
     /// A tensor is missing or has another shape than its neighbors require.
     InvalidTensor = 4,
-    /// The model needs an input group that the caller did not supply, that was supplied in another size, or
-    /// that this version does not know.
+    /// The model needs an input group that the caller did not supply, that the caller supplied with a wrong
+    /// size, or that this version does not know.
     MissingInput = 5,
     /// The call needs a volume, transfer function or model that has not been set.
     NotReady = 6,

@@ -20,8 +20,8 @@ pub enum entire_result {
     ENTIRE_INVALID_MODEL = 3,
     /// A tensor of the model is missing, or its shape does not fit those of the model's other tensors.
     ENTIRE_INVALID_TENSOR = 4,
-    /// The model needs an input group that the caller did not supply, that was supplied in another size, or
-    /// that this version does not know.
+    /// The model needs an input group that the caller did not supply, that the caller supplied with a wrong
+    /// size, or that this version does not know.
     ENTIRE_MISSING_INPUT = 5,
     /// The call needs something that was not set before it (volume, transfer function, model).
     ENTIRE_NOT_READY = 6,

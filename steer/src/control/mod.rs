@@ -76,8 +76,9 @@ impl Default for StepLimits {
 #[non_exhaustive]
 #[repr(u32)]
 pub enum Reason {
-    /// The finest step that is expected to meet the target and whose upper bound is within the tolerance; if
-    /// no step has such a bound, a coarser step than the finest that is expected to meet the target.
+    /// The finest step that is expected to meet the target and whose upper bound is within the tolerance. If
+    /// no upper bound is within the tolerance: the step halfway, in ln(step), between the finest step that is
+    /// expected to meet the target and the coarsest allowed step.
     Fits = 1,
     /// As `Fits`, but the change of the step was limited, since the scene has not changed abruptly.
     Damped = 2,

@@ -55,7 +55,7 @@ const TOUCHED: usize = {
     i
 };
 
-/// Constants of the linear cost model on one machine.
+/// Constants of the analytic model on one machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitCosts {
     /// Seconds per frame, then per unit of each of [`COST_QUANTITIES`].

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 _FOLDER = Path(__file__).parent / "models"
 _REASONS = {
     "fits": "the finest step that is expected to meet the target and whose upper bound is within the "
-    "tolerance; if no step has such a bound, a coarser step than the finest that is expected to meet the target",
-    "damped": "approaches the best step gradually, since nothing changed abruptly",
-    "held": "the last step still fits and is close to the best",
+    "tolerance; if no step has such a bound, the step halfway between the finest one that is expected to meet the "
+    "target and the coarsest one",
+    "damped": "the step changes gradually towards the finest one that meets the target, since nothing changed abruptly",
+    "held": "the last step still meets the target and is close to the finest step that meets it",
     "finest allowed": "the finest allowed step is expected to meet the target",
-    "target unreachable": "even the coarsest allowed step is not expected to fit",
-    "history": "the prediction is not trusted here; recent frames are used instead",
+    "target unreachable": "even the coarsest allowed step is not expected to meet the target",
+    "history": "the step was chosen by the times of recent frames, since the prediction is not trusted here",
     "no information": "there is neither a prediction nor a measured frame yet",
     "off": "steering is switched off",
     "reactive": "the step was chosen by a rule that uses only past frames",
