@@ -69,22 +69,22 @@
 #define ENTIRE_CHANGE_FIRST 1
 
 /**
- * Change flag: another transfer function.
+ * Change flag: the transfer function changed.
  */
 #define ENTIRE_CHANGE_TRANSFER_FUNCTION 2
 
 /**
- * Change flag: another volume.
+ * Change flag: the volume changed.
  */
 #define ENTIRE_CHANGE_VOLUME 4
 
 /**
- * Change flag: another image size.
+ * Change flag: the image size changed.
  */
 #define ENTIRE_CHANGE_SIZE 8
 
 /**
- * Change flag: another shading, skipping or termination.
+ * Change flag: shading, skipping or termination changed.
  */
 #define ENTIRE_CHANGE_MODE 16
 
@@ -390,9 +390,9 @@ typedef uint32_t entire_clock;
  * Divides the time of a window's frame among the passes that draw volumes in it. Set all words to zero
  * before the first call; only the library reads and changes them.
  *
- * For each frame, in this order: entire_budget_begin, then entire_budget_share before and entire_budget_drew
- * after each pass that draws a volume (several volumes, two eyes, several renderers), then
- * entire_budget_end. One thread at a time.
+ * Call for each frame, in this order: entire_budget_begin; entire_budget_share before and entire_budget_drew
+ * after each pass that draws a volume; entire_budget_end. A frame has several passes if it has several
+ * volumes, eyes or renderers. One thread at a time.
  */
 typedef struct entire_budget {
     /**
@@ -463,22 +463,24 @@ typedef struct entire_pass {
 #define ENTIRE_HELD_OUT_NOTHING 0
 
 /**
- * Volumes: the error is that on other volumes.
+ * Volumes: the error is that on volumes without training frames.
  */
 #define ENTIRE_HELD_OUT_VOLUMES 1
 
 /**
- * Transfer functions: the error is that on the same volumes under other transfer functions.
+ * Transfer functions: the error is that on the training volumes with transfer functions without training
+ * frames.
  */
 #define ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS 2
 
 /**
- * Stretches of time: the error is that on other views of the same data.
+ * Stretches of time: the error is that on views without training frames, of the training volumes and
+ * transfer functions.
  */
 #define ENTIRE_HELD_OUT_STRETCHES 3
 
 /**
- * The linear cost model on estimated work.
+ * The analytic model: unit costs times estimated work.
  */
 #define ENTIRE_SOURCE_ANALYTIC 1
 
@@ -535,8 +537,8 @@ entire_result entire_set_log(entire_log_callback callback, void *user_data, enti
 
 /**
  * The instruction set that evaluates models on this CPU: "scalar", "avx2" or "avx512", followed by its
- * extensions, such as "avx512+vnni". The environment variable ENTIRE_LEVEL lowers it; the variable is read
- * once, at the first call that needs it. The text is static.
+ * extensions, such as "avx512+vnni". The environment variable ENTIRE_LEVEL selects a lower instruction set;
+ * the variable is read only once. The text is static.
  */
 const char *entire_simd_level(void);
 
@@ -629,8 +631,8 @@ entire_result entire_model_predict_batch(const entire_model *model,
                                          float *seconds);
 
 /**
- * Copies the text of the most recent failure of a call on this model, by any thread, like
- * entire_session_last_error; empty if no call has failed.
+ * As entire_session_last_error, for the most recent failure of a call with this model on any thread. The
+ * text is empty if no call has failed.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -685,9 +687,9 @@ entire_result entire_volume_last_error(const entire_volume *volume,
  * since they belong to the previous time step. After this call, call entire_session_set_time_step for each
  * session. No other call may use the volume during this one.
  *
- * One pass over the voxels finds the changes; it is much faster than the scan of a new volume. Only changed
- * cells are scanned again. The first call scans the whole volume, because the data for comparisons (some 50
- * bytes per 8 x 8 x 8 voxels) are not kept for volumes that never change.
+ * One pass over the voxels, much faster than the scan of a new volume, finds the changed parts. Only these
+ * are scanned again. The first call scans the whole volume, because the data for comparisons (some 50 bytes
+ * per 8 x 8 x 8 voxels) are not kept for volumes that never change.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a scalar type, spacing or range that differs from the volume's, and
  * the cases of entire_volume_new), ENTIRE_SIZE_MISMATCH (sizes that differ from the volume's, and the cases
@@ -763,16 +765,17 @@ entire_result entire_transfer_function_last_error(const entire_transfer_function
  * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
  * plan every frame as it was drawn, and observe its time.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536), ENTIRE_UNSUPPORTED (a prior of
- * another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536), ENTIRE_UNSUPPORTED (a prior that is
+ * not an analytic model), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model handle that is unusable),
+ * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_record(entire_session *session, const entire_model *prior, size_t frame_count);
 
 /**
  * Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
  * It takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
- * report->struct_size first. The session itself does not change and continues to record: use the model with
- * entire_session_set_model, and save it for later runs with entire_model_save. The names of
+ * report->struct_size first. The session does not use the model until entire_session_set_model, and
+ * continues to record. entire_model_save saves the model for later runs. The names of
  * entire_session_set_timing_source are written to the model's metadata.
  *
  * Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
@@ -788,10 +791,11 @@ entire_result entire_session_calibrate(const entire_session *session,
  * and sessions that steer this renderer with this model coarsen the ray step or the image size, whichever
  * adds less error. Draw at least 3 scenes, all at the same settings. `scene` is a number that identifies the
  * view, `step` is the ray step in multiples of the finest, `image_sample_distance` is the distance of
- * neighboring rays in pixels, and `seconds` is the time that the drawing took. Include full quality (1 and
- * 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is any measure that is 0 for
- * equal pictures and grows with the difference, such as the root mean squared difference of colors, or 1 -
- * SSIM. Enlarge smaller pictures to full size before the comparison. The first 65536 pictures are kept.
+ * neighboring rays in pixels, and `seconds` is the time that the drawing took. Include full quality (`step`
+ * 1, `image_sample_distance` 1, `error` 0), coarser steps alone, smaller images alone, and both. `error` is
+ * any measure that is 0 for equal pictures and grows with the difference, such as the root mean squared
+ * difference of colors, or 1 - SSIM. Enlarge smaller pictures to full size before the comparison. The first
+ * 65536 pictures are kept.
  *
  * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance
  * below 1, seconds that are not positive, a negative error, numbers that are not finite),
@@ -813,15 +817,15 @@ entire_result entire_session_recorded_count(const entire_session *session, size_
 
 /**
  * Replaces the session's model, keeping the options that the session was made with. Observations are
- * forgotten; volume, transfer function and limits stay, and so do recorded frames unless the model needs
- * another number of probe rays. If the model takes volume features, set the volume again. The session holds a reference to the model.
+ * forgotten; volume, transfer function and limits stay. Recorded frames are discarded only if the number of
+ * probe rays changes with the model. If the model takes volume features, set the volume again. The session
+ * holds a reference to the model.
  *
- * Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an
- * input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
+ * Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with
+ * an input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
  * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT (`model` may not be NULL here).
  */
-entire_result entire_session_set_model(entire_session *session,
-                                       const entire_model *model);
+entire_result entire_session_set_model(entire_session *session, const entire_model *model);
 
 /**
  * Forgets every observation and every pending plan; volume, transfer function and limits stay.
@@ -867,9 +871,10 @@ entire_result entire_session_choose(entire_session *session,
  * the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
  * the previous time step stay unless the volume has precomputed ones.
  *
- * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes, spacing or
- * bricks, a number of precomputed features that is not the model's), ENTIRE_INVALID_ARGUMENT (a volume of
- * another scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (sizes, spacing or bricks that
+ * differ from the session's volume, a number of precomputed features that is not the model's),
+ * ENTIRE_INVALID_ARGUMENT (a scalar type that differs from the session's volume), ENTIRE_OUT_OF_MEMORY,
+ * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_time_step(entire_session *session, const entire_volume *volume);
 
@@ -877,11 +882,11 @@ entire_result entire_session_set_time_step(entire_session *session, const entire
  * Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
  * along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Plans then coarsen ray step and image
  * together (`step` and `image_sample_distance` in entire_plan), which changes the picture less than
- * coarsening one of them alone. Up to a step of `step_alone` times the finest, 1 to 64, only the step is
- * coarsened: use 1, or about 2 if smaller images are blurred strongly. A `max_image_sample_distance` of 1,
- * the default, keeps the full image size. The model must be a linear cost model, or a network that has the
- * image size among its inputs. One plan covers all sizes, which is cheaper and corrects predictions better
- * than one plan per size.
+ * coarsening one of them alone. Up to a step of `step_alone` (1 to 64) times the finest, only the step is
+ * coarsened. Use 1, or about 2 if the renderer blurs smaller images strongly. A `max_image_sample_distance`
+ * of 1, the default, keeps the full image size. The model must be an analytic model, or a network that has
+ * the image size among its inputs. One plan covers all sizes, which is cheaper and corrects predictions
+ * better than one plan per size.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a number outside 1 to 64), ENTIRE_NULL_ARGUMENT.
  */
@@ -943,9 +948,9 @@ entire_result entire_session_mark(entire_session *session, uint32_t changes);
  * another: it is forgotten, with all recorded frames, if a name that was not empty changes. Saved states
  * contain both names, and entire_session_load_state refuses states with other names. Both names are empty in
  * a new session; a state saved with empty names loads only into a session with empty names. Call this
- * function before states are loaded or saved. A clock named "cpu", "wall" or "device" is compared with the model's
- * (entire_session_clocks); if the result of the comparison changes, the learned correction is forgotten,
- * too.
+ * function before states are loaded or saved. A clock named "cpu", "wall" or "device" is compared with the
+ * model's (entire_session_clocks); if the result of the comparison changes, the learned correction is
+ * forgotten, too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
  * ENTIRE_NULL_ARGUMENT.
@@ -996,8 +1001,8 @@ entire_result entire_budget_begin(struct entire_budget *budget, uint32_t volumes
 /**
  * Computes the seconds that the next pass may take if the whole frame may take `target` seconds; pass the
  * result to entire_session_plan as its target. The shares of a frame's passes are in proportion to their
- * times at full quality, so that all are coarsened alike. Their sum is `target` minus the median time
- * outside of the passes over the last five frames, but at least a fifth of `target`.
+ * times at full quality, so that all passes are coarsened by the same factor. Their sum is `target` minus
+ * the median time outside of the passes over the last five frames, but at least a fifth of `target`.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a target that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
@@ -1007,8 +1012,8 @@ entire_result entire_budget_share(const struct entire_budget *budget,
                                   float *seconds);
 
 /**
- * Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` times
- * entire_plan.step, divided by the finest step, times the square of entire_plan.image_sample_distance.
+ * Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` *
+ * entire_plan.step / (finest step) * entire_plan.image_sample_distance^2.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
@@ -1019,8 +1024,8 @@ entire_result entire_budget_drew(struct entire_budget *budget,
 
 /**
  * Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included unusual
- * work, such as reading a volume or compiling a shader. Its time outside of the passes is then used only if
- * the previous frame was unusual, too.
+ * work, such as reading a volume or compiling a shader. The time of such a frame outside of its passes is
+ * used only if the previous frame was unusual, too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */

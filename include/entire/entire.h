@@ -63,7 +63,7 @@
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
  * not allocate, lock or call the system when they succeed and no log callback is set. For
  * entire_model_predict this holds while at most ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the
- * same time; further calls allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same
+ * same time; further calls allocate. Equal model, inputs, correction and SIMD level (entire_simd_level) give equal
  * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
@@ -161,12 +161,12 @@ enum entire_result
      */
     ENTIRE_INVALID_MODEL = 3,
     /**
-     * A tensor of the model is missing or has another shape than its neighbors require.
+     * A tensor of the model is missing, or its shape does not fit those of the model's other tensors.
      */
     ENTIRE_INVALID_TENSOR = 4,
     /**
-     * The model needs an input group that the caller did not supply, that was supplied in another size, or
-     * that this version does not know.
+     * The model needs an input group that the caller did not supply, that the caller supplied with a wrong
+     * size, or that this version does not know.
      */
     ENTIRE_MISSING_INPUT = 5,
     /**
@@ -279,8 +279,8 @@ typedef struct entire_volume_desc {
      */
     size_t dims[3];
     /**
-     * Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. Zero repeats a
-     * voxel.
+     * Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. A stride of 0
+     * repeats a voxel.
      */
     size_t strides[3];
     /**
@@ -386,8 +386,9 @@ typedef struct entire_frame {
      */
     float fov_y;
     /**
-     * Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's
-     * distance from the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
+     * Rotation about x and y in degrees (a positive first number raises the eye, a positive second number
+     * moves it to the right), and the eye's distance from the volume's center in multiples of its
+     * bounding-sphere radius. Default 0, 0, 3.
      */
     float arcball[3];
     /**
@@ -424,7 +425,7 @@ typedef struct entire_frame {
      */
     entire_skipping skipping;
     /**
-     * Not 0 where ray starts are jittered; default 0.
+     * Not 0 if ray starts are jittered; default 0.
      */
     uint32_t jitter;
     /**
@@ -452,18 +453,18 @@ typedef struct entire_session_options {
      */
     float finest_step;
     /**
-     * Coarsest ray step that may be chosen, up to 4096; default 16.
+     * Coarsest ray step that may be chosen, in multiples of the reference step, at most 4096; default 16.
      */
     float coarsest_step;
     /**
-     * Share of calm frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. The share
-     * of undisturbed frames over (1 + `tolerance`) * target is smaller, since many bounds are below that
-     * limit.
+     * Share of calm frames (without a scene change) that may exceed their upper bound, over 0 and at most
+     * 0.5; default 0.05. Of the frames that no other program slows down, a share below `miss_rate` exceeds
+     * (1 + `tolerance`) * target, since many bounds are below that limit.
      */
     float miss_rate;
     /**
-     * Share of the target by which a plan's upper bound for undisturbed frames may exceed the target, not
-     * negative; default 0.1.
+     * Share of the target by which the upper bound for undisturbed frames (frames that no other program
+     * slows down) may exceed the target, not negative; default 0.1.
      */
     float tolerance;
     /**
@@ -476,18 +477,19 @@ typedef struct entire_session_options {
      */
     uint32_t damping;
     /**
-     * Number of rays along each side of the probe that measures frames for a linear cost model (no model, or
-     * an analytic one), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
+     * Number of rays along each side of the probe that measures frames for an analytic model (also if no
+     * model is given), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
      * rays estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which
      * they were trained with.
      */
     uint32_t probe_side;
     /**
      * Accepted error of the probe, as a share of the frame's time, 0 to 1. Over 0, plans start with a probe
-     * of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if its estimated error is
-     * larger than this and could change the plan. While the view has hardly turned since rays were cast,
-     * their result is reused. Default 0: every plan casts all of its rays. Networks always use their own
-     * probe. While frames are recorded (entire_session_record), every plan casts all of its rays.
+     * of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if the probe's estimated
+     * error is larger than `probe_tolerance` and could change the plan. While the view has hardly turned
+     * since rays were cast, their result is reused. Default 0: every plan casts all of its rays. Networks
+     * always use their own probe. While frames are recorded (entire_session_record), every plan casts all of
+     * its rays.
      */
     float probe_tolerance;
     /**
@@ -530,9 +532,9 @@ typedef struct entire_plan {
      */
     float step;
     /**
-     * Distance of neighboring rays in pixels of the frame, along each side of the image: divide the frame's
-     * width and height by this, rounded down, but at least 1. The number is 1 unless
-     * entire_session_set_max_image_sample_distance allows more.
+     * Distance of neighboring rays in pixels of the frame, along each side of the image. To get the image
+     * size, divide the frame's width and height by this number, and round down to a whole number of at least
+     * 1. The number is 1 unless entire_session_set_max_image_sample_distance allows more.
      */
     float image_sample_distance;
     /**
@@ -544,8 +546,9 @@ typedef struct entire_plan {
      */
     float upper;
     /**
-     * 0 if the inputs are inside the model's training range, larger with the distance from it. Above the
-     * session's trust_limit, steps are chosen from recent frames.
+     * Out-of-range score: 0 if the inputs are inside the range of the training data, else their distance
+     * from this range in units of half its width. Above the session's trust_limit, steps are chosen from
+     * recent frames.
      */
     float out_of_range;
     /**
@@ -568,7 +571,7 @@ typedef struct entire_plan {
 #define ENTIRE_SCALAR_U8 1
 
 /**
- * Signed 8-bit integers. Copied only (kept as 16-bit integers).
+ * Signed 8-bit integers, which can only be copied (kept as 16-bit integers).
  */
 #define ENTIRE_SCALAR_I8 2
 
@@ -583,12 +586,12 @@ typedef struct entire_plan {
 #define ENTIRE_SCALAR_I16 4
 
 /**
- * Unsigned 32-bit integers. Copied only (kept as 32-bit floats).
+ * Unsigned 32-bit integers, which can only be copied (kept as 32-bit floats).
  */
 #define ENTIRE_SCALAR_U32 5
 
 /**
- * Signed 32-bit integers. Copied only (kept as 32-bit floats).
+ * Signed 32-bit integers, which can only be copied (kept as 32-bit floats).
  */
 #define ENTIRE_SCALAR_I32 6
 
@@ -598,17 +601,17 @@ typedef struct entire_plan {
 #define ENTIRE_SCALAR_F32 7
 
 /**
- * 64-bit floats. Copied only (kept as 32-bit floats).
+ * 64-bit floats, which can only be copied (kept as 32-bit floats).
  */
 #define ENTIRE_SCALAR_F64 8
 
 /**
- * Unsigned 64-bit integers. Copied only (kept as 32-bit floats).
+ * Unsigned 64-bit integers, which can only be copied (kept as 32-bit floats).
  */
 #define ENTIRE_SCALAR_U64 9
 
 /**
- * Signed 64-bit integers. Copied only (kept as 32-bit floats).
+ * Signed 64-bit integers, which can only be copied (kept as 32-bit floats).
  */
 #define ENTIRE_SCALAR_I64 10
 
@@ -618,9 +621,9 @@ typedef struct entire_plan {
 #define ENTIRE_VOXELS_COPY 1
 
 /**
- * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed,
- * except that the voxels of its next time step may be written there (entire_volume_update). For scalar types
- * U8, U16, I16 and F32, aligned to their size.
+ * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed.
+ * Exception: the caller may write the voxels of the volume's next time step there (entire_volume_update).
+ * Only U8, U16, I16 and F32 voxels that are aligned to their size can be borrowed.
  */
 #define ENTIRE_VOXELS_BORROW 2
 
@@ -640,8 +643,8 @@ typedef struct entire_plan {
 #define ENTIRE_PROJECTION_PERSPECTIVE 1
 
 /**
- * Orthographic, with the height entire_frame.parallel_scale; rays start in the plane through the eye and run
- * along the view direction.
+ * Orthographic; entire_frame.parallel_scale is half of the visible height. Rays start in the plane through
+ * the eye and run along the view direction.
  */
 #define ENTIRE_PROJECTION_PARALLEL 2
 
@@ -698,8 +701,8 @@ typedef struct entire_plan {
 
 /**
  * The finest step that is expected to meet the target and whose upper bound is at most (1 + tolerance) times
- * the target. If no step has such a bound: a coarser step than the finest that is expected to meet the
- * target.
+ * the target. If no step has such a bound: the step halfway, in ln(step), between the finest step that is
+ * expected to meet the target and the coarsest allowed step.
  */
 #define ENTIRE_REASON_FITS 1
 
@@ -709,17 +712,19 @@ typedef struct entire_plan {
 #define ENTIRE_REASON_DAMPED 2
 
 /**
- * The step of the last plan still fits and is close to the best: it is kept.
+ * The step of the last plan is kept. It is still expected to meet the target, and is close to that of
+ * ENTIRE_REASON_FITS.
  */
 #define ENTIRE_REASON_HELD 3
 
 /**
- * The finest allowed step, which is expected to meet the target; its upper bound may exceed the tolerance.
+ * The finest allowed step, which is expected to meet the target; its upper bound may exceed (1 + tolerance)
+ * times the target.
  */
 #define ENTIRE_REASON_FINEST_ALLOWED 4
 
 /**
- * Even the coarsest allowed step is not expected to fit.
+ * Even the coarsest allowed step is not expected to meet the target.
  */
 #define ENTIRE_REASON_TARGET_UNREACHABLE 5
 
@@ -773,13 +778,14 @@ entire_result entire_model_open(const char *path, struct entire_model **model);
  * Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
  * folder: entire/machine-none.safetensors, machine-local.safetensors, machine-scatter.safetensors or
  * machine-local-scatter.safetensors below XDG_DATA_HOME, else below LOCALAPPDATA on Windows and
- * ~/.local/share elsewhere. Its metadata key entire.clock says whether it predicts cpu, wall or device seconds.
+ * ~/.local/share elsewhere. Its metadata key entire.clock says whether it predicts cpu, wall or device
+ * seconds.
  *
  * Fails with ENTIRE_IO (this machine was not calibrated for the mode; the error text names the command),
- * and with the same results as entire_model_open for an unsuitable file.
+ * ENTIRE_INVALID_ARGUMENT (an unknown shading), and with the same results as entire_model_open for an
+ * unsuitable file.
  */
-entire_result entire_model_open_machine(entire_shading shading,
-                                        struct entire_model **model);
+entire_result entire_model_open_machine(entire_shading shading, struct entire_model **model);
 
 /**
  * Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a
@@ -811,13 +817,13 @@ entire_result entire_volume_new(const struct entire_volume_desc *desc, struct en
 void entire_volume_free(struct entire_volume *volume);
 
 /**
- * Makes a transfer function of opacity and color nodes like those of VTK and ParaView, whose values equal
- * those of vtkPiecewiseFunction and vtkColorTransferFunction (RGB) within 1e-6. `low` and `high` are the
- * scalar values that map to 0 and 1: pass the volume's range. Nodes must be in ascending order of position;
- * two nodes at the same position make a step. Without opacity nodes everything is transparent; without color
+ * Makes a transfer function of opacity and color nodes as in VTK and ParaView. Its values equal those of
+ * vtkPiecewiseFunction and vtkColorTransferFunction (RGB) within 1e-6. `low` and `high` are the scalar
+ * values that map to 0 and 1: pass the volume's range. Nodes must be in ascending order of position; two
+ * nodes at the same position make a step. Without opacity nodes everything is transparent; without color
  * nodes the built-in ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond
- * them, which is VTK's default. The unit distance is one reference step until
- * entire_transfer_function_set_unit_distance.
+ * them, which is VTK's default; if it is 0, everything beyond them is transparent and black. The unit
+ * distance is one reference step until entire_transfer_function_set_unit_distance changes it.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names), ENTIRE_SIZE_MISMATCH
  * (over ENTIRE_MAX_TRANSFER_POINTS opacity or color nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -854,9 +860,9 @@ void entire_transfer_function_free(struct entire_transfer_function *transfer_fun
 entire_result entire_frame_init(struct entire_frame *frame, size_t struct_size);
 
 /**
- * Makes a session for one render loop. `model` may be NULL: then a linear cost model predicts, which adapts
- * to the device with the first observed frames. `options` may be NULL for the defaults. The session holds a
- * reference to the model.
+ * Makes a session for one render loop. If `model` is NULL, an analytic model (unit costs times estimated
+ * work) predicts and adapts to the device with the first observed frames. `options` may be NULL for the
+ * defaults. The session holds a reference to the model.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates or probe settings that are out of range),
  * ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an input
@@ -868,10 +874,10 @@ entire_result entire_session_new(const struct entire_model *model,
                                  struct entire_session **session);
 
 /**
- * Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its closing
- * NUL; empty if no call has failed since the last successful call with a session that is not const. `length`,
- * if not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be NULL with
- * capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
+ * Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its
+ * closing NUL; empty if no call has failed since the last successful call that may change the session.
+ * `length`, if not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be
+ * NULL with capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -890,8 +896,8 @@ void entire_session_free(struct entire_session *session);
  * last 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
  *
  * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, a plan that was observed before, a
- * time that is not finite, not positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an
- * unknown flag), ENTIRE_NULL_ARGUMENT.
+ * time that is not finite, is not positive, or is over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT
+ * (an unknown flag), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_observe(struct entire_session *session,
                                      uint64_t plan_id,
@@ -905,15 +911,15 @@ entire_result entire_session_observe(struct entire_session *session,
 entire_result entire_session_options_init(struct entire_session_options *options, size_t struct_size);
 
 /**
- * Chooses the ray step of the next frame: the finest step that is expected to take at most `target_seconds`,
- * and at most (1 + tolerance) times `target_seconds` by the upper bound for undisturbed frames. plan->upper
- * bounds all frames. Draw with plan->step, then pass the frame's time to entire_session_observe. Set
- * plan->struct_size first. Does not allocate.
+ * Chooses the ray step of the next frame: the finest step whose expected time is at most `target_seconds`,
+ * and whose upper bound for undisturbed frames (frames that no other program slows down) is at most (1 +
+ * tolerance) times `target_seconds`. plan->upper is the upper bound for all frames. Draw with plan->step,
+ * then pass the frame's time to entire_session_observe. Set plan->struct_size first. Does not allocate.
  *
  * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
  * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (a frame that is out of
- * range, or a target that is not finite and positive), ENTIRE_INVALID_MODEL (the model's result is not a frame
- * time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * range, or a target that is not finite and positive), ENTIRE_INVALID_MODEL (the model's result is not a
+ * frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_plan(struct entire_session *session,
                                   const struct entire_frame *frame,
