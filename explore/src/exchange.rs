@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn nodes_outside_of_the_datas_range_keep_the_function() {
+    fn nodes_outside_of_the_range_keep_the_function() {
         let text = r#"[{"ColorSpace": "RGB", "Name": "x", "RGBPoints": [0, 1, 0, 0, 100, 0, 0, 1],
             "Points": [0, 0, 0.5, 0, 60, 0.6, 0.5, 0, 100, 1, 0.5, 0]}]"#;
         let curve = parse(text, (25.0, 75.0)).unwrap();
