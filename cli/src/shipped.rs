@@ -1,5 +1,5 @@
-//! The selected shipped models of each shading mode. They are built into the program, so that it needs no
-//! files for them.
+//! The shipped models of the shading modes that have any: none, local and scatter. They are built into the
+//! program, so that it needs no files for them.
 
 use anyhow::Result;
 use entire_core::model::ModelFile;
@@ -13,7 +13,8 @@ macro_rules! selected {
     };
 }
 
-/// Names and bytes of a mode's models: the selected one, then the models of other types of machine.
+/// Names and bytes of a mode's models: the selected one, then the models of other types of machine. Empty
+/// for a mode without shipped models.
 fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
     match shading {
         Shading::None => vec![selected!("unshaded"), selected!("unshaded-epyc"), selected!("unshaded-xeon")],

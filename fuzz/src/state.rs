@@ -52,12 +52,13 @@ pub fn seal(bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&crc32fast::hash(bytes).to_le_bytes());
 }
 
-/// Changes numbers of a state, or its bytes by `step`, and updates the checksum.
+/// Changes some numbers of a state, or mutates its bytes with the fuzzer's function `step`, and updates the
+/// checksum. Returns the new number of bytes, at most `room`.
 pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = random(seed);
     let mut body = data[..size.saturating_sub(SEAL)].to_vec();
-    // A state without a number after its first 32 bytes is replaced by a learned state. So is one of 200
-    // other states.
+    // A state without a number after its first 32 bytes is replaced by a learned state. Of all other
+    // states, one in 200 is replaced, too.
     if body.len() < 40 || random.below(200) == 0 {
         body = learned();
         body.truncate(body.len() - SEAL);
@@ -92,7 +93,7 @@ thread_local! {
 }
 
 /// Checks that a refused state changes nothing, and that an accepted state can be saved and loaded again,
-/// gives plans with finite numbers, and lets the session continue to learn.
+/// gives plans with a finite step and a finite expected time, and lets the session continue to learn.
 pub fn check_state(input: &[u8]) {
     SESSION.with_borrow_mut(|(session, fresh)| {
         session.load_state(fresh).expect("the state of a new session");

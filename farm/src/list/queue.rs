@@ -28,8 +28,8 @@ pub struct Timeline {
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
 /// `times` are the true times on a node of speed 1, without loading; predictions determine only the order.
 /// Arrival order is `0..n`; [`longest_first`] returns the order of predicted times, longest first. `loads`
-/// has the volume of each task, and the seconds to load it on a node whose previous task was on another
-/// volume; they do not depend on the node's speed. `loads` is empty if no task loads a volume.
+/// has the volume of each task, and the seconds to load it on a node that had no task or whose previous task
+/// was on another volume; they do not depend on the node's speed. `loads` is empty if no task loads a volume.
 ///
 /// # Errors
 /// For unusable times or speeds, or an order that is not a permutation of the tasks.
@@ -89,7 +89,7 @@ fn check_order(order: &[usize], tasks: usize) -> Result<()> {
         match seen.get_mut(task) {
             Some(slot) if !*slot => *slot = true,
             Some(_) => bail!("the order holds task {task} twice"),
-            None => bail!("the order holds task {task}, but there are only {tasks} tasks"),
+            None => bail!("the order holds task {task}; the {tasks} tasks are numbered from 0"),
         }
     }
     if order.len() != tasks {
