@@ -103,7 +103,9 @@ pub fn duration(seconds: f64) -> String {
 /// # Errors
 /// When the text is no such duration, or the duration is not positive.
 pub fn parse_duration(text: &str) -> Result<f64, String> {
-    let wrong = || format!("{text:?} is no duration; accepted are 90s, 30m, 2h or 1.5d");
+    let wrong = || {
+        format!("{text:?} is no duration; write a positive number and a unit (s, m, h or d), such as 1.5d")
+    };
     let unit = text.chars().last().ok_or_else(wrong)?;
     let scale = match unit {
         's' => 1.0,

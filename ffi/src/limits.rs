@@ -64,9 +64,9 @@ pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result
         let [x, y, z] = dims;
         refuse!(
             ENTIRE_SIZE_MISMATCH,
-            "a volume of {x} x {y} x {z} voxels needs {voxels} elements, voxel_count is {there}; strides \
-             that repeat voxels are accepted up to {ENTIRE_MAX_REPEATED_VOXELS} voxels \
-             (ENTIRE_MAX_REPEATED_VOXELS), check sizes, strides and voxel_count"
+            "a volume of {x} x {y} x {z} voxels needs {voxels} elements, but voxel_count is {there}; check \
+             sizes, strides and voxel_count. If strides repeat voxels, the volume may have at most \
+             {ENTIRE_MAX_REPEATED_VOXELS} voxels (ENTIRE_MAX_REPEATED_VOXELS)"
         );
     }
     Ok(())

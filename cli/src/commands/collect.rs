@@ -282,7 +282,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let done = table.done().len();
     // Some systems let no other handle read a locked file, so the table is unlocked before it is read.
     drop(table);
-    let go_on = format!("continue with the same command and --resume ({})", options.out.display());
+    let go_on = format!("to continue {}, repeat the same command with --resume", options.out.display());
     let mut tables = pass_files(&options.out, protocol.passes);
     tables.push(options.out.clone());
     let outcome = match result {

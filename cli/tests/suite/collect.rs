@@ -159,7 +159,7 @@ fn frames_of_a_pass_survive_an_error_with_the_manifest() {
     // The second volume cannot be read after frames of the first volume were collected.
     let out = dir.path().join("t.csv");
     let mut second = collect(&volume, &out, &settings);
-    refused(second.arg(&broken), 1, &["continue with the same command and --resume"]);
+    refused(second.arg(&broken), 1, &["to continue ", "repeat the same command with --resume"]);
     for kept in ["t.csv", "t.manifest.json", "t.pass1.csv"] {
         assert!(dir.path().join(kept).exists(), "{kept} is gone");
     }

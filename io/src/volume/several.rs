@@ -73,7 +73,7 @@ impl Several {
         let axes = self.axes.unwrap_or(sizes.len() as i64 - 1);
         ensure!(
             (1..=sizes.len() as i64).contains(&axes),
-            "each of the files is said to hold {axes} axes; 1 to {} are possible",
+            "the header says that each file has {axes} axes; 1 to {} are possible",
             sizes.len()
         );
         let axes = axes as usize;
@@ -221,6 +221,6 @@ mod tests {
         assert!(each(7, None).unwrap_err().to_string().contains("over 8 files of 2 axes each, 7 are named"));
         assert!(each(3, Some(3)).unwrap_err().to_string().contains("equal slabs"));
         assert!(each(3, Some(4)).is_err() && each(3, Some(0)).is_err());
-        assert!(each(3, Some(-1)).unwrap_err().to_string().contains("said to hold -1 axes"));
+        assert!(each(3, Some(-1)).unwrap_err().to_string().contains("each file has -1 axes"));
     }
 }

@@ -151,7 +151,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let trace = trace?;
     ensure!(
         trace.is_complete(),
-        "interrupted after {} of {} frames; continue with the same command and --resume ({})",
+        "interrupted after {} of {} frames; to continue {}, repeat the same command with --resume",
         trace.frames.len(),
         trace.path.frames,
         options.out.display()

@@ -76,8 +76,8 @@ quantities! {
     ShadowSamples, "shadow_samples", "samples", 1.0, yes, yes,
         "samples along shadow rays with single scattering, otherwise 0";
     LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays, counted for groups of eight adjacent rays: while one ray of a group \
-         shades, the samples for which the other rays of the group wait count, too";
+        "samples along shadow rays, plus waiting: while one ray of a group of eight adjacent rays shades, \
+         each sample along its shadow rays is also counted for every ray that waits";
     FarSkips, "far_skips", "jumps", 1.0, yes, yes,
         "jumps whose reads miss the caches: `skips` times the far share, which is the share of reads that \
          miss the caches";
@@ -89,18 +89,18 @@ quantities! {
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
         "reads of the skip map that miss the caches: `segments` times the far share";
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
-        "local samples whose reads miss the caches: `local_samples` times the far share of shading, which is \
-         the share of the reads of shading that miss the caches";
+        "`local_samples` times the share of the reads of shading that miss the caches";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
-        "lane shadow samples for rays that are eight reference steps apart, times the far share of shading";
+        "`lane_shadow_samples`, computed for a ray spacing of eight reference steps, times the share of the \
+         reads of shading that miss the caches";
     FarX, "far_x", "samples", 1.0, yes, yes,
         "`samples` times the far share, times the share of crossed voxel borders that are normal to x; rays \
          along an axis read slowly if adjacent voxels of this axis are far apart in memory";
     FarY, "far_y", "samples", 1.0, yes, yes, "as far_x, for borders normal to y";
     FarZ, "far_z", "samples", 1.0, yes, yes, "as far_x, for borders normal to z";
     RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,
-        "`samples`, if a renderer with lookup tables must shift or scale the volume's values; otherwise 0, for \
-         integers whose minimum is 0 and whose maximum is at most 32767";
+        "0 for integers whose minimum is 0 and whose maximum is at most 32767; for all other volumes equal \
+         to `samples`, since a renderer with lookup tables must shift or scale their values";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
         "work times unit cost, summed over all kinds of work, with the unit costs of the model file, or \
          those of a software renderer if the file has none";
@@ -134,7 +134,7 @@ quantities! {
     FarLongestSegments, "far_longest_segments", "segments", 1.0, yes, yes,
         "`longest_segments` times the far share";
     FarLongestShadowSamples, "far_longest_shadow_samples", "samples", 1.0, yes, yes,
-        "`longest_shadow_samples` times the far share of shading";
+        "`longest_shadow_samples` times the share of the reads of shading that miss the caches";
 }
 
 impl SceneQuantity {

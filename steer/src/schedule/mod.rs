@@ -45,7 +45,11 @@ impl Assignment {
         let mut loads = filled(self.nodes, 0.0)?;
         for (&node, &time) in self.node_of.iter().zip(times) {
             let Some(load) = loads.get_mut(node) else {
-                bail!(InvalidArgument, "the assignment names node {node}, but has {} nodes", self.nodes);
+                bail!(
+                    InvalidArgument,
+                    "the assignment names node {node}; its {} nodes are numbered from 0",
+                    self.nodes
+                );
             };
             *load += time / speeds[node];
         }
@@ -110,7 +114,8 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     if !times.iter().map(|t| t / slowest).sum::<f64>().is_finite() {
         bail!(
             InvalidArgument,
-            "on a node of speed {slowest}, the times add up to more than the largest number; check their unit"
+            "on a node of speed {slowest}, the times add up to more than a 64-bit float can hold; check \
+             their unit"
         );
     }
     Ok(())

@@ -68,7 +68,7 @@ fn nonsense_is_refused_with_the_culprit_named() {
     let a = assign_longest_first(&[1.0, 2.0], &[1.0]).unwrap();
     assert_eq!(a.makespan(&[1.0], &[1.0]).unwrap_err().kind(), ErrorKind::SizeMismatch);
     let astray = Assignment { node_of: vec![5], nodes: 1 }.makespan(&[1.0], &[1.0]).unwrap_err();
-    assert!(astray.to_string().contains("names node 5, but has 1 nodes"), "{astray}");
+    assert!(astray.to_string().contains("names node 5; its 1 nodes are numbered from 0"), "{astray}");
     assert_eq!(assign_longest_first(&[], &[1.0]).unwrap().makespan(&[], &[1.0]).unwrap(), 0.0);
 }
 

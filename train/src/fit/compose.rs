@@ -9,7 +9,7 @@ use entire_core::nn::{DenseParts, Normalization, PredNetParts, Target};
 pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     let count = members.len();
     let mut members = members.into_iter();
-    let mut out = members.next().context("an ensemble of no network")?;
+    let mut out = members.next().context("the ensemble has no network")?;
     let rest: Vec<PredNetParts> = members.collect();
     let depth = out.layers.len();
     for (i, layer) in out.layers.iter_mut().enumerate() {

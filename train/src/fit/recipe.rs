@@ -526,7 +526,7 @@ impl Recipe {
         if members.len() < self.ensemble {
             outcomes.push(format!("interrupted; the mean of {} networks is kept", members.len()));
         }
-        let history = first.context("an ensemble of no network")?;
+        let history = first.context("the ensemble has no network")?;
         if outcomes.len() > 1 {
             outcomes.iter_mut().enumerate().for_each(|(i, o)| *o = format!("network {}: {o}", i + 1));
         }

@@ -185,7 +185,7 @@ impl VulkanRaycaster {
     }
 
     /// As [`VulkanRaycaster::new`], with functions of the device replaced by `wrap`, so that tests can make
-    /// it fail.
+    /// Vulkan calls fail.
     ///
     /// # Errors
     /// As [`VulkanRaycaster::new`].
@@ -194,7 +194,7 @@ impl VulkanRaycaster {
     /// The functions of the device that `wrap` returns must follow the Vulkan specification, also when they
     /// return an error.
     #[doc(hidden)]
-    #[allow(unsafe_code, reason = "calls into Vulkan go through what the caller gives")]
+    #[allow(unsafe_code, reason = "Vulkan is called through the functions that `wrap` returns")]
     pub unsafe fn with_device_functions(
         options: VulkanOptions,
         wrap: &dyn Fn(ash::Device) -> ash::Device,
