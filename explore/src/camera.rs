@@ -215,7 +215,8 @@ impl Viewpoint {
         self.fov_y = degrees;
     }
 
-    /// Factor of the distance at which another field of view, in degrees, shows the volume in the same size.
+    /// Returns the factor by which the distance must be multiplied so that the volume keeps its size in the
+    /// image when the field of view becomes `fov_y` degrees.
     pub(crate) fn distance_factor(&self, fov_y: f32) -> f32 {
         let half = |degrees: f32| (0.5 * degrees.to_radians()).tan();
         half(self.fov_y) / half(fov_y)

@@ -55,7 +55,8 @@ pub(crate) struct Planned {
     pub(crate) other: f64,
 }
 
-/// A session, and the numbers of its volume and of its transfer function.
+/// A session, and the values of `Steer::volume` and `Steer::transfer` when it last received a volume and a
+/// transfer function; 0 if it has none.
 struct Loop {
     session: Session,
     volume: u64,
@@ -88,7 +89,9 @@ pub(crate) struct Steer {
     pub(crate) full: Option<(f64, f64)>,
     loops: HashMap<(usize, usize), Loop>,
     known: Option<Known>,
+    /// Number of volumes that were set.
     volume: u64,
+    /// Number of transfer functions that were set.
     transfer: u64,
     changes: Changes,
     other: VecDeque<f64>,

@@ -1,5 +1,6 @@
-//! Opaque handles: the value of each noun, and the state that every handle carries. The memory of a handle is
-//! reference-counted: C holds one reference, and sessions hold further ones to models.
+//! Opaque handles: the value that each type of handle (model, session, …) wraps, and the state that every
+//! handle carries. The memory of a handle is reference-counted: C holds one reference, and sessions hold
+//! further ones to models.
 
 use crate::result::Failure;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -47,7 +48,7 @@ impl Status {
     }
 }
 
-/// A noun that C holds by pointer.
+/// A type of handle, which C holds by pointer.
 pub(crate) trait Handle: Sized {
     /// Type of the value that the handle holds.
     type Value;
@@ -91,7 +92,7 @@ pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a 
     Ok(handle.value())
 }
 
-/// Declares the [`Handle`] of a C noun with the fields `status` and `value`.
+/// Implements [`Handle`] for a type with the fields `status` and `value`.
 macro_rules! handle {
     ($noun:ident, $value:ty) => {
         impl crate::handle::Handle for $noun {

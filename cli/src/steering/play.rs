@@ -520,7 +520,8 @@ mod tests {
         let whole = playback.references[0].seconds - law.fixed;
         assert_eq!(fixed_point[0].image_sample_distance, 5.0);
         assert!((work(&fixed_point[0]) / whole * 25.0 - 1.0).abs() < 1e-3);
-        // The metrics state step and limits as pixels of the full image per drawn pixel.
+        // In the metrics of a controller that sets the image resolution, step and limits are numbers of
+        // pixels of the full image for each drawn pixel.
         let played = playback.played(0);
         assert_eq!((played[0].step, played[0].finest, played[0].coarsest), (25.0, 1.0, 100.0));
         assert!(playback.metrics()[0].mean_step > 1.1);

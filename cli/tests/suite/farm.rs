@@ -294,7 +294,8 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     let said = succeeds(dir.path(), &words("farm job.toml --openjd t.json --slots 2 --time-limit 90s"));
     let template = json(&dir.path().join("t.json"));
     assert_eq!(template["specificationVersion"], "jobtemplate-2023-09", "{said}");
-    // Nothing was measured, so the bundles have upper bounds above the time limit.
+    // Without measurements, the upper bounds of the bundles exceed the time limit, so the limit is the
+    // timeout.
     assert_eq!(template["steps"][0]["script"]["actions"]["onRun"]["timeout"], 90, "{said}");
     refuses(dir.path(), &["farm", "none.toml"], &["cannot read the job file none.toml"]);
     refuses(dir.path(), &["farm", "job.toml", "--slots", "0"], &["--slots is 0"]);

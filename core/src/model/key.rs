@@ -35,9 +35,10 @@ pub enum Key {
     /// `entire.provenance`: origin of the weights (free text, JSON where structured).
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
-    /// for analytic models `low` and `high` (ranges of ln of the training frames' pixels, and of ln of their
-    /// rays, skips, samples and lane samples per pixel), and for learned factors `input_low` and `input_high`
-    /// (one number per input, to which inputs are clamped: `InputRange` of `entire-steer`). Optional.
+    /// for analytic models `low` and `high` (the lowest and the highest ln over the training frames: of the
+    /// pixels, and of each of these counts per pixel: rays, skips, samples, `lane_samples`), and for learned
+    /// factors `input_low` and `input_high` (one number per input, to which inputs are clamped: `InputRange`
+    /// of `entire-steer`). Optional.
     Calibration,
     /// `entire.unit_costs`: JSON object that maps names to unit costs in seconds. The input
     /// `estimated_seconds` is computed from them. The names are `frame` and those in `COST_QUANTITIES` of

@@ -5,8 +5,8 @@
 //! selects the curve. Below 0.01 the curve is linear on both sides of the midpoint. From 0.01 on, the
 //! position is first moved away from the midpoint, towards the nearer node, by the power 1 + 10·sharpness;
 //! the value there follows a cubic Hermite curve whose end slopes are (1 − sharpness) times the rise. Above
-//! 0.99, colors are a step at the midpoint; opacity keeps the curve, as in VTK's two classes. Every table
-//! entry agrees with VTK 9.7 within 1e-6.
+//! 0.99, colors change in one step at the midpoint; opacity follows the curve, as in VTK's two classes. Every
+//! table entry agrees with VTK 9.7 within 1e-6.
 
 use super::transfer::{TABLE_LEN, TransferTable, ramp};
 use crate::Result;
@@ -22,7 +22,8 @@ pub struct Node<V> {
     pub value: V,
     /// Position between this node and the next at which the value is half way, in [0, 1]; 0.5 is the middle.
     pub midpoint: f64,
-    /// Steepness of the change, in [0, 1]: 0 linear, 1 nearly a step. A color is a step above 0.99.
+    /// Steepness of the change, in [0, 1]: 0 linear, 1 nearly a step. With a sharpness above 0.99, a color
+    /// changes in one step at the midpoint; opacity follows the curve.
     pub sharpness: f64,
 }
 
@@ -112,8 +113,8 @@ fn check_nodes<V: Copy>(what: &str, nodes: &[Node<V>], channels: impl Fn(V) -> [
     Ok(())
 }
 
-/// Value of the function at `x`; `next` is the index of the first node at or after `x`. With `steps`, a
-/// sharpness above 0.99 is a step.
+/// Value of the function at `x`; `next` is the index of the first node at or after `x`. If `steps` is
+/// true, a sharpness above 0.99 means one step at the midpoint.
 fn evaluate<V: Copy>(
     nodes: &[Node<V>],
     next: usize,

@@ -19,8 +19,8 @@ const REST: Duration = Duration::from_millis(150);
 /// Interval between updates of a progress display.
 const SHOW_EVERY: Duration = Duration::from_millis(250);
 
-/// Share of the target for which a slice is planned. The remainder is for slices that take longer than
-/// expected.
+/// Planned time of a slice of work between frames, as a share of the target frame time. The remainder is for
+/// slices that take longer than expected.
 const SLICE_SHARE: f64 = 0.75;
 
 impl App {

@@ -113,7 +113,8 @@ pub(crate) fn utf8(word: &OsStr) -> Result<String> {
 pub struct Places {
     /// Folder of the database in which the planner and the workers keep their journals, orders and results.
     pub state: PathBuf,
-    /// Command line of this program: an executable file, then arguments. `farm-worker` runs the worker.
+    /// Command line of this program: an executable file, then arguments. With the argument
+    /// `farm-worker` appended, it runs the worker.
     pub program: Vec<OsString>,
 }
 

@@ -9,7 +9,8 @@ use entire_steer::calibrate::Picture;
 use std::path::Path;
 
 /// The columns, in any order: a name of the view; the ray step as a multiple of the finest one; pixels
-/// between neighboring rays along each side; seconds by any clock; the error, 0 for an equal picture.
+/// between neighboring rays along each side; seconds by any clock; the error, 0 for a picture that equals the
+/// full-quality picture.
 const PICTURE_COLUMNS: [&str; 5] = ["scene", "step", "image_sample_distance", "seconds", "error"];
 
 /// Reads a table of compared pictures. A file whose name ends in `.gz` is decompressed.

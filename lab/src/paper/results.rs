@@ -73,7 +73,7 @@ pub(super) const ORBIT_CHART: &str = "orbit";
 /// Name of the chart of the orbit with random transfer functions, with a curve per volume.
 pub(super) const DRAWN_CHART: &str = "orbit, drawn transfer functions";
 pub(super) const MEASURED: &str = "measured";
-/// Quantity along x of curves with a point per frame.
+/// Label of the x axis of charts that draw one point per frame.
 pub(super) const SORTED: &str = "frames, by their measured time";
 
 /// The percentiles of a box in a chart, by name.

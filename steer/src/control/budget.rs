@@ -117,8 +117,8 @@ impl FrameBudget {
             }
             (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
         }
-        // All passes of this object are counted in the sum with the object's newest mean. The next frame's
-        // shares are computed from the sum.
+        // In the sum of seconds at full quality, each pass of this object counts as the object's newest mean.
+        // The next frame's shares are computed from the sum.
         self.full[1] -= pass.passes as f32 * pass.mean;
         if full.is_finite() && full > 0.0 {
             pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST * (full - pass.mean) } else { full };

@@ -38,7 +38,7 @@ pub(super) struct Coarsening {
     /// stays 1 without a quality law.
     largest: (f32, f32),
     quality: Option<Quality>,
-    /// Number of image sample distances over 1 pixel.
+    /// Number of levels whose image sample distance is greater than 1 pixel.
     levels: usize,
     /// Image sample distance of each level, in pixels, ascending from 1.
     distances: [f64; LEVELS],

@@ -45,8 +45,8 @@ pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
 }
 
 /// Returns the [typical costs](typical_costs) of the renderer that drew the frames of all tables. For
-/// renderers of several kinds, returns the costs of a software renderer. This renderer converts stored values
-/// unless the project's raycaster drew all frames.
+/// renderers of several kinds, returns the costs of a software renderer: with a cost for the conversion of
+/// stored values, or without it if the project's raycaster drew all frames.
 pub fn typical_costs_of<'a>(tables: impl IntoIterator<Item = &'a Table>) -> UnitCosts {
     let of = |table: &Table| {
         let manifest = table.manifest.as_ref();

@@ -176,9 +176,9 @@ impl Mlp {
             Storage::Bf16 if !INT8 => walk!(panel_row, AsBf16),
             _ if !INT8 => {}
             _ => {
-                // The bytes of `q` from `filled` on are multiplied by weights that are zero.
-                // SAFETY: the caller guarantees that `x` and `q` hold the layer's padded inputs, which are at
-                // least `filled`.
+                // The bytes of `q` at index `filled` and above are multiplied by weights that are zero.
+                // SAFETY: the caller guarantees that `x` and `q` have room for `layer.inputs` elements, the
+                // padded number of inputs. It is at least `filled`.
                 let range = unsafe { quantize(simd, x, layer.filled, q) };
                 walk!(panel_row_int8, range);
             }

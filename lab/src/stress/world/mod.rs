@@ -40,8 +40,8 @@ pub(crate) struct Machine<'a> {
 /// Factor on image sides on a real renderer, so that frame times are long enough to be measured.
 const GROWN: u32 = 4;
 
-/// Scenes that can be played on a real renderer. The images of scene 12 are too large for a software driver;
-/// scene 28 draws nothing.
+/// The scenes of this module that can be played on a real renderer: all except 12, whose images are too large
+/// for a software driver, and 28, which draws nothing. The scenes of other modules have no geometry.
 pub(crate) const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 
 impl Machine<'_> {
