@@ -81,15 +81,12 @@ RENAMED = {
     "a_volume_of_bricks_costs_the_same_in_any_unit": "any_other_unit_changes_rounding_alone",
     "cell_bounds_are_those_of_their_voxels_and_the_next":
         "every_type_range_and_layout_is_summarized_as_defined",
-    "every_volume_format_renders_the_same_picture": "every_fixture_is_read_as_independent_readers_read_it",
     "commands_of_other_programs_never_see_a_panic":
         "arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for",
     "a_refused_collection_leaves_no_table": "frames_of_a_pass_survive_an_error_with_the_manifest",
     "two_drivers_do_not_work_on_one_database": "whole_lines_are_read_back_and_a_torn_one_is_cut_off",
-    "order_of_volumes_changes_numbers_but_no_scene": "a_scene_depends_on_seed_volume_and_index_alone",
     "warm_up_repeats_are_rendered_before_every_frame_and_not_timed":
         "ctrl_c_keeps_finished_frames_and_resuming_completes_them",
-    "what_a_recipe_cannot_take_is_said_before_anything_is_computed": "what_cannot_be_done_is_said",
     "hostile_models_predict_positive_seconds_or_are_refused":
         "times_that_are_not_positive_are_the_shortest_one_and_not_trusted",
     "a_second_writer_of_a_table_is_refused_and_ruins_nothing": "a_table_has_one_writer_at_a_time",
@@ -98,7 +95,7 @@ RENAMED = {
     "sizes_are_checked_in_wide_arithmetic": "lies_are_named_with_what_was_expected_and_found",
     "likeness_is_one_for_equal_pictures_and_falls": "sizes_and_likeness_are_those_of_the_image_crates",
     "below_a_file": "files_that_cannot_be_written_are_named",
-    "in_a_read_only_folder": "a_file_is_written_whole_and_nothing_is_left_beside_it",
+    "in_a_read_only_folder": "files_that_cannot_be_written_are_named",
     "times_that_no_frame_takes_are_refused": "bad_input_is_refused_with_a_reason",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.

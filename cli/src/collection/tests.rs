@@ -61,29 +61,29 @@ fn stop_after(calls: Option<u32>) -> impl Fn() -> bool {
     }
 }
 
-fn run_until(path: &Path, renders: Option<u32>) -> Outcome {
+fn run_until(path: &Path, renders: Option<u32>, jobs: &[Job]) -> Outcome {
     let mut table = Writer::resume(path, 3).unwrap();
     let mut renderer = ScriptedRenderer::default();
-    let (jobs, stop, bar) = (some_jobs(), stop_after(renders), ProgressBar::hidden());
-    collect(&jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &bar).unwrap()
+    let (stop, bar) = (stop_after(renders), ProgressBar::hidden());
+    collect(jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &bar).unwrap()
 }
 
 #[test]
 fn stopping_anywhere_and_resuming_gives_the_same_table() {
     let dir = tempfile::tempdir().unwrap();
     let whole = dir.path().join("whole.csv");
-    let outcome = run_until(&whole, None);
+    let outcome = run_until(&whole, None, &some_jobs());
     assert_eq!(outcome, Outcome { done: 8, total: 8, discarded: 4, interrupted: false });
     let expected = without_times(&whole);
     assert_eq!(expected.len(), 1 + 8 * 3);
     for stop_after in 0..28 {
         let path = dir.path().join(format!("{stop_after}.csv"));
-        let first = run_until(&path, Some(stop_after));
+        let first = run_until(&path, Some(stop_after), &some_jobs());
         assert!(first.interrupted, "{stop_after}");
         // A partial frame is not in the table. The first frame of a volume is partial until it was rendered
         // five times (two warm-ups, three repeats).
         assert_eq!(Table::read(&path, 0).map(|t| t.frames.len() as u64).unwrap(), first.done);
-        let second = run_until(&path, None);
+        let second = run_until(&path, None, &some_jobs());
         assert!(!second.interrupted && second.done == 8);
         assert_eq!(without_times(&path), expected, "{stop_after}");
     }
@@ -135,6 +135,21 @@ fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere
         assert!(!run(&out, 1000).interrupted);
         assert_eq!(without_times(&out), expected, "{stop_after}");
     }
+}
+
+#[test]
+fn order_of_volumes_changes_numbers_but_no_scene() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a.csv"), dir.path().join("b.csv"));
+    run_until(&a, None, &some_jobs());
+    run_until(&b, None, &some_jobs().into_iter().rev().collect::<Vec<_>>());
+    let sorted = |p: &Path| {
+        let mut rows: Vec<String> =
+            without_times(p).into_iter().map(|l| l.split_once(',').unwrap().1.to_owned()).collect();
+        rows.sort();
+        rows
+    };
+    assert_eq!(sorted(&a), sorted(&b));
 }
 
 #[test]

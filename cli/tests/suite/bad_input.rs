@@ -332,4 +332,22 @@ fn files_that_cannot_be_written_are_named() {
         refuses(at, &arguments, &[expected]);
     }
     assert_eq!(std::fs::read(at.join("file")).unwrap(), b"x");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let locked = at.join("locked");
+        std::fs::create_dir(&locked).unwrap();
+        std::fs::set_permissions(&locked, std::fs::Permissions::from_mode(0o555)).unwrap();
+        // The superuser may write there.
+        if std::fs::write(locked.join("probe"), "").is_ok() {
+            return;
+        }
+        for arguments in [
+            words("collect ball.nrrd --frames 4 --device cpu --out locked/u.csv"),
+            render("ball.nrrd", "0,0,2", TF, "8x8", &["--out", "locked/o.png"]),
+        ] {
+            refuses(at, &arguments, &["cannot write locked/"]);
+        }
+        assert_eq!(std::fs::read_dir(&locked).unwrap().count(), 0);
+    }
 }

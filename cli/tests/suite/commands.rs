@@ -1,8 +1,9 @@
 //! `render`, `predict` and `encode` as other programs call them.
 
 use crate::support::*;
+use std::io::Write;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 fn selu(x: f64) -> f64 {
     let (scale, alpha) = (1.0507009873554805, 1.6732632423543772);
@@ -57,12 +58,16 @@ fn predict_reads_standard_input_with_blanks_and_other_line_ends() {
     let table = std::fs::read_to_string(folder.path().join("rows.csv")).unwrap();
     let expected =
         succeeds(folder.path(), &["predict", "--model", "pred.safetensors", "--inputs", "rows.csv"]);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_entire"))
+        .args(words("predict --model pred.safetensors --inputs -"))
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
     let other = table.replace(',', " , ").replace('\n', "\r\n");
-    std::fs::write(folder.path().join("other.csv"), other).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
-    command.args(words("predict --model pred.safetensors --inputs -")).current_dir(folder.path());
-    let input = std::fs::File::open(folder.path().join("other.csv")).unwrap();
-    let output = command.stdin(input).output().unwrap();
+    child.stdin.take().unwrap().write_all(other.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
     assert!(output.status.success());
     assert_eq!(stdout(&output), expected);
 }
@@ -232,6 +237,23 @@ fn probe_prints_the_machine_in_five_numbers() {
         let output = entire(folder.path(), &["probe", "--frame-ms", bad]);
         assert_eq!(output.status.code(), Some(2), "{bad}");
     }
+}
+
+#[test]
+fn every_volume_format_renders_the_same_picture() {
+    let folder = workshop();
+    let mut pictures = Vec::new();
+    for name in words(
+        "pynrrd_gzip_int16_little.nrrd pynrrd_detached_int16_little.nhdr itk_msb_int16_big.mha \
+         vtk_binary-zlib_int16_little.vti nibabel_gz_int16_little.nii.gz raw_5x7x11_int16_big.raw \
+         raw_5x7x11_int16_little.json",
+    ) {
+        let path = fixture(name);
+        succeeds(folder.path(), &render(path.to_str().unwrap(), "30,50,2", "0.5,0.2,0.3", "24x24", &[]));
+        pictures.push(picture(&folder.path().join("out.png")));
+    }
+    assert!(pictures[0].2.iter().any(|&v| v > 20));
+    assert!(pictures.iter().all(|p| *p == pictures[0]));
 }
 
 #[test]

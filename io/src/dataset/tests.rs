@@ -309,12 +309,18 @@ fn manifests_keep_unknown_keys_and_refuse_other_formats() {
     assert_eq!(Manifest::read(&table).unwrap(), None);
     let mut manifest = Manifest {
         format: MANIFEST_FORMAT.into(),
+        created: "2020-01-02T03:04:05Z".into(),
+        machine: "host".into(),
+        renderer: "cpu".into(),
         device: "twin".into(),
+        driver: "none".into(),
+        commit: "0.1.0".into(),
         seed: u64::MAX,
         repeats: 3,
+        step_reference: STEP_REFERENCE.into(),
         settings: serde_json::json!({"frames": 10}),
+        files: BTreeMap::new(),
         other: BTreeMap::from([("weather".to_owned(), serde_json::json!("fine"))]),
-        ..Manifest::default()
     };
     manifest.write(&table).unwrap();
     assert_eq!(Manifest::read(&table).unwrap(), Some(manifest.clone()));

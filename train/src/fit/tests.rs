@@ -165,6 +165,22 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
 }
 
 #[test]
+fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
+    let frames = tables_of_no_volume(3);
+    let frames: Vec<&TimedFrame> = frames.iter().collect();
+    let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0] };
+    // The volume does not exist, so any attempt to compute fails with another error.
+    let says =
+        |recipe: Recipe| in_context(|context| format!("{:#}", recipe.make(context, part, part).unwrap_err()));
+    let residual = Recipe { kind: Kind::Residual, ..Recipe::default() };
+    let inputs = vec!["scene_features".into(), "camera".into()];
+    assert!(says(Recipe { inputs, ..residual.clone() }).contains("takes scene_features alone"));
+    assert!(says(Recipe { loss: "cosine".into(), ..residual.clone() }).contains("huber:DELTA"));
+    assert!(says(Recipe { scene_features: vec!["warp".into()], ..residual.clone() }).contains("warp"));
+    assert!(says(residual).contains("nowhere.nrrd"));
+}
+
+#[test]
 fn an_ensemble_says_how_each_of_its_networks_ended() {
     let frames = tables_of_no_volume(6);
     let frames: Vec<&TimedFrame> = frames.iter().collect();
