@@ -208,11 +208,12 @@ pub(super) fn hide_fill(
     replace!(U8 u8, U16 u16, I16 i16, F32 f32);
     let (share, all) = (100.0 * hidden as f64 / data.len() as f64, data.len());
     Ok(if found {
+        let are = if values.len() == 1 { "is taken as a fill value" } else { "are taken as fill values" };
         let list = list(&values);
         Some(format!(
-            "{list} is taken as a fill value, since it is far from all other values ({low} to {high}): the \
-             {hidden} of {all} voxels ({share:.1} %) with this value are shown as the low end of the range. \
-             With `--fill none`, they are shown as data"
+            "{hidden} of {all} voxels ({share:.1} %) hold {list}, which {are}, far from all other values \
+             ({low} to {high}). These voxels are shown as the low end of the range. With `--fill none`, they \
+             are shown as data"
         ))
     } else if !missing.is_empty() {
         Some(format!("no voxel holds the fill value {}", list(&missing)))

@@ -382,9 +382,8 @@ impl Volume {
             warn(
                 py,
                 &format!(
-                    "{list} is taken as a fill value, since it is far from all other values ({low} to \
-                     {high}); voxels with this value count as the low end of the range. Pass fill=None if it \
-                     is data"
+                    "{list}: taken as a fill value, far from all other values ({low} to {high}). Voxels \
+                     with this value count as the low end of the range. Pass fill=None if it is data"
                 ),
             )?;
             // Fill values below the range need no copy, since they are clamped to its low end.
