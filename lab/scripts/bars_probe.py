@@ -4,9 +4,10 @@ each; exit status 1 when any is short.
 
 usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT]
 
-Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER). In each of N rounds, both programs run every measurement, in random order. The time of a
-scene is its minimum over all rounds; the time of a measurement is the mean over its scenes. A ratio is the working
-tree's time divided by REVISION's.
+Builds steer/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER). A
+revision without this example gets the working tree's calls.rs; another revision is measured by its own example. In each
+of N rounds, both programs run every measurement, in random order. The time of a scene is its minimum over all rounds;
+the time of a measurement is the mean over its scenes. A ratio is the working tree's time divided by REVISION's.
 """
 import argparse
 import pathlib
@@ -105,9 +106,10 @@ def prepare(revision, work):
         subprocess.run(["git", "worktree", "prune"], cwd=ROOT, check=True)
         subprocess.run(["git", "worktree", "add", "--detach", str(tree), commit], cwd=ROOT, check=True)
     subprocess.run(["git", "checkout", "--quiet", "--force", "--detach", commit], cwd=tree, check=True)
-    if (tree / EXAMPLE / "scene.rs").exists():
-        return tree
     to = tree / crate(tree) / "examples/probe_server"
+    own = subprocess.run(["git", "ls-files", "--error-unmatch", str(to / "scene.rs")], cwd=tree, capture_output=True)
+    if own.returncode == 0:
+        return tree
     to.mkdir(parents=True, exist_ok=True)
     for name, text in ("calls.rs", (ROOT / EXAMPLE / "calls.rs").read_text()), ("scene.rs", SCENE_BEFORE):
         (to / name).write_text(text.replace("entire_steer", f"entire_{crate(tree)}"))
