@@ -103,7 +103,11 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let rows: Vec<_> = predictors.iter().map(|p| (p.name.as_str(), &p.metrics)).collect();
     let bias = bias_table(&rows);
 
-    let of = |p: &Predictor| format!(" | #RMSE/SD, {0} | #median error %, {0}", p.name);
+    // A | in a model's file name would be read as the end of a heading.
+    let of = |p: &Predictor| {
+        let name = p.name.replace('|', "/");
+        format!(" | #RMSE/SD, {name} | #median error %, {name}")
+    };
     let columns: String = predictors.iter().map(of).collect();
     let mut by_group = Table::headed(&format!("{} | #frames{columns}", by.name()));
     if let Some(first) = predictors.first() {
