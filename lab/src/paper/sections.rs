@@ -356,7 +356,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.facts.is_empty() {
-            let what = "Results here: the models were pre-trained without any frame of the renderer, device \
+            let what = "The models were pre-trained without any frame of the renderer, device \
                         or data set in the column `target`.";
             s.tables.push((table, format!("{what}{machine}")));
         }
