@@ -162,11 +162,16 @@ def test_a_volume_is_calibrated_where_its_assembly_places_it(voxels, monkeypatch
     view, volume = one_volume(voxels, "fixed")
     assembly = put_in_assembly(view, volume)
     assembly.SetScale(0.5)
-    assembly.SetPosition(3, 2, 1)
-    seen, scene = [], entire.vtk._scene
+    assembly.SetPosition(1000, 0, 0)
+    seen, aims, scene = [], [], entire.vtk._scene
     camera = scene.camera
-    monkeypatch.setattr(
-        scene, "camera", lambda renderer, placed, grid: seen.append(placed) or camera(renderer, placed, grid)
-    )
+
+    def noted(renderer, placed, grid):
+        seen.append(placed)
+        aims.append(renderer.GetActiveCamera().GetFocalPoint()[0])
+        return camera(renderer, placed, grid)
+
+    monkeypatch.setattr(scene, "camera", noted)
     entire.vtk.calibrate(view.renderer, volume, frames=10, pictures=0)
     assert set(seen) == {scene.elements(assembly.GetMatrix())}
+    assert min(aims) > 900 and max(aims) < 1100

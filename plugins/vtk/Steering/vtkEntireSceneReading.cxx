@@ -2,7 +2,6 @@
 #include "vtkEntireSceneReading.h"
 
 #include "vtkAbstractMapper.h"
-#include "vtkAssembly.h"
 #include "vtkAssemblyNode.h"
 #include "vtkAssemblyPath.h"
 #include "vtkCamera.h"
@@ -307,13 +306,8 @@ vtkMatrix4x4* DrawnMatrix(vtkRenderer* renderer, vtkVolume* volume)
     props->InitTraversal(at);
     while (vtkProp* prop = props->GetNextProp(at))
     {
-      vtkAssembly* const assembly = vtkAssembly::SafeDownCast(prop);
-      if (!assembly)
-      {
-        continue;
-      }
-      assembly->InitPathTraversal();
-      while (vtkAssemblyPath* path = assembly->GetNextPath())
+      prop->InitPathTraversal();
+      while (vtkAssemblyPath* path = prop->GetNextPath())
       {
         vtkAssemblyNode* const node = path->GetLastNode();
         if (node->GetViewProp() == volume && node->GetMatrix())

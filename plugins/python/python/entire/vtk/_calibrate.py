@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import math
 import random
@@ -174,6 +175,14 @@ class _Calibrator:
             base = min(4096.0, max(1 / 64, finest / grid.reference))
             calibration, draw = Calibration(), random.Random(seed)
             bounds = self.volume.GetBounds()
+            if not renderer.HasViewProp(self.volume):
+                # These bounds leave out the matrix of the volume's assembly.
+                ends = mapper.GetBounds()
+                corners = [
+                    [placed[4 * a + 3] + sum(placed[4 * a + b] * at[b] for b in range(3)) for a in range(3)]
+                    for at in itertools.product(ends[:2], ends[2:4], ends[4:])
+                ]
+                bounds = [end(corner[a] for corner in corners) for a in range(3) for end in (min, max)]
             middle = [0.5 * (bounds[2 * a] + bounds[2 * a + 1]) for a in range(3)]
             radius = 0.5 * math.dist(bounds[::2], bounds[1::2])
             _mappers.write(mapper, own, base * grid.reference, 1.0)

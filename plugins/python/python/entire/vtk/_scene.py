@@ -243,8 +243,6 @@ def drawn_matrix(renderer: Any, volume: Any) -> Any:
         props = renderer.GetViewProps()
         for i in range(props.GetNumberOfItems()):
             prop = props.GetItemAsObject(i)
-            if not prop.IsA("vtkAssembly"):
-                continue
             prop.InitPathTraversal()
             for path in iter(prop.GetNextPath, None):
                 node = path.GetLastNode()
