@@ -175,3 +175,21 @@ def test_a_volume_is_calibrated_where_its_assembly_places_it(voxels, monkeypatch
     entire.vtk.calibrate(view.renderer, volume, frames=10, pictures=0)
     assert set(seen) == {scene.elements(assembly.GetMatrix())}
     assert min(aims) > 900 and max(aims) < 1100
+
+
+def test_still_frames_that_vtk_may_coarsen_are_not_observed(voxels):
+    view, volume = one_volume(voxels, "fixed")
+    steering = entire.vtk.hold(view.renderer, volume, 0.1)
+
+    def observed(adjust, rate):
+        volume.GetMapper().SetAutoAdjustSampleDistances(adjust)
+        before = len(steering.history)
+        with steering.still():
+            view.window.SetDesiredUpdateRate(rate)
+            view.window.Render()
+        assert steering.reason == "still"
+        return len(steering.history) - before
+
+    assert observed(0, 0.5) == 1
+    assert observed(1, 0.5) == 0
+    assert observed(1, 0.0001) == 1

@@ -26,6 +26,8 @@ log = logging.getLogger("entire.vtk")
 _GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
 _FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
 _NAN = math.nan
+# Desired update rate below which a mapper draws still frames at full quality, whatever its automatic adjustment.
+_FULL_QUALITY_RATE = 0.01
 # Attribute in which a volume keeps Python's wrapper of its mapper.
 _KEPT = "_entire_mapper"
 _NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
@@ -493,7 +495,7 @@ class Leaf:
             still = steering._still_frame
             self._reason = "still" if still else "off"
             self.status = "a still frame, drawn by VTK alone" if still else "steering is off"
-            if not still and own.adjust:
+            if own.adjust and not (still and window.GetDesiredUpdateRate() < _FULL_QUALITY_RATE):
                 # Such a frame is not planned or observed, since VTK's automatic adjustment makes its resolution
                 # unknown.
                 return
