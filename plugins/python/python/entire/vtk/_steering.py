@@ -420,7 +420,7 @@ class Steering:
     @property
     def history(self) -> History:
         """History : The last frames of the volume that was drawn last; ``leaves`` have the frames of the others."""
-        return self._leaf.session.history if self._leaf else self._past[0]
+        return self._last.session.history if self._last else self._past[0]
 
     def __repr__(self) -> str:
         if not self.leaves:
@@ -610,8 +610,8 @@ def hold(
     renderer : vtkRenderer
     volume : vtkVolume or sequence of vtkVolume, optional
         The volumes to hold; several share the frame time and are coarsened equally. Default: all volumes of
-        the renderer, including those that are added later. A volume that another steering holds is taken
-        over.
+        the renderer, including those that are added later; an earlier steering of all volumes of the renderer
+        ends. A volume that another steering holds is taken over.
     seconds : float, optional
         Target time of a whole frame of the window, including everything else that it draws. Default: 1
         / the window's ``DesiredUpdateRate``.
