@@ -7,7 +7,7 @@ With PyVista::
     pl.add_volume(v)
     pl.entire.hold(fps=30)
 
-With any VTK, use :func:`entire.vtk.hold`; with any other renderer, :class:`Session`. :func:`predict` predicts the
+With plain VTK, use :func:`entire.vtk.hold`; with any other renderer, :class:`Session`. :func:`predict` predicts the
 times of many views without a renderer.
 """
 

@@ -27,8 +27,8 @@ _REASONS = {
     "fits": "the finest step that is expected to meet the target and whose upper bound is within the "
     "tolerance; if no step has such a bound, the step halfway between the finest one that is expected to meet the "
     "target and the coarsest one",
-    "damped": "the step changes gradually towards the finest one that meets the target, since nothing changed abruptly",
-    "held": "the last step still meets the target and is close to the finest step that meets it",
+    "damped": "the step changes gradually towards that of 'fits', since nothing changed abruptly",
+    "held": "the last step is still expected to meet the target and is close to that of 'fits'",
     "finest allowed": "the finest allowed step is expected to meet the target",
     "target unreachable": "even the coarsest allowed step is not expected to meet the target",
     "history": "the step was chosen by the times of recent frames, since the prediction is not trusted here",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Holds the volumes of a VTK scene to a frame time, with any VTK in Python: from pip, conda, a Linux distribution or
+"""Holds the volumes of a VTK scene to a frame time, with the VTK of pip (9.3 or newer), conda, a Linux distribution or
 ParaView.
 
 ::
