@@ -60,8 +60,12 @@ fn transfer_function() -> *mut entire_transfer_function {
 ///
 /// # Safety
 /// `model` is NULL or live.
-unsafe fn session_of(model: *const entire_model, voxels: &[u8]) -> *mut entire_session {
-    let (volume, transfer) = (volume(voxels, ENTIRE_VOXELS_COPY), transfer_function());
+unsafe fn session_of(
+    model: *const entire_model,
+    voxels: &[u8],
+    ownership: entire_voxels_ownership,
+) -> *mut entire_session {
+    let (volume, transfer) = (volume(voxels, ownership), transfer_function());
     // SAFETY: `model` is NULL or live as the caller guarantees, the other handles are live, and the output
     // has room for a handle.
     unsafe {
@@ -94,7 +98,7 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
     // SAFETY: every handle below is live and used by this thread alone, and every output has room for its
     // result.
     unsafe {
-        let session = session_of(model, voxels);
+        let session = session_of(model, voxels, ENTIRE_VOXELS_BORROW);
         for i in 0..frames {
             frame.arcball[1] = 40.0 * i as f32;
             let mut plan: entire_plan = crate::abi::ByValue::defaults();
@@ -158,7 +162,7 @@ fn a_session_follows_a_volume_from_step_to_step() {
             ok(entire_session_set_time_step(session, borrowed));
             let mut found: entire_prediction = crate::abi::ByValue::defaults();
             ok(entire_session_predict(session, &raw const frame, &raw mut found));
-            let given = session_of(null(), &voxels);
+            let given = session_of(null(), &voxels, ENTIRE_VOXELS_COPY);
             let mut wanted: entire_prediction = crate::abi::ByValue::defaults();
             ok(entire_session_predict(given, &raw const frame, &raw mut wanted));
             assert_eq!(found.seconds, wanted.seconds);
@@ -177,7 +181,7 @@ fn a_session_makes_a_model_of_what_it_observes() {
     // SAFETY: every handle below is live and used by this thread alone, and every output has room for its
     // result.
     unsafe {
-        let session = session_of(null(), &voxels);
+        let session = session_of(null(), &voxels, ENTIRE_VOXELS_COPY);
         let mut model = null_mut();
         assert_eq!(entire_session_calibrate(session, &raw mut model, null_mut()), ENTIRE_NOT_READY);
         assert!(model.is_null());
@@ -281,7 +285,7 @@ fn a_plan_that_is_refused_uses_no_id() {
     // its result.
     unsafe {
         let model = made(|out| entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out));
-        let session = session_of(model, &voxels);
+        let session = session_of(model, &voxels, ENTIRE_VOXELS_COPY);
         entire_model_free(model);
         let mut frame = init(entire_frame_init);
         (frame.width, frame.height) = (32, 32);
