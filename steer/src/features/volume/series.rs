@@ -111,8 +111,8 @@ impl SummarySeries {
             let ([x, y, z], [nx, ny, nz]) = (volume.dims(), self.grid.dims);
             bail!(
                 SizeMismatch,
-                "a time step has {x} x {y} x {z} voxels, but its series has {nx} x {ny} x {nz}; make a new \
-                 volume or series for this size"
+                "a time step has {x} x {y} x {z} voxels, but the time steps before it have {nx} x {ny} x {nz}; \
+                 a time step of another size needs a new volume or series"
             );
         }
         self.check(volume)?;
@@ -182,15 +182,15 @@ impl SummarySeries {
         if found != own {
             bail!(
                 InvalidArgument,
-                "a time step has the voxel spacing {found}, but its series has {own}; give every time step \
-                 the spacing of the series"
+                "a time step has the voxel spacing {found}, but the time steps before it have {own}; \
+                 give every time step the same spacing"
             );
         }
         if volume.range() != self.map.range {
             bail!(
                 InvalidArgument,
-                "a time step has the range {:?}, but its series has {:?}; give every time step the range of \
-                 the series",
+                "a time step has the range {:?}, but the time steps before it have {:?}; give every time \
+                 step the same range",
                 volume.range(),
                 self.map.range
             );
