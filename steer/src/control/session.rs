@@ -322,7 +322,8 @@ impl Session {
             let mut at = |step| cost.at(step);
             let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
             let terms = cost.at(decision.step);
-            let drawn = self.coarsening.setting(setting, decision.step);
+            let recorded = self.recording.is_some();
+            let drawn = if recorded { self.coarsening.setting(setting, decision.step) } else { setting };
             (terms, decision, self.coarsening.take(decision.step), drawn)
         } else {
             self.begin(changes, setting)?;
