@@ -371,7 +371,11 @@ fn options() -> Options {
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
-            "--record" => found.record = arguments.next(),
+            "--record" => {
+                // Cargo appends options of its own.
+                let date = arguments.next().filter(|date| !date.starts_with('-'));
+                found.record = Some(date.expect("--record needs a date"));
+            }
             "--only" => found.only = arguments.next().unwrap_or_default(),
             "--calls" => found.calls = arguments.next().and_then(|n| n.parse().ok()).unwrap_or(found.calls),
             _ => {}
