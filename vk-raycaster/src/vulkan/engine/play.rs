@@ -203,8 +203,9 @@ fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
 
 type Access = (vk::PipelineStageFlags, vk::AccessFlags);
 
-/// Layout of an image while copies fill it, and the access of these copies.
+/// Layout of an image while copies fill it.
 const FILLED: vk::ImageLayout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+/// Access of these copies.
 const WRITTEN: Access = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
 
 fn barrier_masks(hazard: Hazard) -> (Access, Access) {
