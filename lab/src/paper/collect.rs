@@ -85,7 +85,8 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
     let (least, most) = (f64::from(protocol.scenes.min_size), f64::from(protocol.scenes.max_size));
     let side = (least * most).sqrt().round() as u32;
     let count = paper.frames.varied;
-    // The frame numbers are larger than those of any table, so that no model was trained on these frames.
+    // The scenes' indices are larger than those of all random frames, so that no model was trained on these
+    // scenes.
     let drawn = |job: usize, index: u64| protocol.scene(&place.jobs[job], [1; 3], 1_000_000 + index);
     let base = Scene { width: side, height: side, ..drawn(middle, 0) };
     let mut out = Vec::new();

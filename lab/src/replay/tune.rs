@@ -88,7 +88,8 @@ pub(crate) struct Removed {
     pub(crate) standard_error: f64,
 }
 
-/// Effect of each constant: the paths' cost without it, with the others unchanged.
+/// Effect of each constant of [`WITHOUT`]: the paths' cost without its effect, compared with the costs `now`.
+/// The other constants stay unchanged.
 pub(crate) fn removed(
     courses: &[Course<'_>],
     paths: usize,
@@ -197,7 +198,8 @@ impl<'a> Course<'a> {
         Self { recorded, calibrated, trials }
     }
 
-    /// True if no target is met by an allowed step in half of the path's frames.
+    /// True if the path has no useful target (a target that some allowed step meets exactly in at least half
+    /// of its frames).
     pub(crate) fn is_empty(&self) -> bool {
         self.trials[0].is_empty()
     }
