@@ -130,8 +130,8 @@ impl Planner {
     }
 
     /// Returns the seconds by which loading and dispatch delay the end. `plain`: seconds until the end of a
-    /// queue without them. Simulates the plan with expected times, or estimates the delay for more than
-    /// [`PLAYED`] tasks.
+    /// queue without loading and dispatch. Simulates the plan with expected times; with more than [`PLAYED`]
+    /// tasks, only estimates the delay.
     fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
         if all == 0 {
             return 0.0;

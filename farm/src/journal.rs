@@ -87,7 +87,7 @@ fn read(file: &File, each: &mut dyn FnMut(Entry) -> Result<()>) -> Result<u64> {
                  file"
             )
         })?;
-        // The answer itself may lack the expected seconds.
+        // The answer may lack the expected seconds; the entry has them.
         if let Entry::Done { answer, predicted_s } = &mut entry {
             answer.predicted_s = *predicted_s;
         }

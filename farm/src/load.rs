@@ -1,5 +1,6 @@
-//! Loading times of volumes: an affine function of the volume's size, one for a node's first reading (cold)
-//! and one for later readings (warm), combined with the measured times of each volume.
+//! Loading times of volumes: means of an affine function of the volume's size and of the measured times of
+//! the volume. One such function holds for a node's first reading of a volume (cold), another one for later
+//! readings (warm).
 
 /// Assumed rates of loading before any measurement, cold and warm, bytes per second.
 const BEFORE: [f64; 2] = [200e6, 1000e6];

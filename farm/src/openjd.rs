@@ -28,7 +28,8 @@ pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize, limit: Option<f64>)
     let (mut sum, mut volume) = (f64::INFINITY, usize::MAX);
     for task in sorted {
         let seconds = planner.expected(task);
-        // Starts a new bundle if the time of the current bundle is closer to the target without this task.
+        // A new bundle begins at another volume, or if the time of the current bundle is closer to `target`
+        // without this task than with it.
         if sum + 0.5 * seconds > target || shape.volume(task as usize) != volume {
             out.push(Vec::new());
             (sum, volume) = (0.0, shape.volume(task as usize));

@@ -205,7 +205,7 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
     let replay =
         |order: &[usize]| queue_end(&order.iter().map(|i| seconds[*i]).collect::<Vec<_>>(), &busy, &speeds);
     let mut order: Vec<usize> = (0..tasks.len()).collect();
-    // Without predictions no order is better than another, so this is the mean of 32 random orders.
+    // Without predictions no order is better than another, so `any` is the mean of 32 random orders.
     let any: f64 = (0..32u64)
         .map(|seed| {
             let mut order = order.clone();

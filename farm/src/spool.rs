@@ -67,7 +67,8 @@ impl Spool {
         self.open.keys().copied()
     }
 
-    /// Returns the lines that were added since the last call. A file is read up to the bundle's end.
+    /// Returns the lines that were added since the last call. Once a bundle has ended, its file is not read
+    /// again.
     pub(crate) fn poll(&mut self) -> Result<Vec<Event>> {
         let mut out = Vec::new();
         let mut ended = Vec::new();

@@ -31,9 +31,9 @@ use std::time::{Duration, Instant};
 /// Default ray steps of the grid, reference steps: half octaves over the default limits.
 pub(crate) const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
 
-/// Smaller images of every frame at the reference step, each given by s if it has 1 / s of the pixels: half
-/// octaves as for the steps up to 16; then up to 100, which is image sample distance 10, the largest of VTK's
-/// fixed-point mapper.
+/// Smaller images of every frame at the reference step, each given by a number s: the image has 1 / s of the
+/// pixels. Up to 16, the numbers are those of [`TRACE_STEPS`]. The last one, 100, corresponds to image sample
+/// distance 10, the largest of VTK's fixed-point mapper.
 pub(crate) const TRACE_IMAGES: [f32; 11] = [1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0, 32.0, 64.0, 100.0];
 
 /// Image scales of every fourth frame, at the steps of [`SCALED_STEPS`], for the quality law.

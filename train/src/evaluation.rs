@@ -18,8 +18,8 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// Share of each volume's frames whose mean time is the prediction of the constant baseline (Bruder et al.
-/// 2022).
+/// Share of the frames of each volume that the constant baseline averages to predict their time (Bruder et
+/// al. 2022).
 pub const PROBE_SHARE: f64 = 0.15;
 
 /// Warm time of one prediction, in one thread.

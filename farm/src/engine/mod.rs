@@ -45,8 +45,8 @@ impl Bundle {
 pub enum Event {
     /// A line that a worker wrote: the number of its bundle, and the line.
     Line(u64, Line),
-    /// A bundle was lost with its worker, or refused: its number, and the reason (empty if this is no
-    /// failure).
+    /// A bundle was lost with its worker, or refused: its number, and the reason (empty if the loss does not
+    /// count as a failure).
     Lost(u64, String),
     /// A slot has a new worker, which holds no volume.
     Fresh(usize),

@@ -290,7 +290,8 @@ impl Engine for Slurm {
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
         for bundle in bundles {
             let number = bundle.number;
-            // If sbatch has refused a bundle, the others wait for the next query too.
+            // After a refusal by sbatch, further bundles are not submitted. With the refused bundle, they
+            // count as lost at the next query.
             if !self.refused.is_empty() {
                 self.refused.push((number, String::new()));
                 continue;

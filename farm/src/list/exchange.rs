@@ -15,10 +15,10 @@ struct Change {
     longest: f64,
 }
 
-/// In each round, moves a task from the node that ends last to another node, or exchanges two tasks of these
-/// nodes: the change after which the later of the two nodes' ends is earliest. Stops when no change helps, or
-/// after 40 rounds per node. The makespan for `times` never grows. A round takes O(tasks of the node that
-/// ends last · nodes · log tasks).
+/// In each round, makes one change: the node that ends last gives a task to another node, and may take a task
+/// of that node in exchange. Of all such changes, chooses the one after which the later of the two nodes'
+/// ends is earliest. Stops when no change helps, or after 40 rounds per node. The makespan for `times` never
+/// grows. A round takes O(tasks of the node that ends last · nodes · log tasks).
 ///
 /// After assignment by longest processing time first, the ends of the nodes differ by about the time of one
 /// short task. With few tasks per node, that is several percent; exchanges remove this difference. Errors of

@@ -121,8 +121,8 @@ fn foretold(pools: &[(String, Vec<Task>)]) -> Result<(f64, f64)> {
     Ok((median(&mut errors).context("no runs")?, f64::from(hits) / RUNS as f64))
 }
 
-/// Plans a job of 10⁶ tasks. Returns the seconds from reading the job file to the first bundle, the seconds to the
-/// last bundle, and the peak memory of the process in GB.
+/// Plans a job of 10⁶ tasks. Returns the seconds from reading the job file to the first bundle, the seconds
+/// from reading it to the last bundle, and the peak memory of the process in GB.
 fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let volumes = folder.join("volumes");
     entire_io::files::make_folder(&volumes)?;

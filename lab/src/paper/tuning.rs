@@ -154,8 +154,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
     }
     for Found { name, first, last, set } in &others {
-        // Of a table of another machine, only frames of the pre-training data sets are used, so that only the
-        // machine differs from that of the pre-training.
+        // Of a table of another machine, only frames of the pre-training data sets are used. Then the machine
+        // is the only difference from the pre-training.
         let known = |f: &TimedFrame| {
             Path::new(&f.scene.volume).iter().any(|part| pretrained_on.iter().any(|s| part == *s))
         };

@@ -66,7 +66,8 @@ impl Place {
         Ok(Some(Self { set: set.clone(), root, jobs, splits }))
     }
 
-    /// Number of frames of a volume: a training volume's if a split trains on it, else a held-out volume's.
+    /// Number of frames of a volume: the number for training volumes if a split trains on it, else the number
+    /// for held-out volumes.
     pub(crate) fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
         let name = job.name();
         let learned = self.splits.iter().any(|s| s.training.contains(&name));

@@ -8,9 +8,9 @@ use entire_steer::calibrate::{Picture, fit_quality};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Fits the quality law to every second trace, and tests it on the traces of other volumes. Returns a sentence with the
-/// mean structural similarity of the settings that each rule picks among those that meet the target; `None` if the law
-/// cannot be fitted or no frame has a choice.
+/// Fits the quality law to every second trace, and tests it on the traces of other volumes. Returns a
+/// sentence with the mean structural similarity of three choices among the settings that meet the target: by
+/// the law, by the step alone, and the best choice. `None` if the law cannot be fitted or no frame counts.
 pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<String> {
     let fitted: BTreeSet<&Path> =
         traces.iter().step_by(2).flat_map(|t| &t.trace.volumes).map(|v| v.file.as_path()).collect();

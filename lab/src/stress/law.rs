@@ -1,5 +1,5 @@
-//! Scenes on a scripted clock: a frame takes speed · (fixed + work · step^−0.9) seconds. The script sets
-//! speed, fixed and work of every frame ([`Shot`]).
+//! Scenes on a scripted clock: without noise, a frame takes speed · (fixed + work · step^−0.9) seconds. The
+//! script sets speed, fixed and work of every frame ([`Shot`]).
 
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
@@ -253,7 +253,7 @@ pub(crate) fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Ve
                 9 => Heard::Other(f64::NAN),
                 12 => Heard::Other(1e9),
                 15 => Heard::Other(f64::INFINITY),
-                // The value of a counter overflow: far too long, but possible.
+                // The overflow of a 32-bit counter of nanoseconds: far too long, but possible.
                 18 => Heard::Other(4.29),
                 20 => Heard::Nothing,
                 _ if i % 4 == 0 => Heard::Late(3),
@@ -381,7 +381,8 @@ fn paging(method: ControllerKind) -> Verdict {
             seen.iter().enumerate().filter(|(i, s)| s.part == part && *i >= skip).map(|(_, s)| s).collect();
         frames.iter().filter(|s| f(s)).count() as f64 / frames.len() as f64
     };
-    // A frame over 1.1 T counts as missed even if only the coarsest step would have met the target.
+    // A frame that takes over 1.1 times the target counts as missed even if only the coarsest step meets the
+    // target.
     let over = |s: &Seen| s.seconds > 1.1 * s.target;
     let (inside, outside) = (share(1, 0, &over), share(0, 0, &over));
     broken.extend((inside > 0.45).then(|| format!("{:.0} % of a burst's frames over 1.1 T", 100.0 * inside)));

@@ -66,7 +66,7 @@ pub(crate) struct Seen {
     /// True seconds without noise.
     pub(crate) clean: f64,
     pub(crate) step: f64,
-    /// The step that meets the target, clamped to the limits.
+    /// The finest step that meets the target without noise, clamped to the limits.
     pub(crate) oracle: f64,
     /// True if the coarsest step meets the target.
     pub(crate) feasible: bool,
@@ -90,7 +90,8 @@ pub(crate) struct Limits {
     pub(crate) run: usize,
     /// Lower limit of the mean of the oracle's step divided by the chosen step.
     pub(crate) quality: f64,
-    /// Lower limit of the share of first frames after a change within their upper bound, if they have one.
+    /// Lower limit of the share of first frames after a change that take no more than their upper bound.
+    /// First frames without an upper bound do not count.
     pub(crate) inside: f64,
 }
 

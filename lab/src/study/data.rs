@@ -8,9 +8,9 @@ use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use std::ops::Range;
 
-/// Minimum number of ensemble members for validation by a tenth of them rather than by a tenth of the volumes. With
-/// fewer members, a single one holds far more than a tenth of the training frames, and the loss of training data would
-/// outweigh the better stopping criterion. The test frames are of other members in any case.
+/// Minimum number of ensemble members at which a tenth of the members is for validation; with fewer members,
+/// it is a tenth of the volumes. A single one of few members holds far more than a tenth of the training
+/// frames, and the loss of training data would outweigh the better stopping criterion.
 pub(super) const MEMBERS: usize = 10;
 
 /// A set's tables in memory, with their roles.

@@ -57,7 +57,7 @@ impl Intervals {
 pub(crate) struct Fit {
     pub(crate) set: String,
     pub(crate) predictor: String,
-    /// Errors on its training frames.
+    /// Errors on the training frames of the training tables.
     pub(crate) seen: Metrics,
     pub(crate) seen_intervals: Option<Intervals>,
     /// Errors in cross-validation: on frames of ensemble members that the predictor was trained without.

@@ -18,7 +18,7 @@ pub(super) const PALETTE: [(u32, u32); 11] = [
     (0x111111, 0xf2f2f2),
 ];
 
-/// Dashes of lines (dash and gap, pixels) for print: solid for first and last color, different for others.
+/// Dashes of lines for print, by color: lengths of dashes and gaps in turn, pixels. Empty for a solid line.
 pub(super) const DASHES: [&[u32]; 11] = [
     &[],
     &[7, 3],

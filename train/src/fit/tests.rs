@@ -104,8 +104,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         assert_eq!(layout.probe_side(), 5);
         let mut predictor = load(&model).unwrap();
         let factor = PredNet::new(&ratio).unwrap();
-        // The training range contains images with 3 to 50 pixels, so that most images are outside it, and
-        // chords of 12 to 13.
+        // The training range has images with 3 to 50 pixels, and chords of 12 to 13. Most images are outside
+        // of this range.
         let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
         InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
         let limited = file.to_model().unwrap();
@@ -138,8 +138,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
             let expected =
                 costs.time(&work_of(counts)) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
-            // The expected time is far above the shortest time that a network predicts. At that time, all
-            // predictions would be equal.
+            // The expected time must be far above the lower limit of a network's predictions: at this limit,
+            // all predictions would be equal.
             assert!((1e-4..1e4).contains(&expected), "{expected}");
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
             let mut row = vec![0.0; layout.width()];
