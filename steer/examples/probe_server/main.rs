@@ -1,5 +1,5 @@
-//! Server for the probe's benchmark, so that two builds of the crate can be timed alternately: reads lines
-//! `NAME`, and answers each with a line `@@{"seconds": […]}`, one number per scene or call.
+//! Server for the probe's benchmark, which times two builds of the crate alternately. Reads lines `NAME`, and
+//! answers each with a line `@@{"seconds": […]}`, one number per scene or call.
 //!
 //! [`calls`] uses only functions common to several versions of the crate; [`scene`] and the functions below
 //! depend on this version.
@@ -13,8 +13,8 @@ use entire_core::kernels::Executor;
 use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::hint::black_box;
 
-/// Seconds of a time step of a series with an unchanged volume. With `same`, all voxels are compared; with
-/// `box`, only a given box of 64³ voxels is scanned.
+/// Returns the seconds in which a series is updated by a time step with the same voxels. If `what` is `same`,
+/// all voxels are compared; if it is `box`, only a given box of 64³ voxels is scanned.
 fn time_step(view: &VolumeView<'_>, what: &str) -> Option<f64> {
     let planes = view.shape().dims[2];
     let mut series = SummarySeries::new(view).expect("a series");

@@ -95,7 +95,7 @@ pub(crate) struct Correction {
     /// clipping. Earlier frames then do not predict the next one.
     pub(crate) jumped: bool,
     observations: u64,
-    /// Number of frames since the scene began.
+    /// Number of frames of the scene so far, including the present frame.
     age: u64,
     prior: Prior,
     constants: CorrectionConstants,
@@ -222,12 +222,12 @@ impl Correction {
         core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// True from the fifth frame of a scene on: [`SETTLED`] frames have passed since its first.
+    /// True from the fifth frame of a scene on, when [`SETTLED`] frames lie between the first frame and the
+    /// present one.
     pub(crate) fn settled(&self) -> bool {
         self.age > SETTLED + 1
     }
 
-    /// True if a load is in progress.
     fn loaded(&self) -> bool {
         self.load != 0.0
     }

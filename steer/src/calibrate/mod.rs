@@ -55,7 +55,7 @@ pub enum HeldOut {
     /// Transfer functions: the errors are those expected for the same volumes under transfer functions that
     /// were not timed.
     TransferFunctions = 2,
-    /// Time intervals: the errors are those expected for views of the same scenes that were not timed.
+    /// Time intervals: the errors are those expected for the same scenes in views that were not timed.
     Stretches = 3,
 }
 
@@ -113,7 +113,8 @@ impl Calibration {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
-    /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
+    /// [`crate::ErrorKind::Unsupported`] for a prior that is not an analytic model,
+    /// [`crate::ErrorKind::OutOfMemory`].
     pub fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
         if !KEPT_FRAMES.contains(&frames) {
             bail!(

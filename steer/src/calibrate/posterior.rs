@@ -78,7 +78,7 @@ impl PriorModel {
     /// costs of this kind of renderer.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Unsupported`] for other models.
+    /// [`crate::ErrorKind::Unsupported`] for a model that is not analytic.
     pub fn new(files: &[ModelFile], typical: &UnitCosts) -> Result<Self> {
         if files.is_empty() {
             return Ok(Self::typical(typical));

@@ -84,7 +84,7 @@ impl Coarsening {
         let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / LN_RATIO + 1.0e-6) as usize;
         let (distance, step_alone) = self.largest;
         let first = if self.quality.is_some() { 1 } else { powers(step_alone) / 2 };
-        // The first level is one that the largest distance allows.
+        // The distance of the first level must not exceed the largest distance.
         let first = first.min(powers(distance)).max(1);
         self.levels = (powers(distance) + 1).saturating_sub(first).min(LEVELS - 1);
         self.from[0] = 0.0;

@@ -4,9 +4,9 @@ crate::adapt::constants! {
     /// Constants of [`Hybrid`](super::Hybrid). The defaults come from a search over recorded paths
     /// (`entire-lab tune`); callers need not set any.
     HybridConstants {
-        /// Largest ln(step / finest allowed step), for the finest step whose bound is within the tolerance,
-        /// at which the finest allowed step is drawn instead, if it is expected to meet the target. The
-        /// coarser step would save little time and lose full quality.
+        /// Limit of ln(s / f), where s is the finest step whose bound is within the tolerance, and f is the
+        /// finest allowed step. Up to this limit, f is drawn instead of s if f is expected to meet the
+        /// target, because s would save little time and lose full quality.
         full = 0.4,
         /// Largest change of the step in a calm frame, in ln(step). It limits changes to a finer step, except
         /// to the finest allowed step. It limits a change to a coarser step only if the limited step is

@@ -26,8 +26,9 @@ const DEFAULT_TOLERANCE: f32 = 0.1;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
     /// Miss rate: share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by
-    /// default. The share of undisturbed frames over (1 + `tolerance`) × target is smaller, since many bounds
-    /// are below that limit. The miss rate of the first frames of new scenes is at least 0.07.
+    /// default. Of the undisturbed frames, a share below the miss rate exceeds (1 + `tolerance`) × target,
+    /// since many bounds are below that limit. The miss rate of the first frames of new scenes is at least
+    /// 0.07.
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
     /// Exception: the finest allowed step is chosen, whatever its bound, if its expected time meets the

@@ -244,7 +244,8 @@ pub trait Controller {
     /// Restores state written by [`Controller::save`]; on an error nothing changes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for bytes of another controller, cut short or damaged.
+    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short or damaged, or that a different
+    /// kind of controller saved.
     fn load(&mut self, bytes: &[u8]) -> Result<()> {
         if !bytes.is_empty() {
             bail!(

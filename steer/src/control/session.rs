@@ -177,8 +177,8 @@ impl Session {
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for a
-    /// summary of other sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for a summary of
-    /// another voxel type; on an error nothing has changed.
+    /// summary whose sizes, spacing or cells differ from those of the preceding time step,
+    /// [`crate::ErrorKind::InvalidArgument`] if the voxel type differs; on an error nothing has changed.
     pub fn set_time_step(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) -> Result<()> {
         let Some(before) = &self.volume else {
             bail!(NotReady, "no volume is set; set the first time step of a series by set_volume");
@@ -432,8 +432,8 @@ impl Session {
     }
 
     /// Withdraws the newest plan if the caller draws no frame with it. The next plan gets its id and
-    /// continues the frame before the withdrawn one. An older or an observed plan is not changed. So the plan
-    /// before a withdrawn one cannot be withdrawn.
+    /// continues the frame before the withdrawn one. The call has no effect on an older or an observed plan,
+    /// nor on the plan before a withdrawn one.
     pub fn withdraw(&mut self, id: u64) {
         let Some((_, before)) = self.newest.take_if(|newest| newest.0 == id) else { return };
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
@@ -454,7 +454,6 @@ impl Session {
         self.last = None;
     }
 
-    /// Casts the probe's rays.
     fn cast(&mut self, frame: &Frame) -> Result<()> {
         let (Some(volume), Some(transfer)) = (&self.volume, &mut self.transfer) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
@@ -566,7 +565,6 @@ fn inputs_of<'a>(
     }
 }
 
-/// Returns the default controller for a predictor.
 fn controller_for(predictor: &dyn Predictor, mut options: HybridOptions) -> Box<dyn Controller + Send> {
     if let (Prior::Unknown, Some(log_sd)) = (options.prior, predictor.log_sd()) {
         options.prior = Prior::Fitted { log_sd };

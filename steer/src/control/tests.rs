@@ -166,7 +166,8 @@ fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
 
 #[test]
 fn a_prediction_is_distrusted_only_where_its_own_step_is_out_of_range() {
-    // The model was fitted to steps up to 4. It chooses step 3 in the first case and step 12 in the second.
+    // The model was fitted to steps up to 4. The prediction meets the target of 20 ms at step 3 in the first
+    // case, and at step 12 in the second.
     for (seconds, trusted) in [(0.06f32, true), (0.24, false)] {
         let mut hybrid = fitted(0.1);
         let score = |step: f32| if step > 4.0 { 3.0 } else { 0.0 };

@@ -2,7 +2,7 @@
 
 use super::{FrameFeatures, SceneQuantity, Setting};
 
-/// Number of unit costs of the linear model: one per frame, then one per quantity of [`COST_QUANTITIES`].
+/// Number of unit costs of the analytic model: one per frame, then one per quantity of [`COST_QUANTITIES`].
 pub const COSTS: usize = 28;
 
 /// Quantities that have a unit cost, in the order of [`UnitCosts`] after its first element, the cost per

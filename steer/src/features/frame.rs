@@ -208,7 +208,8 @@ impl FrameFeatures {
     }
 
     /// Measures a frame. For [`Skipping::Distance`], the first frame of a transfer function also computes its
-    /// distance map. `transfer` must be made from `volume`; if it has other cells or blocks, no ray is cast.
+    /// distance map. `transfer` must be made from `volume`; if its cells or blocks differ from those of
+    /// `volume`, no ray is cast.
     ///
     /// # Errors
     /// As [`Frame::checked`].

@@ -123,8 +123,8 @@ pub trait Predictor {
         PROBE_SIDE
     }
 
-    /// True if a probe with any number of rays may be used, as for models that are linear in counts: every
-    /// probe estimates counts without bias.
+    /// True if a probe with any number of rays may be used. This holds for models that are linear in counts,
+    /// because every probe estimates counts without bias.
     fn any_probe_side(&self) -> bool {
         false
     }

@@ -157,7 +157,7 @@ impl InputLayout {
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] if a group was not supplied or has another size than in the model,
-    /// [`crate::ErrorKind::SizeMismatch`] for a row of another width.
+    /// [`crate::ErrorKind::SizeMismatch`] for a row whose length is not [`InputLayout::width`].
     pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
         let Inputs { features, setting, camera, volume_features, lobes, .. } = *inputs;
         let image_size = [setting.width, setting.height];

@@ -71,7 +71,8 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
 /// its weights. An analytic model does not use the network.
 ///
 /// # Errors
-/// As [`load`], and [`crate::ErrorKind::SizeMismatch`] for a network with another number of inputs.
+/// As [`load`], and [`crate::ErrorKind::SizeMismatch`] if the network's number of inputs is not the
+/// model's.
 pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor + Send>> {
     Ok(match AnalyticModel::from_model(model)? {
         Some(analytic) => Box::new(analytic),

@@ -85,13 +85,14 @@ impl Session {
     /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last
     /// `side`² rays. The refinement stops as soon as the probe's estimated error is at most the tolerance (a
     /// share of the frame's time; the step changes by about the same share). It also stops if the error
-    /// cannot change the plan: for every time within the error, the finest step meets the target, or the
-    /// coarsest step does not. While the view has hardly turned since rays were cast, plans reuse the rays'
-    /// results and recompute only the volume's place in the image. So `side` bounds the time of a plan, and
-    /// most plans take less time than this bound. [`FrameFeatures::probe_side`] of [`Session::features`]
-    /// returns the side of the last probe. If the finest probe's number of rays changes, recorded frames are
-    /// dropped. [`Session::predict`] and [`Session::choose`] use the finest probe, and so do plans while
-    /// frames are recorded ([`Session::record`]).
+    /// cannot change the plan: the finest step meets the target for every time within the error, or the
+    /// coarsest step misses the target for every such time. While the view has hardly turned since rays were
+    /// cast, plans reuse the rays' results and recompute only the volume's place in the image. So `side`
+    /// bounds the time of a plan, and most plans take less time than this bound.
+    /// [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the last probe. If the
+    /// finest probe's number of rays changes, recorded frames are dropped. [`Session::predict`] and
+    /// [`Session::choose`] use the finest probe, and so do plans while frames are recorded
+    /// ([`Session::record`]).
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance

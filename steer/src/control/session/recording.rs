@@ -91,7 +91,8 @@ impl Session {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
-    /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
+    /// [`crate::ErrorKind::Unsupported`] for a prior that is not an analytic model,
+    /// [`crate::ErrorKind::OutOfMemory`].
     pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
         let calibration = Calibration::new(prior, frames)?;
         let nothing = Planned { id: 0, work: [0.0; COSTS], shown: Shown::default() };

@@ -20,8 +20,8 @@ impl Session {
     /// Replaces the predictor. Observations and pending plans are forgotten; volume, transfer function,
     /// limits and the probe of [`Session::with_probe`] stay. Recorded frames stay if the predictor needs the
     /// same number of probe rays as the previous one; otherwise they are dropped. VolumeNet's output stays
-    /// too; for a predictor with another encoder, set the volume again with the output of that encoder
-    /// ([`Session::set_volume`]).
+    /// too. If the two predictors have different encoders, set the volume again with the output of the new
+    /// encoder ([`Session::set_volume`]).
     pub fn set_predictor(&mut self, predictor: Box<dyn Predictor + Send>, options: HybridOptions) {
         self.controller = controller_for(&*predictor, options);
         self.predictor = predictor;
@@ -34,8 +34,8 @@ impl Session {
 
     /// Names the renderer whose frames are observed and the clock of their times. Both names are empty
     /// initially. Learned state and recorded frames are of one renderer and clock, so they are forgotten if a
-    /// name that was not empty changes. Saved states contain both names, and [`Session::load_state`] refuses states
-    /// with other names.
+    /// name that was not empty changes. Saved states contain both names, and [`Session::load_state`] refuses
+    /// a state whose names differ from the session's.
     ///
     /// A clock named `cpu`, `wall` or `device` is compared with the model's clock ([`Session::clocks`]).
     /// If they differ, the session keeps the model's ratios between scenes and learns a common factor from
@@ -104,8 +104,9 @@ impl Session {
     /// controller; on an error nothing changes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or of another version or
-    /// controller; [`crate::ErrorKind::Unsupported`] for an intact state of another model or timing source.
+    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short or damaged, and for a state whose
+    /// version or controller is not this session's; [`crate::ErrorKind::Unsupported`] if the model or the
+    /// timing source differs.
     pub fn load_state(&mut self, bytes: &[u8]) -> Result<()> {
         // The tag is checked before the checksum, so that bytes of another kind are not reported as damaged.
         Reader(bytes).tag(TAG)?;

@@ -177,8 +177,8 @@ struct Layers<'a, T> {
     quantiles: &'a mut [[u8; QUANTILES + 1]],
     /// Bounds of the blocks of these layers.
     bounds: &'a mut [Bounds<T>],
-    /// Bounds of the voxels in the first plane of these layers, one pair per block of a plane. The last
-    /// blocks before these layers include this plane too, so their bounds are widened by these bounds.
+    /// Bounds of the voxels in the first plane of these layers, one pair per block of a plane. They widen the
+    /// bounds of the last blocks before these layers, which include this plane, too.
     back: Vec<Bounds<T>>,
     counts: [u64; 256],
     non_finite: u64,

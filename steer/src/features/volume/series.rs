@@ -97,8 +97,8 @@ impl SummarySeries {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a box that extends beyond the volume or has a range that
-    /// ends before it starts, and for a volume of another type, spacing or range,
-    /// [`crate::ErrorKind::SizeMismatch`] for a volume of other sizes; in these cases nothing has changed.
+    /// ends before it starts, and for a volume whose type, spacing or range is not that of the series;
+    /// [`crate::ErrorKind::SizeMismatch`] if the sizes differ. In these cases nothing has changed.
     /// [`crate::ErrorKind::OutOfMemory`] if memory does not suffice; there is then no summary until another
     /// update succeeds.
     pub fn update(
@@ -176,7 +176,7 @@ impl SummarySeries {
         Ok(&self.summary)
     }
 
-    /// Refuses voxels of another type, spacing or range.
+    /// Refuses a volume whose type, spacing or range is not that of the series.
     fn check(&self, volume: &VolumeView<'_>) -> Result<()> {
         let (found, own) = (volume.shape().spacing, self.summary.shape.spacing);
         if found != own {
