@@ -45,8 +45,8 @@ pub(crate) unsafe trait ByValue: Copy {
     /// Size in bytes of the struct in its first release. A struct that has grown since then overrides the
     /// default.
     const FIRST_SIZE: usize = size_of::<Self>();
-    /// Returns the default values. The `_init` functions write them. They also fill in the fields that the
-    /// struct of an older caller does not have.
+    /// Returns the default values. The `_init` functions write them, and [`read_struct`] uses them for the
+    /// fields that the struct of an older caller does not have.
     fn defaults() -> Self;
 }
 

@@ -17,11 +17,11 @@ pub type entire_held_out = u32;
 pub const ENTIRE_HELD_OUT_NOTHING: entire_held_out = 0;
 /// Volumes: the error is that on volumes without training frames.
 pub const ENTIRE_HELD_OUT_VOLUMES: entire_held_out = 1;
-/// Transfer functions: the error is that on the training volumes with transfer functions without training
+/// Transfer functions: the error is that of the training volumes under transfer functions without training
 /// frames.
 pub const ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS: entire_held_out = 2;
-/// Stretches of time: the error is that on views without training frames, of the training volumes and
-/// transfer functions.
+/// Time intervals: the error is that of new views of the training volumes under the training transfer
+/// functions.
 pub const ENTIRE_HELD_OUT_STRETCHES: entire_held_out = 3;
 
 const _: () = assert!(

@@ -22,7 +22,8 @@ pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
 /// Not used to correct predictions: the frame was unusual, or cancelled no later than its expected end.
 pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;
 
-/// Observation flag: the time includes work that is not the frame's (a compile, an upload, a stall).
+/// Observation flag: the time includes work that most frames do not include (a compilation, an upload, a
+/// stall).
 pub const ENTIRE_OBSERVE_UNUSUAL: u32 = 1;
 /// Observation flag: the frame was abandoned; its time is only a lower bound.
 pub const ENTIRE_OBSERVE_CANCELLED: u32 = 2;

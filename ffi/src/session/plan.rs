@@ -25,9 +25,10 @@ pub const ENTIRE_REASON_HELD: entire_reason = 3;
 pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
 /// Even the coarsest allowed step is not expected to meet the target.
 pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;
-/// The prediction is not trusted: recent frames decide.
+/// The step was chosen from recent frame times, because the prediction is missing, out of range or recently
+/// wrong.
 pub const ENTIRE_REASON_HISTORY: entire_reason = 6;
-/// There is neither a prediction nor a timing: the coarsest allowed step.
+/// The coarsest allowed step, because there is neither a prediction nor a recent frame time.
 pub const ENTIRE_REASON_NO_INFORMATION: entire_reason = 7;
 /// Steering is off: the frame's own step.
 pub const ENTIRE_REASON_OFF: entire_reason = 8;
@@ -232,16 +233,16 @@ pub unsafe extern "C" fn entire_session_plan(
     }
 }
 
-/// Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
-/// that are expected to meet the target and whose upper bound is at most (1 + tolerance) times the target. If
-/// there are none, takes those that are expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS
-/// settings. `index` receives the index of the chosen settings, and `plan` their plan, to be observed like
-/// any other. The frame's own step must be in range, but is ignored; its width and height give the aspect
-/// ratio of all settings, and a change of its size or modes counts as a change of the scene. Does not
-/// allocate.
+/// Chooses one of the caller's settings, which are sorted by quality, best first. Takes the first setting
+/// that is expected to meet the target and whose upper bound is at most (1 + tolerance) times the target. If
+/// there is none, takes the setting with the shortest expected time. There may be at most ENTIRE_MAX_SETTINGS
+/// settings. `index` receives the index of the chosen setting, and `plan` its plan; pass the frame's time to
+/// entire_session_observe. The frame's own step must be in range, but is ignored; the frame's width and
+/// height give the aspect ratio of all settings, and a change of its size or modes counts as a change of the
+/// scene. Does not allocate.
 ///
-/// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
-/// range, and with ENTIRE_SIZE_MISMATCH for too many.
+/// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT if there is no setting or one that is out
+/// of range, and with ENTIRE_SIZE_MISMATCH for more than ENTIRE_MAX_SETTINGS settings.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_choose(
     session: *mut entire_session,

@@ -12,11 +12,11 @@ use std::ffi::c_char;
 /// Names the renderer whose frames are observed and the clock that times them, such as
 /// "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
 /// another: it is forgotten, with all recorded frames, if a name that was not empty changes. Saved states
-/// contain both names, and entire_session_load_state refuses states with other names. Both names are empty in
-/// a new session; a state saved with empty names loads only into a session with empty names. Call this
-/// function before states are loaded or saved. A clock named "cpu", "wall" or "device" is compared with the
-/// model's (entire_session_clocks); if the result of the comparison changes, the learned correction is
-/// forgotten, too.
+/// contain both names, and entire_session_load_state refuses a state whose names differ from the session's.
+/// Both names are empty in a new session; a state saved with empty names loads only into a session with empty
+/// names. Call this function before states are loaded or saved. A clock named "cpu", "wall" or "device" is
+/// compared with the model's clock (entire_session_clocks); if the result of the comparison changes, the
+/// learned correction is forgotten, too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
 /// ENTIRE_NULL_ARGUMENT.
@@ -112,7 +112,7 @@ pub unsafe extern "C" fn entire_session_save_state(
 /// Loads the state that an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED
-/// (a valid state of another model, renderer or clock: entire_session_set_timing_source),
+/// (a valid state whose model, renderer or clock is not the session's, see entire_session_set_timing_source),
 /// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_load_state(
