@@ -35,8 +35,8 @@ pub enum Key {
     /// `entire.provenance`: origin of the weights (free text, JSON where structured).
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
-    /// for analytic models `low` and `high` (the lowest and the highest ln over the training frames: of the
-    /// pixels, and of each of these counts per pixel: rays, skips, samples, `lane_samples`), and for learned
+    /// for analytic models `low` and `high` (smallest and largest values, over the training frames, of
+    /// ln(pixels) and of ln(count / pixels) for rays, skips, samples and `lane_samples`), and for learned
     /// factors `input_low` and `input_high` (one number per input, to which inputs are clamped: `InputRange`
     /// of `entire-steer`). Optional.
     Calibration,

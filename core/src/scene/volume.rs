@@ -141,8 +141,8 @@ pub struct VolumeOptions {
     pub strides: Option<[usize; 3]>,
     /// Voxel spacing along x, y, z, in any common unit of length; 1 by default.
     pub spacing: [f32; 3],
-    /// The scalar range that maps to [0, 1] (the same for all members of an ensemble). `None` is the default:
-    /// 0…255 for unsigned bytes; for other types, the finite minimum…maximum without
+    /// The scalar range that maps to [0, 1]; use one range for all members of an ensemble. `None` is the
+    /// default: 0…255 for unsigned bytes; for other types, the finite minimum…maximum without
     /// [fill values](VolumeView::fill_values), for which the voxels are scanned.
     pub range: Option<(f32, f32)>,
 }
