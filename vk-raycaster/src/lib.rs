@@ -17,9 +17,9 @@
 //! a hash of the pixel in \[0, 1).
 //!
 //! *Value.* Voxels are mapped to \[0, 1] over the volume's range (clamped; NaN is the low end) and
-//! interpolated trilinearly between voxel centers, clamped to the edge: the normalized scalar s. Integer
-//! voxels keep their stored precision; if the range is narrower than the data, they are requantized to 16
-//! bits over the range.
+//! interpolated trilinearly between voxel centers, clamped to the edge. The result is the normalized scalar
+//! s. Integer voxels keep their stored precision; if the range is narrower than the data, they are
+//! requantized to 16 bits over the range.
 //!
 //! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities α
 //! hold over the table's unit distance (in reference steps) and are corrected to the step: α′ = 1 −

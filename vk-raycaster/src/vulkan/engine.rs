@@ -275,7 +275,6 @@ impl Engine {
         Ok(())
     }
 
-    /// True if the pipeline of a shader variant exists.
     pub(crate) fn has_pipeline(&self, key: ShaderKey) -> bool {
         self.pipelines.contains_key(&key)
     }

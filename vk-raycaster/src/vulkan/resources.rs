@@ -101,7 +101,6 @@ fn allocate(
         })
 }
 
-/// A buffer with its memory.
 pub(crate) struct Buffer {
     buffer: Owned<vk::Buffer>,
     memory: Memory,

@@ -203,7 +203,6 @@ fn for_rows<T: Sync>(
     });
 }
 
-/// Returns the shape of a packed volume's image.
 pub(crate) fn packed_shape(dims: [usize; 3]) -> Shape {
     let blocks: usize = dims.iter().map(|n| n.div_ceil(PACKED_EDGE)).product();
     let rows = (blocks * PACKED_BLOCK).div_ceil(PACKED_ROW);
@@ -238,7 +237,6 @@ fn pack_rows(voxels: &[u8], [nx, ny, nz]: [usize; 3], first_row: usize, out: &mu
     });
 }
 
-/// Returns the shape of the table's image.
 pub(crate) fn table_shape(fetch: VoxelFetch) -> Shape {
     let (texels, format, storage) = match fetch {
         VoxelFetch::Packed => (PACKED_TEXELS, vk::Format::R32G32B32A32_UINT, true),
@@ -247,7 +245,6 @@ pub(crate) fn table_shape(fetch: VoxelFetch) -> Shape {
     Shape { extent: [texels as u32, 1, 0], format, storage }
 }
 
-/// Returns the shape of the skip map's image.
 pub(crate) fn skip_map_shape(fetch: VoxelFetch, dims: [usize; 3]) -> Shape {
     let storage = fetch == VoxelFetch::Packed;
     let format = if storage { vk::Format::R32_UINT } else { vk::Format::R8_UINT };
