@@ -30,8 +30,8 @@ pub struct Identity {
     pub name: String,
     /// Size of the file, bytes.
     pub bytes: u64,
-    /// Time of the file's last change, nanoseconds since 1970. The time is compared only for files that were
-    /// hashed in parts, and only in whole seconds, since copies may have no finer times.
+    /// Time of the file's last change, nanoseconds since 1970. A new time counts as a change only for a file
+    /// that was hashed in parts, and only in whole seconds, since copies may have no finer times.
     pub modified_ns: u64,
     /// FNV-1a (64 bits) and CRC-32 of the hashed bytes, hexadecimal.
     pub hash: String,

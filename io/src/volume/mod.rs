@@ -24,10 +24,10 @@
 //! | any type with a NIfTI slope, intercept other than 1, 0 | 32-bit float of value × slope + intercept |
 //!
 //! NaN and infinite voxels are kept; they count as the ends of the range when a view normalizes them (see
-//! [`normalize`](entire_core::scene::normalize)). Voxels with a fill value ([`VolumeView::fill_values`], or those that
-//! [`Reading::fill`] names) get the minimum of all other values, and [`Volume::notes`] says so. Axes stay in
-//! the file's order, and x is the fastest. Voxel spacings are used; positions and directions in space are
-//! not.
+//! [`normalize`](entire_core::scene::normalize)). Voxels with a fill value ([`VolumeView::fill_values`], or
+//! those that [`Reading::fill`] names) get the low end of the range that maps to [0, 1], or the minimum of
+//! all other values if that is lower; [`Volume::notes`] says so. Axes stay in the file's order, and x is the
+//! fastest. Voxel spacings are used; positions and directions in space are not.
 
 mod element;
 pub mod hostile;

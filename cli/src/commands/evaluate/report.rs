@@ -53,7 +53,7 @@ pub(super) struct Evaluation<'a> {
     pub(super) noise_floor: Option<NoiseFloor>,
     /// Noise floor for each kind of frame.
     pub(super) noise_by_kind: &'a [(&'static str, NoiseFloor)],
-    /// Errors in a session by the model's name, on the frames after the observed ones.
+    /// Errors of each model in a session, by the model's name, without the first `--observed` frames.
     pub(super) in_session: &'a BTreeMap<String, Metrics>,
     pub(super) predictors: &'a [Predictor],
 }

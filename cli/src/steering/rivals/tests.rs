@@ -102,7 +102,8 @@ fn the_heuristic_of_unreal_has_its_published_constants() {
     assert_eq!(side(&[first, &[0.092; 8]]), 1.0);
     let panic = (suggested(0.4) + 0.9 * suggested(0.2)) / 1.9;
     assert!(close(side(&[first, &[0.09, 0.2, 0.4]]), panic));
-    // A slow frame right after the first one; then frames of half the target, at 1 / 2.22 of the pixels.
+    // A slow frame follows the first one. Then frames at 1 / 2.22 of the pixels take 0.045 s, which is 0.1 s
+    // at full resolution.
     let low = suggested(0.2);
     assert!(close(side(&[first, &[0.2]]), low));
     assert!(close(side(&[first, &[0.2], &[0.045; 8]]), low + 0.9 * (suggested(0.1) - low)));
