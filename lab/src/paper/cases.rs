@@ -30,8 +30,8 @@ pub(crate) fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
 }
 
 /// Assigns the orbit's tasks to nodes, longest first, by measured, predicted and equal times. Stores the
-/// total time of each node, divided by that of the slowest node in the assignment by measured times. Writes
-/// the task list.
+/// percentiles and the maximum of the nodes' total times, divided by the total time of the slowest node in
+/// the assignment by measured times. Writes the task list.
 pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
     let all = read_all(out, Vec::new())?;
     for from in all.iter().filter(|r| r.panel == Panel::Varied) {

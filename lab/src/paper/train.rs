@@ -227,7 +227,8 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Stores the feature vectors of all volumes by main and shipped encoder: a curve per ensemble member.
+    /// Stores the first two features of all volumes, as computed by the main encoder and by the shipped one:
+    /// a curve per ensemble member.
     fn code_curves(&self, results: &mut Results) -> Result<()> {
         let features = self.loaded.tables[0].features.as_ref().context("no features")?;
         let encoders = [
