@@ -1,5 +1,5 @@
-//! A worker: renders the tasks of bundles, one after another. It first writes each complete image, then the
-//! answer to the spool. Both remain if the worker is killed.
+//! A worker: renders the tasks of bundles, one after another. For each task, it writes first the complete
+//! image, then the answer to the spool. Image and answer remain if the worker is killed.
 
 use super::command::{fill, kill, leader};
 use super::engine::utf8;

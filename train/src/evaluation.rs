@@ -18,8 +18,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// Share of the frames of each volume that the constant baseline averages to predict their time (Bruder et
-/// al. 2022).
+/// Share of each volume's frames, over whose times the constant baseline takes the mean (Bruder et al. 2022).
 pub const PROBE_SHARE: f64 = 0.15;
 
 /// Warm time of one prediction, in one thread.

@@ -151,7 +151,8 @@ fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> 
     out
 }
 
-/// The frames of the first path with abrupt changes (else the first path) at the median of its targets.
+/// Returns the frames of one path under the median of its targets. The path is the first one with abrupt
+/// changes; if there is none, it is the first of all paths.
 fn one_path(frames: &[Row]) -> Option<Vec<Row>> {
     let mut names: Vec<&str> = frames.iter().map(|r| r.trace.as_str()).collect();
     names.dedup();

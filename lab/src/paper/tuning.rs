@@ -28,7 +28,8 @@ const TOGETHER: &str = "all";
 /// Name of the data set in results on other machines.
 pub(super) const MACHINES: &str = "machines";
 
-/// Target of an adaptation, with its training and test frames.
+/// Frames of a renderer, machine or kind of volumes to which models are adapted: for training and for
+/// testing.
 struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
@@ -190,7 +191,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
 }
 
 impl Pretrained<'_> {
-    /// Adapts the network and the unit costs to a target with increasing numbers of frames, and tests them.
+    /// Adapts the network and the unit costs to increasing numbers of training frames of `target`, and tests
+    /// them on its test frames.
     fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
         let Self { work, runner, context, recipe, network, costs } = self;
         let none = TimedFrames::default();

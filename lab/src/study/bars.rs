@@ -38,7 +38,8 @@ fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) 
 }
 
 /// Bars of a study, one for every limit of its sets; a bar without a measured value is missed. Most bars are
-/// about the predictor that the rule selects, or else about the best one on the test frames.
+/// about the predictor that the rule selects. If the rule selects none, they are about the best predictor on
+/// the test frames.
 pub(crate) fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();
     let mut at_most = |name: String, value: Option<f64>, limit: f64| {

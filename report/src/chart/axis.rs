@@ -130,7 +130,8 @@ impl Span {
         }
     }
 
-    /// Returns about `most` round values between the ends, or fewer.
+    /// Returns the values of the ticks: about `most` round values between the ends, or fewer; on an axis of
+    /// slots, the index of every slot.
     pub(super) fn ticks(&self, most: usize) -> Vec<f64> {
         match self.scale {
             Scale::Slots => (0..self.high.ceil() as usize).map(|slot| slot as f64).collect(),
@@ -139,7 +140,8 @@ impl Span {
         }
     }
 
-    /// Powers of ten and, if there is space, round ticks within a decade, which the drawing library lacks.
+    /// Returns powers of ten and, if there is space, round values between them, which the drawing library
+    /// lacks. On an axis with fewer than two such values, returns linear ticks.
     fn log_ticks(&self, most: usize) -> Vec<f64> {
         let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
         let stride = ((last - first) as usize).div_ceil(most).max(1) as i32;
@@ -166,7 +168,8 @@ impl Span {
         self.linear_ticks(most)
     }
 
-    /// Returns multiples of 1, 2, 2.5 or 5 · 10^n. The drawing library's search does not end for some ranges.
+    /// Returns the multiples of a step, which is 1, 2, 2.5 or 5 times a power of ten. The drawing library's
+    /// own search for ticks does not end for some ranges.
     fn linear_ticks(&self, most: usize) -> Vec<f64> {
         let raw = (self.high - self.low) / most as f64;
         let magnitude = 10f64.powf(raw.log10().floor());
@@ -181,7 +184,7 @@ impl Span {
         ticks
     }
 
-    /// Returns the label of a tick, which differs from the labels of neighboring ticks.
+    /// Returns the label of a tick. The labels of neighboring ticks differ from it.
     pub(super) fn label(&self, value: f64, ticks: &[f64]) -> String {
         let step = match (self.scale, ticks) {
             (Scale::Log, _) => 10f64.powf(value.abs().log10().floor()),

@@ -1,4 +1,5 @@
-//! Lines cut off at the frame, since the drawing library moves outside points to the edge, which bends lines.
+//! Lines cut off at the frame. The drawing library itself moves points outside of the frame to its edge,
+//! which bends lines.
 
 use super::axis::Span;
 
