@@ -1,7 +1,6 @@
 //! Passes the git commit of the build to the compiler, so that tables and reports can state it. The words
 //! "with local changes" follow if files differed from the commit when this crate was built. Edits in crates
-//! that depend on this crate do not update these words, since that would rebuild all these crates at every
-//! edit.
+//! that depend on this crate do not update these words: each update would rebuild all dependent crates.
 
 use std::path::Path;
 use std::process::Command;

@@ -27,8 +27,8 @@ pub fn check_table(input: &[u8]) {
     let _ = noise_floor(&frames, Clock::Auto, |_| 1);
 }
 
-/// Checks that every column of an accepted feature table is found by its name, and that the row of frame 1
-/// has a finite value in every column.
+/// Checks that every column of an accepted feature table is found by its name, and that the row of frame 1,
+/// if there is one, has a finite value in every column.
 pub fn check_features(input: &[u8]) {
     let Some(table) = accepted(FeatureTable::parse(input)) else { return };
     for (i, name) in table.columns().iter().enumerate() {

@@ -57,8 +57,8 @@ pub fn seal(bytes: &mut Vec<u8>) {
 pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = random(seed);
     let mut body = data[..size.saturating_sub(SEAL)].to_vec();
-    // A state without a number after its first 32 bytes is replaced by a learned state. Of all other
-    // states, one in 200 is replaced, too.
+    // A learned state replaces every state without a number after its first 32 bytes, and one in 200 of all
+    // other states.
     if body.len() < 40 || random.below(200) == 0 {
         body = learned();
         body.truncate(body.len() - SEAL);

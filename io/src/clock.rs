@@ -69,8 +69,8 @@ pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
 
 /// Returns the clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and
 /// clock of the model that training starts from), else CPU time. If `asked` is not given and some frames have
-/// no time by that clock, the clock that [`Clock::Auto`] means for the frames replaces it, and a note is
-/// printed.
+/// no time by the chosen clock, the clock that [`Clock::Auto`] means for the frames is returned instead, and
+/// a note is printed.
 ///
 /// # Errors
 /// Those of [`concrete`].
@@ -130,8 +130,8 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
     })
 }
 
-/// Returns the clock of an evaluation or a steered run: the clock that the models state, or `asked` if no
-/// model states a clock. All stated clocks must be equal and agree with `asked`.
+/// Returns the clock of an evaluation or of a comparison of controllers: the clock that the models state, or
+/// `asked` if no model states a clock. All stated clocks must be equal and agree with `asked`.
 ///
 /// # Errors
 /// When models and the requested clock disagree; the error names the remedy.

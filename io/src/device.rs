@@ -28,8 +28,8 @@ pub fn names_software(backend: &str, device: &str) -> bool {
     backend == "cpu" || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s))
 }
 
-/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). A note
-/// on standard error says when the CPU version is used instead.
+/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). If
+/// [`Device::Auto`] finds no Vulkan device, the CPU version is opened, and a note on standard error says so.
 ///
 /// # Errors
 /// When Vulkan or one of its devices was requested and there is none; the error says how to get a driver.

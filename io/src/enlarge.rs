@@ -63,7 +63,8 @@ fn resampled(volume: &Volume, dims: [usize; 3], spacing: [f32; 3]) -> Result<Vol
 }
 
 fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Result<Vec<f32>> {
-    // Per axis and target index: the two source indices and the weight of the second.
+    // For each axis and each index in the new volume: two indices in the old volume, and the weight of the
+    // second.
     let axes: [Vec<(usize, usize, f32)>; 3] = std::array::from_fn(|a| {
         let n = view.shape().dims[a];
         (0..dims[a])

@@ -1,5 +1,5 @@
 //! Identity of a file: size, modification time and a hash of its content. Kept results (pictures, timing
-//! tables) store the identities of their inputs, so that they are never used for changed files.
+//! tables) store the identities of their inputs, so that a kept result is never used for changed files.
 
 use crate::files::{fnv1a, fnv1a_after};
 use crate::volume::{Companions, Folder, Format, Reading, Stream, Volume};
@@ -15,7 +15,7 @@ use std::time::UNIX_EPOCH;
 /// Size of the largest file that is hashed whole, bytes.
 const WHOLE: u64 = 16 << 20;
 
-/// Number of bytes that are hashed of a larger file at each of three places: beginning, middle and end.
+/// Number of bytes that are hashed at each of three places of a larger file: beginning, middle and end.
 const PART: u64 = 1 << 20;
 
 /// Number of bytes at the beginning of a volume file in which names of data files are looked for.
@@ -186,7 +186,7 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     noted.names.into_inner()
 }
 
-/// Records the names of requested files that a reader accepts, and provides no file.
+/// Records the names of the files that a reader requests, if the names are accepted, and provides no file.
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,

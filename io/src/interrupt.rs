@@ -21,9 +21,9 @@ fn ignored(signal: i32) -> bool {
 
 static REQUESTED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Takes over Ctrl-C (and on Unix SIGTERM and SIGHUP): the first one raises the returned flag, a second one ends the
-/// program at once with exit status 1. Signals that the parent process ignores stay ignored, as `nohup` wants it. Later
-/// calls return the same flag.
+/// Takes over Ctrl-C (and on Unix SIGTERM and SIGHUP): the first one raises the returned flag, a second one
+/// ends the program at once with exit status 1. Signals that the parent process has set to be ignored stay
+/// ignored, as `nohup` requires. Later calls return the same flag.
 ///
 /// # Errors
 /// When the system refuses a handler.

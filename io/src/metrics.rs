@@ -98,8 +98,8 @@ pub struct BoundMetrics {
 }
 
 impl BoundMetrics {
-    /// Compares upper bounds in seconds for the quantile `level` (0.95, say) with measured seconds. `None` if
-    /// there is no frame.
+    /// Returns the metrics of upper bounds for the quantile `level` (0.95, say) against measured times, both
+    /// in seconds. `None` if there is no frame.
     pub fn new(bounds: &[f64], measured: &[f64], level: f64) -> Option<Self> {
         let n = measured.len().min(bounds.len());
         if n == 0 {
@@ -135,8 +135,8 @@ pub fn bootstrap_by_group<G: Ord>(
     intervals_by_group(predicted, measured, groups, (rounds, 0.95), |m| [metric(m)]).map(|[i]| i)
 }
 
-/// Returns intervals as [`bootstrap_by_group`] does, of several metrics over the same draws, and for any
-/// confidence level.
+/// Returns the intervals of several metrics over the same draws, for any confidence level.
+/// [`bootstrap_by_group`] does so for one metric and 95 %.
 pub fn intervals_by_group<G: Ord, const N: usize>(
     predicted: &[f64],
     measured: &[f64],

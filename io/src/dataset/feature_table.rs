@@ -18,8 +18,8 @@ use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Version of the quantities' values: raised whenever another value is computed for the same frame, so that
-/// older tables are refused.
+/// Version of the quantities' values: raised whenever the program computes a value of a frame differently, so
+/// that older tables are refused.
 pub const VERSION: u32 = 7;
 
 const MARK: &str = "# entire-features 1";
@@ -46,9 +46,8 @@ fn schema() -> u64 {
     schema_of(SceneQuantity::ALL.len())
 }
 
-/// True if features with this schema hash have the same meaning in this version: new quantities are added at
-/// the end, so an older table stays valid. Quantities that the older table lacks are computed from the
-/// volumes.
+/// True if features with this schema hash have the same meaning in this version. New quantities are added at
+/// the end, so an older table stays valid; quantities that it lacks are computed from the volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }
@@ -306,8 +305,8 @@ mod tests {
         assert!(message.contains("another version") && message.contains("`entire features`"), "{message}");
     }
 
-    /// Fails when this version computes other values than stored tables hold: then raise [`VERSION`], make
-    /// the stored tables again with `entire features`, and put the new hash here.
+    /// Fails when the program computes values that differ from those in stored tables. Then raise
+    /// [`VERSION`], make the stored tables again with `entire features`, and put the new hash here.
     #[test]
     fn this_version_stands_for_these_values() {
         use crate::files::fnv1a_text;

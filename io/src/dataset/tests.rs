@@ -221,8 +221,8 @@ fn repeated(number: u64, seconds: f64, logs: &[f64]) -> TimedFrame {
 
 #[test]
 fn noise_floor_is_the_middle_difference_of_repeats() {
-    // The logarithms of the two repeats differ by 0.2: the standard deviation is 0.2 / (0.6745·√2), and 1/√2
-    // of that for their mean.
+    // The logarithms of the two repeats differ by 0.2. So the standard deviation of one repeat is 0.2 /
+    // (0.6745·√2), and that of the mean of both is smaller by a factor of √2.
     let frame = |t: f64| repeated(0, t, &[0.1, -0.1]);
     let floor = noise_floor(&[frame(1.0), frame(20.0)], Clock::Wall, |_| 1).unwrap();
     assert!((floor.log_sd - 0.209_671).abs() < 1e-6, "{floor:?}");

@@ -134,9 +134,9 @@ impl TimedFrame {
         self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect()
     }
 
-    /// Estimated seconds of the frame without disturbance. Other programs lengthen wall time, and a GPU that saves power
-    /// lengthens device time; neither shortens it. So the estimate by these clocks is the lower quartile of the repeats;
-    /// by processor time, it is [`TimedFrame::seconds`].
+    /// Estimated seconds of the frame without disturbance. Other programs lengthen wall time, and a GPU that
+    /// saves power lengthens device time; neither shortens it. So the estimate by wall or device time is the
+    /// lower quartile of the repeats. By processor time, the estimate is [`TimedFrame::seconds`].
     pub fn undisturbed(&self, clock: Clock) -> Option<f64> {
         if clock == Clock::Cpu {
             return self.seconds(clock);
@@ -329,8 +329,8 @@ pub fn noise_floor<'a>(
     })
 }
 
-/// Removes the common trend of repeats by their order, among frames of similar duration. `logs` is ordered by
-/// duration.
+/// Subtracts, for each place in the order of repeats, the deviation that frames of similar duration have in
+/// common. `logs` is ordered by duration.
 fn without_trend(logs: &mut [Logs]) {
     let parts = (logs.len() / TREND_FRAMES).min(10);
     let count = logs.len();

@@ -2,8 +2,8 @@
 //! description.
 //!
 //! [`Volume::open`] picks the format by the file name's ending, else by the first bytes. Readers work on any
-//! [`Stream`], so they read files, memory and decompressed data alike. They allocate in proportion to the
-//! bytes that really exist: a header that claims a huge volume over a few bytes of data is an error, not an
+//! [`Stream`], so they read files, memory and decompressed data. They allocate in proportion to the bytes
+//! that really exist. A header that claims a huge volume over a few bytes of data is an error, not an
 //! allocation.
 //!
 //! # Bytes behind the voxels

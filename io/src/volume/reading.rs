@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// Width of the value range of unsigned bytes, in scalar values, below which a note suggests `--range data`.
+/// Minimum width of the value range of unsigned bytes, in scalar values; for a narrower range, a note
+/// suggests `--range data`.
 const NARROW: f32 = 64.0;
 
 /// Options of reading a volume file, also options of commands. By default, all are determined from the file.

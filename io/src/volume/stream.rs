@@ -16,8 +16,8 @@ const DEFLATE_GROWTH: u64 = 1032;
 /// and holds 900 000 bytes, of which every five expand to at most 259.
 const BZIP2_GROWTH: u64 = 1 << 22;
 
-/// Number of decompressed bytes up to which a bzip2 stream may reach [`BZIP2_GROWTH`]; a longer one is limited
-/// to [`DEFLATE_GROWTH`]. Otherwise, a file of a few kilobytes could fill any memory.
+/// Maximum number of decompressed bytes of a bzip2 stream, unless [`DEFLATE_GROWTH`] allows more. Without
+/// this limit, a file of a few kilobytes could fill any memory.
 const BZIP2_MOST: u64 = 4 << 30;
 
 /// Byte order mark that some editors put before UTF-8 text.
@@ -304,7 +304,7 @@ impl<'a> Stream<'a> {
     }
 }
 
-/// The members of a gzip stream, one after another, up to the first bytes that begin no member.
+/// Decoder of the members of a gzip stream, one after another. It stops at bytes that do not begin a member.
 struct Members<R> {
     /// The member that is being decompressed; `None` after the last one.
     member: Option<GzDecoder<R>>,

@@ -72,7 +72,8 @@ struct File {
     extent: [i64; 6],
     spacing: [f64; 3],
     pieces: Vec<Piece>,
-    /// Appended data: true if it is base64 text, and the index of the first byte after its underscore.
+    /// Appended data: true if the data are base64 text, and the index of the first byte after the underscore
+    /// that begins the data.
     appended: Option<(bool, usize)>,
 }
 
@@ -91,7 +92,7 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
         let data = voxels(bytes, &file, array, dims)?;
         return Ok(Parts { data, dims, spacing: file.spacing, name: None, notes });
     }
-    // Pieces share the points of their borders; each voxel comes from at least one of them.
+    // Pieces share the points of their borders; each voxel comes from at least one piece.
     let dims = checked_dims(sizes(file.extent, cells)?)?;
     // Upper bound of the voxels' bytes: the bytes of the whole file, decompressed. If many pieces refer to
     // the same data, their voxels exceed this bound and the file is refused.
@@ -541,9 +542,9 @@ fn from_base64(text: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
 }
 
 /// Decodes base64 text, which ends at the first `<`, to at least `needed` bytes if there are as many. Blanks
-/// are skipped. Header and data are one part or two; padding may end each part.
+/// are skipped. Header and data are encoded as one part or as two; padding may end each part.
 fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
-    // Both parts end in a group of four letters that may hold less than three bytes.
+    // Each part ends in a group of four letters that may hold fewer than three bytes.
     let letters = usize::try_from(needed / 3 + 3).unwrap_or(usize::MAX).saturating_mul(4);
     let clean: Vec<u8> = text
         .iter()
