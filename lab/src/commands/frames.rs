@@ -208,7 +208,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     report(options, &found)
 }
 
-/// Prints the table and draws the chart.
+/// Prints the table and the bars, and writes the chart.
 fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
     let mut table =
         Table::headed("frames of | #frames | #median error, % | #largest | #RMSE/SD | #expected, %");

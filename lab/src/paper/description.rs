@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 pub(super) const BY_VOLUMES: &str = "volumes";
 /// Name of the split by whole ensemble members: the paper's rule for Nyx and Castro.
 pub(super) const BY_MEMBERS: &str = "members";
-/// Name of the test on volumes of another kind, such as scans.
+/// Name of the test on volumes of another kind than the training volumes, such as scans.
 pub(super) const BY_MODALITY: &str = "modality";
 
 /// Contents of a description file. Paths are relative to the file's folder. The key `base` names a description in the
@@ -37,7 +37,7 @@ pub(crate) struct Paper {
     /// Voxels per side of the volumes of the low-resolution proxy (LVRP).
     pub(crate) proxy: usize,
     pub(crate) scenes: SceneDistribution,
-    /// Other settings for modes whose frames take far longer.
+    /// Settings of modes whose frames take far longer than those of the other modes.
     #[serde(default)]
     pub(crate) in_mode: BTreeMap<String, InMode>,
     pub(crate) data_sets: Vec<DataSet>,
@@ -103,7 +103,8 @@ pub(crate) struct DataSet {
     pub(crate) title: String,
     /// Modes to collect: `none`, `local`, `scatter`, `yt`.
     pub(crate) modes: Vec<String>,
-    /// True if the volumes are of another kind, on which models of the other data sets are only tested.
+    /// True if the volumes are of another kind than those of the other data sets. They then have no splits:
+    /// models of the other data sets are tested on them, or adapted to a few of their frames.
     #[serde(default)]
     pub(crate) only_tests: bool,
     #[serde(default)]

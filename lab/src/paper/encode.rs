@@ -60,7 +60,7 @@ impl Encoder {
         out.join("volumenet").join(format!("{set}-{size}f{features}{widths}.safetensors"))
     }
 
-    /// Reads the record that the training script wrote; `None` if the encoder is not trained.
+    /// Reads the record that the training script wrote; `None` if there is no record.
     pub(crate) fn record(&self, out: &Path) -> Result<Option<Record>> {
         let path = self.path(out).with_extension("json");
         if !path.exists() {
