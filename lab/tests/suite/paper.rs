@@ -191,7 +191,8 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let (output, said) = paper(at, "train", &["--only", "steering"]);
     assert!(output.status.success(), "{said}");
     let steering = read_json(&at.join("out/results/steering-castro_blast-none.json"));
-    // Two paths show volumes of the data set, under twelve controllers and under ours with its own predictor.
+    // Two paths show volumes of the data set. Twelve controllers play them with the paper's network, and ours
+    // plays them also with its own predictor.
     assert_eq!(steering["frames"]["paths"][2], 2);
     let facts = steering["facts"].as_array().unwrap();
     assert_eq!(facts.len(), 13);

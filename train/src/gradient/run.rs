@@ -418,8 +418,8 @@ pub fn train(
             let validation_loss = validate(pool, &trainer, &judged).unwrap_or(training_loss);
             let record = EpochRecord { epoch, training_loss, validation_loss };
             history.push(record);
-            // The training loss is computed before the epoch's last step, so the weights after it are checked
-            // too.
+            // The training loss does not cover the weights after the epoch's last step, so these weights are
+            // checked separately.
             let finite = trainer.network().parameters().iter().all(|p| p.is_finite());
             if !(validation_loss.is_finite() && finite) {
                 stop = Stop::Diverged;
