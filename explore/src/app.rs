@@ -157,7 +157,7 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         failed: None,
     };
     let ended = event_loop.run_app(&mut app);
-    // egui checks that changes of textures are not lost; after the last frame nobody needs them.
+    // egui checks that no change of a texture is lost. After the last frame, these changes are not needed.
     app.textures.clear();
     ended.map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
     // Messages of the validation layer, if it is enabled.
@@ -241,7 +241,7 @@ impl App {
         (self.presenter, self.device) = (None, None);
         self.state.picture = None;
         self.warm.clear();
-        // The fonts are textures of the lost device: the interface is rebuilt.
+        // The fonts are textures of the lost device, so the interface is rebuilt.
         self.egui = egui::Context::default();
         self.textures.clear();
         if let Some(window) = &self.window {
@@ -291,8 +291,8 @@ impl App {
         self.script.is_some() && self.waiting == Waiting::Nothing
     }
 
-    /// Handles an error: reopens a lost device, shows other errors. Closes the window if the device cannot be
-    /// reopened, or if any other error occurs while a script plays or before the window can show pictures.
+    /// Handles an error: reopens a lost device, shows any other error. Closes the window if the device cannot
+    /// be reopened, or if any other error occurs while a script plays or before the window can show pictures.
     fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
         let Err(error) = result else { return };
         let is_lost = self.is_lost();

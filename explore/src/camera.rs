@@ -29,8 +29,8 @@ pub(crate) struct Viewpoint {
     /// Angles as in [`Arcball`], degrees.
     pub(crate) rx: f32,
     pub(crate) ry: f32,
-    /// Distance from the target point, bounding-sphere radii. In an orthographic view, the distance at which
-    /// a perspective view would show the same height of the plane through the target point.
+    /// Distance from the target point, bounding-sphere radii. In an orthographic view, it is the distance
+    /// from which a perspective view would show the same height at the target point.
     pub(crate) distance: f32,
     /// The target point.
     pub(crate) target: Vec3,
@@ -110,7 +110,7 @@ impl Viewpoint {
         *self = Self { fov_y: self.fov_y, orthographic: self.orthographic, ..Self::default() };
     }
 
-    /// Returns the camera of a part of the volume.
+    /// Returns the camera that shows a part of the volume in this view.
     pub(crate) fn camera(&self, placement: Placement) -> Result<Camera> {
         let camera = if self.target == Vec3::ZERO && placement == Placement::WHOLE {
             Camera::from_arcball(self.arcball())?
@@ -169,7 +169,7 @@ impl Viewpoint {
         self.target = (self.target + by).clamp(-most, most);
     }
 
-    /// Multiplies the distance by `factor`, and so the scale of an orthographic view.
+    /// Multiplies the distance, and with it the scale of an orthographic view, by `factor`.
     pub(crate) fn zoom(&mut self, factor: f32) {
         if factor.is_finite() && factor > 0.0 {
             self.distance = (self.distance * factor).clamp(*DISTANCES.start(), *DISTANCES.end());
@@ -250,7 +250,8 @@ mod tests {
         let view = Viewpoint { rx: 25.0, ry: 130.0, distance: 2.5, ..Default::default() };
         let arcball = Camera::from_arcball(Arcball { rx: 25.0, ry: 130.0, dz: 2.5 }).unwrap();
         assert_eq!(view.camera(Placement::WHOLE).unwrap(), arcball);
-        // The camera of a panned view is computed by other formulas and agrees up to rounding.
+        // The cameras of panned and centered views are computed by different formulas; the results agree up
+        // to rounding.
         let panned = Viewpoint { target: Vec3::splat(1e-9), ..view };
         close(panned.camera(Placement::WHOLE).unwrap().view(), arcball.view());
     }

@@ -17,7 +17,7 @@ use std::path::Path;
 
 const FORMAT: &str = "entire-transfer-1";
 
-/// Largest transfer function or script that is read, bytes.
+/// Maximum size of a transfer function or script file, bytes.
 const MOST_BYTES: u64 = 16 << 20;
 
 /// Number of linear pieces that replace a curved segment between two of ParaView's nodes.
@@ -177,8 +177,8 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
     Ok(Curve { opacity: Opacity::Points(points.into_iter().map(|(s, a)| [s, a]).collect()), colors })
 }
 
-/// Returns the nodes (scalar, value) in [0, 1]. An end of this range that has nodes beyond it gets a node
-/// with the function's value there, from `ends`.
+/// Returns the nodes (scalar, value) in [0, 1]. If nodes lie beyond an end of this range, the end gets a node
+/// with its value in `ends`.
 fn within<V: Copy>(nodes: Vec<(f32, V)>, ends: [V; 2]) -> Vec<(f32, V)> {
     let below = nodes.first().is_some_and(|n| n.0 < 0.0).then_some((0.0, ends[0]));
     let above = nodes.last().is_some_and(|n| n.0 > 1.0).then_some((1.0, ends[1]));
@@ -192,7 +192,7 @@ mod tests {
     use crate::histogram::Histogram;
     use crate::transfer::PRESETS;
 
-    /// Largest difference between the opacities of a bent segment after two replacements by linear pieces of
+    /// Tolerance between the opacities of two curves that replace the same bent segment by linear pieces of
     /// different lengths.
     const BEND_ERROR: f32 = 0.01;
 

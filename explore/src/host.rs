@@ -38,12 +38,12 @@ pub trait Steering: Send + Sync {
     /// When the predictor cannot be made.
     fn session(&self, controller: &str) -> Result<Session>;
 
-    /// True if the controller chooses the number of pixels between rays too, by its session's picture quality
-    /// law. All [`Host::controllers`] for which this is false choose the ray step alone.
+    /// True if the controller chooses the number of pixels between rays in addition to the ray step, by the
+    /// quality law of its session. All other [`Host::controllers`] choose the ray step alone.
     fn chooses_image_sample_distance(&self, controller: &str) -> bool;
 }
 
-/// The program that opens the window. It is also called from loading threads.
+/// The program that opens the window. Threads that load volumes call its methods, too.
 pub trait Host: Send + Sync {
     /// Reads a volume file, reports its progress, and stops once reading is canceled.
     ///

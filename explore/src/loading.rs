@@ -1,5 +1,6 @@
-//! Volumes are loaded in the background: read, summarized, uploaded to the device by a separate raycaster,
-//! and drawn once in small size, so that the frame in which they appear takes no longer than other frames.
+//! Loads volumes in the background: reads a volume, summarizes it, uploads it to the device by a separate
+//! raycaster, and draws it once at small size. So the frame in which the volume appears takes no longer than
+//! later frames.
 
 use crate::camera::Placement;
 use crate::histogram::Histogram;

@@ -10,8 +10,8 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Beside<'a> {
     pub(crate) controller: &'a str,
-    /// Number of pictures that the window has shown since an input event, up to the first picture that
-    /// includes it; 0 without an event.
+    /// Number of pictures that the window has shown since the oldest input event that this frame includes
+    /// first, with the picture of this frame; 0 without such an event.
     pub(crate) input_frames: u64,
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -73,7 +73,8 @@ impl Log {
     }
 
     /// Writes the row of a timed activity other than a frame: its kind, total seconds, seconds of ray
-    /// casting, and seconds of the longest slice (of the kind `open`: of the first frame).
+    /// casting, and seconds of the longest slice. For the kind `open`, the last number is the seconds of the
+    /// first frame.
     pub(crate) fn event(
         &mut self,
         frame: u64,

@@ -51,7 +51,6 @@ impl Recorder {
         Self { recording: Recording { fov_y_degrees, frames: Vec::new() }, last: None, panned: false }
     }
 
-    /// Records a frame.
     pub(crate) fn note(&mut self, view: &Viewpoint, curve: &Curve, replaced: bool) -> Result<()> {
         if self.recording.frames.len() >= MOST_FRAMES {
             return Ok(());

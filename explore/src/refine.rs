@@ -58,14 +58,14 @@ impl Cursor {
     pub(crate) fn remaining(&self) -> f64 {
         let pieces = f64::from(self.width.div_ceil(PIECE)) * f64::from(self.height.div_ceil(BAND));
         let share = self.share();
-        // The mean time of the finished part is weighted by its share, the time of the last region by the
-        // unfinished share.
+        // Two estimates of the whole picture's time are averaged. The estimate from the finished part has the
+        // finished share as weight, the estimate from the last region has the unfinished share.
         let whole = share * (self.spent / share.max(1e-6)) + (1.0 - share) * self.piece * pieces;
         (1.0 - share) * whole
     }
 
-    /// Calls `work` for about `budget` seconds, and for at least one piece. `work` draws a region and returns
-    /// its seconds.
+    /// Calls `work` with region after region for about `budget` seconds, and at least once. `work` draws a
+    /// region and returns the seconds it took.
     pub(crate) fn slice(&mut self, budget: f64, mut work: impl FnMut(Region) -> Result<f64>) -> Result<()> {
         let begin = Instant::now();
         let mut spent = 0.0;

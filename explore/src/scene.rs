@@ -37,7 +37,7 @@ pub(crate) struct Facts {
     /// Minimum and maximum of the volume's voxels.
     pub(crate) own_range: (f32, f32),
     pub(crate) spacing: Vec3,
-    /// Half extents of the box of the whole volume, in the scene space of this volume.
+    /// Half extents of the whole volume's box, in the scene space of the whole volume.
     pub(crate) half_extent: Vec3,
 }
 
@@ -90,8 +90,8 @@ impl VolumeSource for Spanned {
     }
 }
 
-/// Returns the view of a part of a volume, and where the part lies; the value range stays that of the whole
-/// volume.
+/// Returns the view of a part of a volume, and the part's placement. The view has the value range of the
+/// whole volume.
 pub(crate) fn part<'a>(view: &VolumeView<'a>, crop: Crop) -> Result<(VolumeView<'a>, Placement)> {
     let (shape, strides) = (view.shape(), view.strides());
     for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(shape.dims)) {

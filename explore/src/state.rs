@@ -41,7 +41,7 @@ pub(crate) enum Command {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Changed {
     pub(crate) camera: bool,
-    /// True if the camera jumped to another view.
+    /// True if the camera jumped.
     pub(crate) cut: bool,
     pub(crate) transfer: bool,
     /// True if the transfer function was replaced.
@@ -244,7 +244,6 @@ impl State {
         true
     }
 
-    /// Replaces the transfer function.
     pub(crate) fn replace(&mut self, curve: Curve) {
         self.edited.replace(curve);
         self.selected = None;

@@ -55,8 +55,8 @@ pub(crate) struct Planned {
     pub(crate) other: f64,
 }
 
-/// A session, and the values of `Steer::volume` and `Steer::transfer` when it last received a volume and a
-/// transfer function; 0 if it has none.
+/// A session, and the values of `Steer::volume` and `Steer::transfer` when the session last received a volume
+/// and a transfer function; 0 if it has received none.
 struct Loop {
     session: Session,
     volume: u64,

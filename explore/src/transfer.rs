@@ -160,7 +160,6 @@ impl Curve {
         Ok(RecordedTransfer::Points(points.collect()))
     }
 
-    /// A curve from a recording.
     #[cfg(test)]
     fn from_recorded(transfer: &RecordedTransfer) -> Self {
         match transfer {

@@ -116,7 +116,7 @@ impl App {
             Ok(loaded) => *loaded,
             Err(error) if is_lost || self.script.is_some() => return Err(error),
             Err(error) => {
-                // A series does not play on: its next step would be the same file again.
+                // A series stops playing, since its next step would be the same file again.
                 self.state.playing = false;
                 self.state.complain(&error);
                 return Ok(());
@@ -143,7 +143,8 @@ impl App {
         if opened {
             state.recent.add(&scene.path, |file, text| self.host.write_whole(file, text));
         }
-        // A curve that was given to the load may have been edited since.
+        // If the job had a curve, the user may have edited this curve during the load, so the edited one
+        // stays.
         if !keeps_curve && curve != state.edited.curve {
             state.edited = Edited::new(curve);
             state.selected = None;
@@ -316,9 +317,9 @@ impl App {
 }
 
 /// Replaces the placeholders [`STEERED`] and [`FULL`] by the texture ids of the pictures, and shows only the
-/// used part of the steered picture. Removes pictures that must not be shown: the full-quality picture, which
-/// is outdated, if the steered picture was drawn in this frame (`cast`); the steered picture if the
-/// full-quality picture is complete (`refined`); and every picture that was never drawn.
+/// used part of the steered picture. Removes pictures that must not be shown. If this frame drew the steered
+/// picture (`cast`), the full-quality picture is outdated and is removed. If the full-quality picture is
+/// complete (`refined`), the steered picture is removed. A picture that was never drawn is removed, too.
 fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);

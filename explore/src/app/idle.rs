@@ -64,7 +64,7 @@ impl App {
             if let (Some(work), Some(scene)) = (&mut self.state.work, &mut self.scene)
                 && let Err(error) = work.slice(&mut scene.raycaster, budget)
             {
-                // If the map stayed requested, it would begin again at once and fail again.
+                // The map is switched off. Otherwise, it would begin again at once and fail again.
                 (self.state.show_work, self.state.work) = (false, None);
                 return Err(error);
             }

@@ -125,7 +125,7 @@ impl Swapchain {
         let subpasses = [vk::SubpassDescription::default()
             .pipeline_bind_point(vk::PipelineBindPoint::GRAPHICS)
             .color_attachments(&color)];
-        // The stage that waits for the acquisition of the image is the first that may write to it.
+        // The image is not written before the stage that waits for its acquisition.
         let dependencies = [vk::SubpassDependency {
             src_subpass: vk::SUBPASS_EXTERNAL,
             dst_subpass: 0,
@@ -235,8 +235,8 @@ impl Swapchain {
     }
 }
 
-/// Returns an 8-bit sRGB format, since the interface's pictures are sampled as linear values; else an 8-bit
-/// format without encoding, or else the first format.
+/// Returns an 8-bit sRGB format if there is one, else an 8-bit format without encoding, else the first
+/// format. The interface's pictures are sampled as linear values, so sRGB needs no conversion in the shader.
 fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
     let wanted = [
         vk::Format::B8G8R8A8_SRGB,
