@@ -130,8 +130,8 @@ impl FrameBudget {
     }
 
     /// Ends a frame that took `seconds` in all; `usual` is false if it included work that most frames do not
-    /// include. The time of an unusual frame counts only if the frame before was unusual too. The first frame
-    /// never counts.
+    /// include. The time of an unusual frame counts only if the frame before was unusual, too. A frame
+    /// without passes and the first frame with passes never count.
     pub fn end(&mut self, seconds: f32, usual: bool) {
         let rest = seconds - self.drawn;
         let counts = usual || self.unusual > 0;
@@ -142,8 +142,8 @@ impl FrameBudget {
         }
     }
 
-    /// Seconds of a frame outside of the passes: the median of the last five frames that counted; 0 before
-    /// the second frame.
+    /// Seconds of a frame outside of the passes: the median of the last five frames that counted; 0 before a
+    /// frame has counted.
     pub(crate) fn rest(&self) -> f32 {
         let n = (self.count as usize).min(REST_FRAMES);
         if n == 0 {

@@ -217,7 +217,9 @@ pub trait Controller {
         self.correct(terms, changes)
     }
 
-    /// True where a frame with this prediction of [`Controller::judged`] is expected to meet the target.
+    /// True if this prediction of [`Controller::judged`] meets the target: by default, if its upper bound is
+    /// at most the target; without a bound, if its expected time is. [`Hybrid`] compares the expected time
+    /// with the target, and the bound with (1 + tolerance) × target.
     fn fits(&self, prediction: &Prediction, target: f32) -> bool {
         let bound = if prediction.upper.is_nan() { prediction.seconds } else { prediction.upper };
         bound <= target

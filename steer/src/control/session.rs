@@ -336,8 +336,8 @@ impl Session {
         Ok(plan)
     }
 
-    /// Chooses among settings, best quality first: returns index and plan of the first setting that is
-    /// expected to meet the target ([`Controller::fits`]). If no setting is, returns index and plan of the
+    /// Chooses among settings, best quality first. Returns index and plan of the first setting whose
+    /// prediction meets the target by [`Controller::fits`]. If there is none, returns index and plan of the
     /// setting with the shortest expected time. Images may have any size with the frame's aspect ratio.
     ///
     /// # Errors

@@ -57,8 +57,8 @@ impl Recording {
         }
     }
 
-    /// Stores the work of a planned frame. The first frames of the session and of a volume are not stored, since
-    /// they include uploads.
+    /// Stores the work of a planned frame. The first frame of the session, of a pipeline or of a volume is
+    /// not stored, because it may include uploads.
     pub(super) fn plan(&mut self, id: u64, work: &[f64; COSTS], changes: Changes) {
         let at = Self::place(id);
         let id = if changes.first || changes.volume { 0 } else { id };
@@ -82,9 +82,10 @@ impl Session {
     /// sample). Frames recorded before are dropped.
     ///
     /// `prior` is the model to start from: an analytic model that was fitted on another machine or renderer.
-    /// Without a prior, the fit starts from unit costs of a software renderer. Frames are not recorded if their
-    /// observation is unusual or cancelled, or if they are the first of the session or of a volume. Planning
-    /// and observing do not allocate while frames are recorded.
+    /// Without a prior, the fit starts from unit costs of a software renderer. A frame is not recorded if its
+    /// observation is unusual or cancelled, if it is the first of the session or of a volume, or if
+    /// [`Changes::first`] or [`Changes::volume`] was announced for it ([`Session::mark`]). Planning and
+    /// observing do not allocate while frames are recorded.
     ///
     /// Frames that were timed earlier can be recorded too: with steering off ([`Session::set_enabled`]), plan
     /// each frame as it was drawn, and observe its time.

@@ -39,7 +39,7 @@ impl Session {
     ///
     /// A clock named `cpu`, `wall` or `device` is compared with the model's clock ([`Session::clocks`]).
     /// If they differ, the session keeps the model's ratios between scenes and learns a common factor from
-    /// the first frames; state learned before is forgotten.
+    /// the first frames. If the result of the comparison changes, the learned state is forgotten.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a name of more than 256 bytes.
