@@ -67,8 +67,9 @@ by_value!(entire_calibration_report {
 /// observing still do not allocate.
 ///
 /// `prior` is the model to start from: unit costs that were fitted on another machine or renderer, such as
-/// models/unshaded-selected.safetensors. NULL starts from the unit costs of a software renderer. Unusual and
-/// cancelled observations, the first frame of the session, and the first frame of a volume are not recorded.
+/// models/unshaded-selected.safetensors. NULL starts from the unit costs of a software renderer. Not recorded
+/// are unusual and cancelled observations, the first frame of the session and of each volume, and a frame for
+/// which entire_session_mark announced ENTIRE_CHANGE_FIRST or ENTIRE_CHANGE_VOLUME.
 ///
 /// To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
 /// plan every frame as it was drawn, and observe its time.

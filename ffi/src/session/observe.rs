@@ -19,7 +19,8 @@ pub type entire_verdict = u32;
 pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;
 /// The time is far from the expected one, so its influence on the correction was limited.
 pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
-/// Not used to correct predictions: the frame was unusual, or cancelled no later than its expected end.
+/// Not used to correct predictions: the frame was unusual, was cancelled no later than its expected end, or
+/// had no prediction.
 pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;
 
 /// Observation flag: the time includes work that most frames do not include (a compilation, an upload, a
