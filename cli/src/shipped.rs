@@ -1,5 +1,5 @@
-//! The shipped models of the shading modes that have any: none, local and scatter. They are built into the
-//! program, so that it needs no files for them.
+//! The shipped models, for the shading modes `none`, `local` and `scatter`. They are built into the program,
+//! so that it needs no model files.
 
 use anyhow::Result;
 use entire_core::model::ModelFile;
@@ -13,8 +13,8 @@ macro_rules! selected {
     };
 }
 
-/// Names and bytes of a mode's models: the selected one, then the models of other types of machine. Empty
-/// for a mode without shipped models.
+/// Names and bytes of a mode's models: the selected one, then those that were fitted to further types of
+/// machine. Empty for a mode without shipped models.
 fn files(shading: Shading) -> Vec<(&'static str, &'static [u8])> {
     match shading {
         Shading::None => vec![selected!("unshaded"), selected!("unshaded-epyc"), selected!("unshaded-xeon")],
@@ -40,8 +40,8 @@ pub(crate) fn shipped_priors(shading: Shading, typical: &UnitCosts) -> Result<Ve
     if *typical == UnitCosts::GPU { Ok(Vec::new()) } else { shipped_models(shading) }
 }
 
-/// The shipped model that was selected for a shading mode, with its name. For a mode without one, a model of the
-/// typical unit costs of software renderers.
+/// The shipped model that was selected for a shading mode, with its name. For a mode without shipped models,
+/// a model of the typical unit costs of software renderers.
 pub(crate) fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
     match files(shading).into_iter().next() {
         Some(selected) => read(selected),

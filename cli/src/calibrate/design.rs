@@ -1,8 +1,8 @@
 //! Choice of the most informative frames: greedy D-optimal design over the candidates' features.
 //!
-//! The feature vector of a frame holds the constant 1 and the share of each kind of work in the expected time.
-//! Every second chosen frame is a random candidate. Each other frame is the one with the largest ratio of its
-//! information gain (increase of ln det of the information matrix) to a power of its expected seconds. No
+//! The feature vector of a frame holds the constant 1 and the share of each kind of work in the expected
+//! time. Every second chosen frame is a random candidate. Each of the remaining frames has the largest ratio
+//! of information gain (increase of ln det of the information matrix) to a power of its expected seconds. No
 //! candidate needs to be rendered for this choice.
 
 use super::pool::{Candidate, Pool};
@@ -10,7 +10,7 @@ use entire_steer::numeric::dot;
 
 /// Exponent e of a frame's expected seconds: frames are ranked by information gain / seconds^e. With e = 0
 /// the seconds are ignored; e = 1 would leave out long frames, which dominate the root mean squared error. If
-/// the number of frames limits the calibration, and not the time, e is 0.
+/// the calibration is limited by the number of frames, not by the time, e is 0.
 const COST_EXPONENT: f64 = 0.5;
 
 /// Diagonal of the initial information matrix, before any frame is chosen; it makes the matrix invertible.

@@ -24,7 +24,8 @@ use std::time::Instant;
 /// frame is not slower than the second one.
 const LONG: f64 = 0.12;
 
-/// Noise of a batch (see [`Measuring::spread`]) below which two or three passes are enough.
+/// Noise of a batch (see [`Measuring::spread`]) below which the batch gets no further pass, once it had the
+/// minimum number of passes.
 const ENOUGH: f64 = 0.02;
 
 /// Minimum and maximum number of passes over a batch.
@@ -269,7 +270,7 @@ impl<'a> Measuring<'a> {
         if calm.is_empty() { visits.iter().collect() } else { calm }
     }
 
-    /// Noise of repeats over the passes in which they were rendered.
+    /// Returns the noise of the frames' repeats by the calibration's clock; `None` if no frame was repeated.
     pub(crate) fn noise(&self, frames: &[TimedFrame]) -> Option<NoiseFloor> {
         noise_floor(frames, self.settings.clock, |f| self.counted(f.number as usize).len().max(1))
     }

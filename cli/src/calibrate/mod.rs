@@ -38,7 +38,7 @@ use std::time::{Duration, Instant};
 /// Seconds that are reserved for the fit.
 const FIT_SECONDS: f64 = 1.0;
 
-/// Share of the time for comparing pictures.
+/// Share of the calibration's time in which pictures are compared.
 const PICTURES_SHARE: f64 = 0.08;
 
 /// Seconds of measurement in which most machines draw more than [`FEWEST_FRAMES`].

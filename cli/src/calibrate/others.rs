@@ -25,8 +25,8 @@ impl CpuSnapshot {
         }
     }
 
-    /// Wall seconds since the snapshot, and the mean number of processors that other programs used; `None`
-    /// where the system does not report it.
+    /// Returns the wall seconds since the snapshot, and the mean number of processors that other programs
+    /// used; `None` for this number where the system does not report it.
     pub(crate) fn others(&self) -> (f64, Option<f64>) {
         let now = Self::now();
         let wall = now.at.duration_since(self.at).as_secs_f64();
@@ -35,8 +35,8 @@ impl CpuSnapshot {
     }
 }
 
-/// Busy processor seconds of all processors: the first line of `/proc/stat` without idle and waiting time;
-/// time stolen by other virtual machines counts.
+/// Busy processor seconds of all processors: the first line of `/proc/stat` without idle and waiting time.
+/// Time stolen by other virtual machines counts as busy.
 fn machine_seconds(text: &str) -> Option<f64> {
     let line = text.lines().find_map(|l| l.strip_prefix("cpu "))?;
     let ticks: Vec<f64> = line.split_whitespace().map_while(|w| w.parse().ok()).collect();

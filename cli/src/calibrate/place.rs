@@ -44,7 +44,8 @@ pub(crate) fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFi
 }
 
 /// Returns the reason for ignoring the machine's model: it was calibrated on a GPU and a renderer in software
-/// draws, or the reverse. `None` for any other model. `backend` and `device` name the renderer.
+/// draws, or the reverse. `None` if both are of one kind, or if the model names no renderer. `backend` and
+/// `device` name the renderer.
 pub(crate) fn of_another_kind(path: &Path, file: &ModelFile, backend: &str, device: &str) -> Option<String> {
     let of = |key: Key| file.metadata.get(key.name()).map_or("", String::as_str);
     let (renderer, made_on) = (of(Key::Renderer), of(Key::Device));

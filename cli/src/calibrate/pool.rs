@@ -159,7 +159,7 @@ mod tests {
         for seed in [0, u64::MAX] {
             let settings = Settings { seed, ..Settings::brief(vec![path.clone()]) };
             let pool = Pool::draw(&settings, (&[], &UnitCosts::SOFTWARE), &threads).unwrap();
-            // 6³ voxels are too few for the largest enlargement.
+            // No factor enlarges 6³ voxels to [`LARGE_VOLUME`], so the only factors are 1 and 2.
             assert_eq!(pool.candidates.len() as u64, 2 * PER_VOLUME);
         }
     }

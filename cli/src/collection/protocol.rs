@@ -319,7 +319,8 @@ fn driver_of(renderer: &dyn Renderer) -> String {
 pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     let mut out = Vec::new();
     let mut compare = |name: &str, old: Option<&Value>, new: Option<&Value>| {
-        // The old manifest was read from text, so a value counts as changed only if its text differs, too.
+        // The old manifest was read from text, so a value counts as changed only if both the value and its
+        // text differ.
         let [was, is] = [old, new].map(|v| v.map_or("nothing".to_owned(), ToString::to_string));
         if old != new && was != is {
             let volumes = "the list of volumes differs (paths, members and order must be the same)";

@@ -162,7 +162,7 @@ fn members_and_time_steps_come_from_the_path_and_seeds_do_not_depend_on_the_fold
     let scan = Job::from_path(Path::new("scans/tooth.nii.gz"));
     assert_eq!((scan.member.as_str(), scan.time_step, scan.seed_name().as_str()), ("", None, "tooth.nii.gz"));
     assert_eq!(Job::from_path(Path::new("t.nrrd")).time_step, None);
-    // Spellings with `..` name the same member and the same frames.
+    // A path with `..` has the same member and the same frames as this path without `..`.
     let plain = Job::from_path(Path::new("x/m01/t0001.nrrd"));
     for path in ["x/m01/y/../t0001.nrrd", "x/m02/../m01/t0001.nrrd", "x/m01/../../x/m01/t0001.nrrd"] {
         let job = Job::from_path(Path::new(path));

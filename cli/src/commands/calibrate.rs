@@ -163,7 +163,7 @@ fn outs_of(options: &Options, modes: &[Shading]) -> Result<Vec<PathBuf>> {
     let outs: Vec<PathBuf> = modes.iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
     for out in &outs {
         check_model_out(out)?;
-        // Later modes read the prior after earlier models were written.
+        // The prior is read again for each mode, so no mode's model may replace it.
         ensure_not_input(out, options.prior.as_deref())?;
     }
     Ok(outs)

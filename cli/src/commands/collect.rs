@@ -289,7 +289,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         Err(error)
             if tables.iter().try_fold(true, |all, file| anyhow::Ok(all && Writer::is_fresh(file)?))? =>
         {
-            // No table has frames: all are removed, so that a corrected command can start.
+            // If no table has frames, all tables are removed, so that a corrected command can start.
             tables.push(Manifest::path_for(&options.out));
             remove(&tables)?;
             return Err(error);
@@ -301,7 +301,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         manifest.write(&options.out)?;
         bail!("interrupted after {} of {} {}; {go_on}", outcome.done, outcome.total, protocol.counted());
     }
-    // Feature tables of earlier frames may lie beside a resumed table.
+    // The feature table of earlier frames, which may lie beside a resumed table, does not match it.
     let frames = Table::read_without_features(&options.out, 0)?.frames;
     let mut noise = serde_json::Map::new();
     let mut said = Vec::new();

@@ -219,8 +219,8 @@ pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
     Ok(())
 }
 
-/// Refuses options that the chosen engine or --dry-run does not use. With --openjd, --time-limit is for every
-/// engine.
+/// Refuses options that the chosen engine or --dry-run does not use. With --openjd, --time-limit is accepted
+/// for every engine.
 fn check_engine(options: &Options) -> Result<()> {
     let (hyperqueue, slurm) = (EngineOption::Hyperqueue, EngineOption::Slurm);
     for (name, given, engines) in [
@@ -241,7 +241,8 @@ fn check_engine(options: &Options) -> Result<()> {
     }
     for (name, given) in [
         ("--verify", options.verify),
-        // A dry run always counts finished tasks as done; only --retry-quarantined needs --resume.
+        // A dry run always counts finished tasks as done, so --resume has an effect only with
+        // --retry-quarantined.
         ("--resume", options.resume && !options.retry_quarantined),
         ("--python", options.python.is_some()),
         ("--cpus", options.cpus.is_some()),

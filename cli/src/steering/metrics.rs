@@ -30,8 +30,8 @@ impl Played {
         (self.seconds - self.target) / self.target
     }
 
-    /// True if the frame time is within 25 % of the target. At the finest step, shorter times count too; at
-    /// the coarsest step, longer times do.
+    /// True if the frame time is within 25 % of the target. Shorter times are also on target at the finest
+    /// step, longer times also at the coarsest step.
     pub(crate) fn on_target(&self) -> bool {
         let (finest, coarsest) = (self.step <= self.finest * 1.001, self.step >= self.coarsest * 0.999);
         (self.error() <= 0.25 || coarsest) && (self.error() >= -0.25 || finest)

@@ -132,7 +132,8 @@ impl Playback {
                 seconds: r.seconds,
                 target: self.targets[i],
                 step: f64::from(chosen(r)),
-                // A frame with fewer pixels is not of the finest quality, whatever its step.
+                // A frame with fewer pixels than the full image is not of the finest quality, whatever its
+                // step.
                 finest: if enlarged(r) { 0.0 } else { f64::from(limits.finest) },
                 coarsest: f64::from(limits.coarsest),
                 psnr: r.psnr,
@@ -209,7 +210,7 @@ pub(crate) const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
 /// Plays a path under all contenders. Each frame is drawn at the reference step first, then under every
-/// contender with its own step, so that noise of the machine affects all contenders alike. The order of the
+/// contender with its own step, so that noise of the machine affects all contenders equally. The order of the
 /// contenders rotates by one from frame to frame. Changes of the transfer function are not timed.
 ///
 /// Returns `None` when `stop` returned true.
@@ -438,7 +439,7 @@ mod tests {
         let metrics = playback.metrics();
         let at_switches: Vec<f64> = metrics.iter().map(|m| m.mean_error_at_switches.unwrap()).collect();
         let [_, olp, pid, algorithm1, hybrid] = at_switches[..] else { panic!() };
-        // Algorithm 1 uses a single G for all scenes, so its limit is higher than the hybrid's.
+        // Algorithm 1 uses a single G for all scenes, so its error may be larger than that of the hybrid.
         assert!(algorithm1 < 0.7 * olp.min(pid), "{at_switches:?}");
         assert!(hybrid < 0.3 * olp.min(pid), "{at_switches:?}");
         // The hybrid corrects the bias, so its error in calm phases is smaller than that of Algorithm 1.
@@ -484,7 +485,7 @@ mod tests {
         let smaller = sized.records[hybrid].iter().filter(|r| r.image_sample_distance > 1.0).count();
         assert!(smaller > 0, "no smaller picture");
         // By the quality law, a contender that chooses step and size has less error than one that chooses the
-        // step alone. It misses the target in at most one frame more.
+        // step alone. The first contender misses the target in at most one frame more than the second.
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..]
                 .iter()

@@ -73,9 +73,10 @@ pub(crate) fn steering_model(
     Ok((model, prior))
 }
 
-/// Returns the machine's model for a shading mode, with its name, and the clock of frame times: with
-/// [`Clock::Auto`] the clock of the machine's model. A model of another clock than the requested one is
-/// ignored, with a note; so is a GPU's model for a software renderer, and the reverse.
+/// Returns the machine's model for a shading mode, with its name, and the clock of frame times, which for
+/// [`Clock::Auto`] is the clock that this model states. The model is ignored, with a note, if it states no
+/// clock or another clock than the requested one. It is also ignored if it was calibrated on a GPU and a
+/// renderer in software draws, or the reverse.
 pub(crate) fn machine_model_for(
     shading: Shading,
     asked: Clock,
@@ -139,8 +140,8 @@ impl Prepared {
     }
 }
 
-/// Default target as a share of the median time of the random scenes at the reference step. At this target
-/// most scenes must be drawn at coarser steps, and few at the coarsest step.
+/// Default target as a share of the median time of the random scenes at the reference step. At this target,
+/// most scenes must be drawn at steps coarser than the reference step, and few at the coarsest step.
 pub(crate) const TARGET_SHARE: f64 = 0.5;
 
 /// Returns the distribution of random scenes: as in collections, but with one to three lobes, so that some

@@ -64,7 +64,7 @@ fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     let (whole, cut) = (dir.path().join("whole.csv"), dir.path().join("cut.csv"));
     let settings = ["--frames", "40", "--min-size", "96", "--max-size", "160"];
     let output = works(&mut collect(&volume, &whole, &settings));
-    // Two warm-ups of the first frame, and one of every other frame.
+    // Two warm-ups of the first frame, and one of each of the 39 remaining frames.
     assert!(stdout(&output).contains("41 warm-up renderings were discarded"));
 
     // The interruption comes after several frames, so that some are left in the table.

@@ -366,7 +366,7 @@ const STEPS: &str = "name = \"db\"\nsizes = [\"16x12\"]\nsteps = [1.0]\n\
     [[cameras]]\nkind = \"orbit\"\nviews = 2\ndistances_radii = [2.5]\n\
     [[transfer]]\nname = \"ramp\"\npoints = [[0, 0, 0, 0, 0.5], [1, 1, 1, 1, 0.5]]\n";
 
-/// A folder with `step10.nrrd` and `step20.nrrd` and a job of both, of two views each.
+/// Returns a folder with `step10.nrrd`, `step20.nrrd` and a job that renders two views of each volume.
 fn steps(renderer: &str) -> tempfile::TempDir {
     let dir = tempfile::tempdir().unwrap();
     write_level(&dir.path().join("step10.nrrd"), 60);

@@ -1,7 +1,7 @@
 //! Predictions of shipped models for every committed table, and for a hundred thousand random inputs,
 //! ordinary and extreme. All predicted seconds are finite and positive. The networks' raw outputs are
 //! positive for every frame of the tables. For random inputs, the number of raw outputs that are zero in
-//! single precision is at most the known one; the predictor replaces such outputs.
+//! single precision is at most that in `KNOWN`; the predictor replaces such outputs.
 
 use crate::support::{files_in, model_of};
 use entire_core::kernels::Executor;

@@ -61,7 +61,7 @@ impl Measuring<'_> {
         let longest = self.left() / (SCENES * GRID);
         let mut out = Vec::new();
         for i in self.scenes(longest) {
-            // 1.2 times the scene's expected time, since an unfinished scene is dropped.
+            // The expected time gets a margin of 20 %, since an unfinished scene is dropped.
             if (self.stop)() || self.left() < 1.2 * GRID * self.full_wall(i) {
                 break;
             }

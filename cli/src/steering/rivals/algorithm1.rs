@@ -90,7 +90,7 @@ impl Olp {
     }
 
     /// Returns the time of an observed frame, converted to the reference step; `frames` is 0 for the last
-    /// frame.
+    /// frame, 1 for the frame before it.
     fn ago(&self, frames: usize) -> f32 {
         self.window[(self.seen + 2 - frames) % 3]
     }

@@ -4,9 +4,9 @@
 //! step. The other rules scale the image resolution, by a fraction f of each side or an image sample distance
 //! d: their decision's step is s = 1 / f² = d², for an image with 1 / s of the pixels at an unchanged ray
 //! step. [`ActsOn`](crate::steering::play::ActsOn) states the quantity and the range of s. `entire steer`
-//! draws such images; `entire-lab replay` uses their recorded times and pictures. Where only the ray step can
-//! be set, s is taken as the ray step, assuming work ∝ 1 / step: in the window (`entire explore`), on stress
-//! scenes, and on traces without smaller images; the tables then say so.
+//! draws such images; `entire-lab replay` uses their recorded times and pictures. Only the ray step can be
+//! set in the window (`entire explore`), on stress scenes, and on traces without smaller images. There, s is
+//! taken as the ray step, which assumes work ∝ 1 / step; the tables say so.
 
 use super::algorithm1::reactive;
 use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Verdict};
@@ -139,9 +139,9 @@ const WINDOW: usize = 16;
 /// 1 / f². Each past frame suggests its own fraction times √(0.9 target / its time). The new fraction is the
 /// mean of these suggestions, with weight 0.9ⁿ for a frame that is n frames old, and at most 1. Only 0.9 of
 /// an increase is applied. The fraction changes by at least 2 % and at most once in 8 frames. (In version 4
-/// of the engine, the threshold of 2 % is for increases only.) After two frames in a row over the target, or
-/// if the only frame of the history is over it, the rule takes the mean of their suggestions at once, without
-/// a threshold, and drops the history. The caller's limits keep f in 0.5…1.
+/// of the engine, the threshold of 2 % is for increases only.) If the last two frames, or the only frame of
+/// the history, took longer than the target, the rule takes the mean of these frames' suggestions at once,
+/// without a threshold, and drops the history. The caller's limits keep f in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Unreal {
     side: f32,
@@ -222,9 +222,9 @@ impl Controller for Unreal {
 
 /// The frame-rate controller of Filament: the median of up to 15 frame times is the input of a PI controller
 /// in velocity form on the ratio of measured to target time (Kp = 1 − e^(−1/8), Ki = 0.002). Output changes
-/// of −1 %…+5 % are ignored. The sum of errors is limited to ±100, and stops while the output is clamped. The
-/// controlled quantity is the share of work, and s is its inverse; the caller's limits keep the scale of each
-/// side in 0.5…1.
+/// of −1 %…+5 % are ignored. The sum of errors is limited to ±100, and does not change while the output is
+/// clamped. The controlled quantity is the share of work, and s is its inverse; the caller's limits keep the
+/// scale of each side in 0.5…1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Filament {
     work: f32,

@@ -7,7 +7,7 @@ use anyhow::{Result, ensure};
 /// interpolated linearly in logarithms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepResponse {
-    /// ln(step ratio), ascending, and ln(time ratio), not ascending.
+    /// ln(step ratio), ascending, and ln(time ratio), which never rises.
     points: Vec<(f64, f64)>,
 }
 
