@@ -19,7 +19,7 @@ impl FrameBudget {
         Self(core::FrameBudget::default())
     }
 
-    /// Begins a frame of the window, which will draw about `volumes` volumes; 0 if that is not known.
+    /// Begins a frame of the window, which will draw about `volumes` volumes; 0 if the number is not known.
     #[pyo3(signature = (volumes, /))]
     fn begin(&mut self, volumes: u32) {
         self.0.begin(volumes);

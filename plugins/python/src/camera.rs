@@ -45,7 +45,7 @@ impl Camera {
     }
 }
 
-/// Upper bound of the absolute cosine between two axes of a volume that count as perpendicular.
+/// Maximum absolute cosine of the angle between two axes of a volume. Above it, the volume counts as sheared.
 const SQUARE: f64 = 0.02;
 
 fn matrix(rows: [[f64; 4]; 4]) -> DMat4 {
@@ -127,8 +127,8 @@ impl Placement {
                 "the volume's matrix shears the volume; use only rotations, translations and scales",
             ));
         }
-        // Makes the axes a right-handed orthonormal basis. So the prediction for a mirrored volume is that of
-        // its mirror image.
+        // Makes the axes a right-handed orthonormal basis, so that a mirrored volume gets the prediction of
+        // the volume that is not mirrored.
         let z = x.cross(y).normalize();
         let y = z.cross(x).normalize();
         let eye = to_eye.transform_point3(self.center) / scale;
@@ -304,8 +304,8 @@ impl Camera {
             let back = x.cross(y).normalize_or_zero();
             let half = (matrix[3][3] / y.length()).abs();
             (fov, scale) = (f64::from(DEFAULT_FOV_Y_DEGREES), Some(half));
-            // `at` is the vector from the volume's center to the point of the view axis at the same depth.
-            // The eye is put on this axis in front of the volume.
+            // `at` is the vector from the volume's center to the point of the view axis at the center's
+            // depth. The eye is put on the view axis in front of the volume.
             let at = (x / x.length_squared()) * (-matrix[0][3] - x.dot(center))
                 + (y / y.length_squared()) * (-matrix[1][3] - y.dot(center));
             forward = if back.dot(z) > 0.0 { back } else { -back };
@@ -333,8 +333,8 @@ impl Camera {
     }
 
     /// Returns true if the change from `before` to this camera is abrupt: a turn by about 30 degrees or more,
-    /// a change of the distance (of the scale, for parallel cameras) by a factor of 1.5 or more, or another
-    /// projection.
+    /// a change of the distance (of the scale, for parallel cameras) by a factor of 1.5 or more, or a change
+    /// between perspective and parallel projection.
     ///
     /// Parameters
     /// ----------

@@ -1,4 +1,4 @@
-//! A lock that does not block the interpreter and does not stay locked forever after a fork.
+//! A lock that does not block the interpreter, and that fails instead of waiting forever after a fork.
 
 use crate::detach::detached;
 use pyo3::exceptions::PyRuntimeError;

@@ -171,8 +171,8 @@ impl Session {
     /// that plans coarsen step or image, whichever adds less error.
     ///
     /// For a step of s times the finest and rays d pixels apart, a power of the picture's error is
-    /// proportional to ``(s - 1)**step_exponent + image_weight * (d - 1)**image_exponent``, and its time to
-    /// ``(ray_share + (1 - ray_share) / s) / d**2``. The law replaces `step_alone` of
+    /// proportional to ``(s - 1)**step_exponent + image_weight * (d - 1)**image_exponent``, and the picture's
+    /// time to ``(ray_share + (1 - ray_share) / s) / d**2``. The law replaces `step_alone` of
     /// :meth:`set_max_image_sample_distance`.
     ///
     /// Parameters

@@ -46,7 +46,8 @@ impl State {
         }
     }
 
-    /// Sets a volume or its next time step, with VolumeNet's output for it if the model uses that.
+    /// Sets a volume or its next time step, with VolumeNet's output for the volume if the model uses this
+    /// output.
     pub(crate) fn take_volume(
         &mut self,
         py: Python<'_>,
@@ -65,7 +66,7 @@ impl State {
         Ok(())
     }
 
-    /// Sets a transfer function, if it differs.
+    /// Sets a transfer function, if it differs from the present one.
     pub(crate) fn take_transfer(&mut self, transfer: &TransferFunction) -> PyResult<()> {
         if self.transfer.as_ref().is_some_and(|t| Arc::ptr_eq(t, &transfer.0)) {
             return Ok(());

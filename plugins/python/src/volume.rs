@@ -211,9 +211,9 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// A copy of an array in which voxels under a mask, and those with a value of `values`, have the low end of
-/// the range; and the number of these voxels. `low` is the low end of a given range; without it, the low end
-/// is 0 for bytes, and for other types the minimum of all other finite voxels.
+/// Returns a copy of an array, and the number of hidden voxels: those under a mask and those with a value of
+/// `values`. In the copy, hidden voxels have the low end of the range. `low` is the low end of a given range;
+/// without `low`, the low end is 0 for bytes, and for other types the minimum of all other finite voxels.
 fn hide<'py>(
     array: &Bound<'py, PyAny>,
     mask: Option<&Bound<'py, PyAny>>,
@@ -450,10 +450,10 @@ impl Volume {
     }
 
     /// Returns the next time step of this volume: another array of the same shape and type, or the same array
-    /// with new values. Spacing, origin, axes and range stay the same. One pass over the voxels finds the
-    /// changes, much faster than the scan of a volume, and only changed cells are scanned again; the first
-    /// call scans the whole volume. :meth:`Session.set_volume` with the result keeps the learned state of the
-    /// scene.
+    /// with new values. Spacing, origin, axes and range stay the same. The first call scans the whole volume.
+    /// Later calls find the changes in one pass over the voxels, which is much faster than such a scan, and
+    /// scan only changed cells again. :meth:`Session.set_volume` with the result keeps the learned state of
+    /// the scene.
     ///
     /// Parameters
     /// ----------
@@ -466,7 +466,7 @@ impl Volume {
     /// Raises
     /// ------
     /// ValueError
-    ///     For an array of another shape or type, or a box that reaches beyond it.
+    ///     For an array of another shape or type, or a box that reaches beyond the array.
     ///
     /// Examples
     /// --------
