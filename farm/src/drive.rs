@@ -531,7 +531,8 @@ impl Drive<'_, '_> {
         if self.idle_from.is_some() || self.over < 2 * slots {
             return;
         }
-        // Estimated slot seconds that went into the running bundles: half of a bundle's mean time per slot.
+        // Estimated slot seconds that went into the running bundles: for each slot, half of a bundle's mean
+        // time.
         let under_way: f64 = 0.5 * slots as f64 * self.busy / self.over as f64;
         let idle = (now - first) * slots as f64 - self.busy - under_way.min(self.busy);
         self.planner.overhead = (idle / self.over as f64).clamp(0.001, 60.0);

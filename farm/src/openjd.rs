@@ -42,7 +42,7 @@ pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize, limit: Option<f64>)
     out
 }
 
-/// Writes the bundles' descriptions into the state folder and the template to `file`.
+/// Writes the bundles' descriptions into the state folder, and the template to `file`.
 ///
 /// # Errors
 /// When there is no bundle, or a file cannot be written.

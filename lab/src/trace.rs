@@ -1,9 +1,10 @@
 //! Traces: time and picture quality of every frame of a path at a grid of ray steps and image scales.
 //!
-//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds. The seconds of a
-//! step are interpolated on the frame's curve over the step at full image size, those of an image resolution on its
-//! curve over image scales at the reference step. Both are multiplied by noise that was measured at the same frame.
-//! An oracle knows the curve over the step, but not the noise.
+//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds. For a ray
+//! step, the seconds are interpolated on the frame's curve over the step at full image size. For an image
+//! resolution, they are interpolated on the frame's curve over image scales at the reference step. The
+//! seconds are then multiplied by noise that was measured at the same frame. An oracle knows the curve over
+//! the step, but not the noise.
 //!
 //! A file of a trace is a [`Trace`] as JSON.
 

@@ -1,8 +1,8 @@
 //! Reports: SVG charts, tables and self-contained HTML pages.
 //!
-//! A page needs nothing but itself: charts are inline SVG, pictures are base64 PNG, there is no script and no
-//! address to fetch. Colors follow the reader's light or dark setting and can be told apart by color-blind
-//! readers; lines also differ in their dashes.
+//! A page is one file that loads no other: charts are inline SVG, pictures are base64 PNG, and there is no
+//! script. Colors follow the reader's light or dark setting and can be told apart by color-blind readers;
+//! lines also differ in their dashes.
 
 mod chart;
 mod page;

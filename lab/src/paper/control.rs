@@ -87,9 +87,10 @@ pub(crate) fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
     Ok(out)
 }
 
-/// Stores the results of the replay of recorded paths (`traces`): scores; values per frame of one path, with pictures
-/// of three frames; and the curve G with the curves of the scenes of the table `calibration`, from which it is computed.
-/// `network` and `ours` are the folders of the replays with the paper's network and with our predictor.
+/// Stores the results of the replay of recorded paths (`traces`): scores; values per frame of one path, with
+/// pictures of three frames; the curve of each scene in the table `calibration`; and the curve G, which is
+/// computed from the curves of the scenes. `network` and `ours` are the folders of the replays with the
+/// paper's network and with our predictor.
 pub(crate) fn keep(
     work: &Work<'_>,
     (traces, calibration): (&[PathBuf], &Path),

@@ -1,17 +1,19 @@
 //! Search for better constants of the controller on recorded paths.
 //!
-//! The cost of a path is the sum of the controller's errors on it over every useful target, each divided by its
-//! promised limit: the mean distance from the target (8 %), the share of frames over 1.1 targets (3 %), the loss
-//! of quality (8 %), the share of frames that are coarser than full quality although full quality meets the target
-//! (8 %), and the share of calm frames at which the step jumps (8 %). All but the last are added once more for
-//! sessions without a model that start anywhere on the path, over the frames after their first, as in a program that
-//! knows only its own frame times. The renderer of such a program is not the recorded one, so those sessions are
-//! played on three renderers: the recorded one, one whose time falls faster with the step, and one whose time falls
-//! more slowly ([`LAWS`]).
+//! The cost of a path is the sum of the controller's errors on it over every useful target, each divided by
+//! its promised limit: the mean distance from the target (8 %), the share of frames over 1.1 targets (3 %),
+//! the loss of quality (8 %), the share of frames that are coarser than full quality although full quality
+//! meets the target (8 %), and the share of calm frames at which the step jumps (8 %). All errors except the
+//! share of jumps are added once more for sessions without a model, over the frames after their first one.
+//! Sessions without a model start anywhere on the path, as in a program that knows only its own frame times.
+//! The renderer of such a program is not the recorded one, so these sessions are played on three renderers:
+//! the recorded one, one whose time falls faster with the step, and one whose time falls more slowly
+//! ([`LAWS`]).
 //!
-//! The search goes through the constants and tries a few multiples of each. It takes the best multiple whose cost is
-//! lower by more than two standard errors of the difference among paths: dozens are tried, so a smaller gain may be
-//! chance. It ends after a round in which no constant changed.
+//! The search goes through the constants and tries a few multiples of each. A multiple qualifies if it lowers
+//! the mean cost of the paths by more than two standard errors of this difference: dozens of values are
+//! tried, so a smaller gain may be chance. The search takes the best multiple that qualifies. It ends after a
+//! round in which no constant changed.
 
 use super::cold::{hybrid, starts, without_model};
 use super::{LIMITS, Replayable, Replayed, Tally, Three, Trial, replay, trials};
@@ -111,9 +113,9 @@ pub(crate) fn removed(
         .collect()
 }
 
-/// Renderers of a replay: the recorded one (`None`), and imitations of others, each with the multiple of a frame's
-/// shortest recorded time that is added to all times of the frame. With -0.9, the remaining time is nearly proportional
-/// to 1/step; with 2, most of the time does not depend on the step.
+/// Renderers of a replay: the recorded one (`None`), and two imitations. An imitation adds a multiple of the
+/// frame's shortest recorded time to all times of the frame; the number is this multiple. With -0.9, the
+/// remaining time is nearly proportional to 1/step; with 2, most of the time does not depend on the step.
 pub(crate) const LAWS: [Option<f64>; 3] = [None, Some(-0.9), Some(2.0)];
 
 /// Returns the recorded path with the frame times of one of [`LAWS`].
