@@ -46,7 +46,8 @@ pub struct Database<'a> {
 }
 
 impl<'a> Database<'a> {
-    /// Opens a job's database: makes folders, locks it, reads its journal, and adds tasks that workers ended.
+    /// Opens a job's database: makes folders, locks it, reads its journal, and adds answers of workers that
+    /// the journal lacks.
     ///
     /// # Errors
     /// When the database has an earlier run and `resume` is not set, another driver is running, or a file

@@ -450,8 +450,8 @@ fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
     s.summary = format!("{} pictures", s.pictures.len());
 }
 
-/// Experiments on the causes of the network's error, which have no counterpart in the paper: title, command, first
-/// part of the names of files, and section.
+/// Experiments without a counterpart in the paper, on the causes of the network's error: title, command,
+/// first part of the names of files, and section.
 pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 3], Section)> {
     let of = |panel: Panel| material.all.iter().filter(move |r| r.panel == panel);
     let mut procedure = Section::default();
