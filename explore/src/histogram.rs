@@ -5,7 +5,8 @@ use entire_core::scene::{VolumeView, normalize};
 /// Number of bins of the normalized scalars.
 pub(crate) const BINS: usize = 256;
 
-/// Approximate number of voxels that are read of a larger volume: at most twice this number.
+/// Approximate number of voxels that are read of a volume with more voxels; at most twice this number is
+/// read.
 const SAMPLED: u64 = 4_000_000;
 
 /// Counts of normalized values.

@@ -1,5 +1,5 @@
-//! Events from a file instead of user input: JSON lines, each an object with one action and the number of the
-//! drawn frame, counted from 0, before which it runs.
+//! Events from a file instead of user input, as JSON lines. Each line is an object with one action and a
+//! frame number, counted from 0; the action runs before the frame with this number is drawn.
 //!
 //! | action | value |
 //! |---|---|

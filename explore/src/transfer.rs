@@ -5,7 +5,7 @@ use anyhow::Result;
 use entire_core::GaussianLobe;
 use entire_core::scene::{COLOR_RAMP, ControlPoint, TABLE_LEN, TransferFunction, TransferTable};
 
-/// A transfer function in the form in which recordings contain it.
+/// A transfer function as recordings store it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RecordedTransfer {
     /// Gaussian lobes in the color ramp of the core.

@@ -1,4 +1,5 @@
-//! Reading and writing of the commands' files: models, volumes, whole files, and notes about them.
+//! Reading and writing of the commands' files: models, volumes, and whole files; also notes on standard
+//! error.
 
 use crate::quiet::is_quiet;
 use crate::volume::{Reading, Stream, Volume, numbers_in, without_mark};
@@ -114,7 +115,7 @@ pub fn ensure_not_own(out: &Path, folder: &Path, own: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Returns the path of a file in its folder without links in the folder's path; `None` if there is no such
+/// Returns the path of a file, with the links in its folder's path resolved; `None` if there is no such
 /// folder or the path names no file.
 fn place_of(path: &Path) -> Option<PathBuf> {
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -190,7 +190,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
 
     let mut manifest = protocol.manifest(&jobs, renderer.as_ref())?;
-    // A teacher's device states only the name of the model file, which other models may share.
+    // A teacher's device states only the name of the model file, and files of several models may have the
+    // same name.
     if let Some(teacher) = teacher {
         manifest.settings["teacher"] = teacher;
     }

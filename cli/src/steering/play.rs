@@ -204,8 +204,8 @@ fn value_at<T: Copy>(changes: &[(u32, T)], frame: usize) -> Option<T> {
     changes.iter().rev().find(|(from, _)| *from as usize <= frame).map(|(_, value)| *value)
 }
 
-/// Quality law of the raycaster's pictures, for models that state no such law. `entire calibrate` fitted it
-/// to the volumes in data/, unshaded.
+/// Quality law of the raycaster's pictures, for models that state no such law. `entire calibrate` fitted this
+/// law to pictures of the volumes in data/, unshaded.
 pub(crate) const RAYCASTER: Quality =
     Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 

@@ -338,7 +338,7 @@ fn files_that_cannot_be_written_are_named() {
         let locked = at.join("locked");
         std::fs::create_dir(&locked).unwrap();
         std::fs::set_permissions(&locked, std::fs::Permissions::from_mode(0o555)).unwrap();
-        // The superuser may write there.
+        // The superuser may write to this folder, so the refusal cannot be tested.
         if std::fs::write(locked.join("probe"), "").is_ok() {
             return;
         }

@@ -80,7 +80,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     // Wall time, since the CPU version has no time stamps.
     assert!(load(&logged).is_ok() && logged.metadata["entire.clock"] == "wall");
 
-    // A note says that the prior predicts seconds of another clock.
+    // A note says that the prior and the new model predict seconds of different clocks.
     let prior = "--clock wall --prior home/entire/machine-none.safetensors --out wall.safetensors";
     let wall = run(at, &format!("calibrate --data frames.csv --threads 1 {prior}"));
     assert!(wall.status.success(), "{}", stderr(&wall));

@@ -90,7 +90,7 @@ fn a_database_is_rendered_and_its_table_names_every_image() {
     let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--verify", "--quiet"]);
     assert!(said.contains("40 of 40 images, 1 of them"), "{said}");
     assert_eq!(images(dir.path()), whole);
-    // A larger job renders only its new tasks.
+    // If tasks are added to a job, only the new tasks are rendered.
     let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
     std::fs::write(dir.path().join("job.toml"), text.replace("[1.0, 2.0]", "[1.0, 2.0, 4.0]")).unwrap();
     let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--preview", "--quiet"]);

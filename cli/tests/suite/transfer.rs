@@ -1,4 +1,4 @@
-//! A model of one renderer is calibrated to another with a few frames.
+//! A model of one renderer is calibrated to a second renderer with a few frames of the second renderer.
 
 use entire_cli::calibrate::calibrate_to_frames;
 use entire_core::model::ModelFile;

@@ -58,7 +58,8 @@ impl App {
             (name.unwrap_or_default(), stage, share)
         });
         let mut output = self.egui.clone().run_ui(raw, |ui| ui::show(ui, state));
-        // Changes of textures come once. They are kept until a frame is shown, which an error may prevent.
+        // egui returns each change of a texture only once. If an error prevents a frame from being shown, its
+        // changes are kept for the next frame.
         self.textures.append(std::mem::take(&mut output.textures_delta));
         input.handle_platform_output(window, output.platform_output);
         self.repaint_at = output
