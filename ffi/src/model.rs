@@ -155,7 +155,6 @@ impl Loaded {
         Ok(ModelFile::from_bytes(&self.bytes)?)
     }
 
-    /// A predictor that uses the model.
     pub(crate) fn predictor(&self) -> Result<Box<dyn Predictor + Send>, Failure> {
         let (net, _) = self.prednet()?;
         Ok(load_with(net, &self.model)?)

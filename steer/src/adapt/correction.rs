@@ -357,7 +357,7 @@ impl Correction {
         normalized
     }
 
-    /// Returns a mean squared error, updated by one more squared error.
+    /// Returns the mean squared error `spread`, updated by the squared error `squared`.
     fn follow(&self, spread: f64, squared: f64) -> f64 {
         let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(SPREAD_PACE, FASTEST_PACE);
         (spread + pace * (squared.min(SQUARE_LIMIT * spread) - spread)).clamp(SPREAD.0, SPREAD.1)

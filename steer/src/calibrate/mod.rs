@@ -274,7 +274,7 @@ impl Calibration {
 impl Calibrated {
     fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
         self.upper.store(&mut self.file)?;
-        // The prior's picture quality law belongs to another renderer.
+        // The prior's picture quality law is that of the prior's renderer, not of this one.
         self.file.metadata.remove(Key::Quality.name());
         if let Some(fitted) = &self.quality {
             fitted.quality.store(&mut self.file)?;

@@ -91,7 +91,6 @@ impl Changes {
 /// wait for memory; none is negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Work {
-    /// Number of pixels of the image.
     pub(crate) pixels: f64,
     /// Number of rays that meet the volume's box.
     pub(crate) rays: f64,

@@ -1,5 +1,5 @@
 //! Classes of cells by their distance to the nearest empty cell. A renderer whose skip map holds this
-//! distance looks the map up less often far from empty cells.
+//! distance looks the map up less often far from empty cells than next to them.
 
 use crate::memory::{fit, longer};
 use alloc::vec::Vec;

@@ -27,7 +27,6 @@ const TABLE_BYTES: u64 = 65536;
 /// Size of a ray's state between two dispatches, in bytes per pixel.
 pub(crate) const STATE_BYTES: u64 = 32;
 
-/// Key of a shader variant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ShaderKey {
     /// 1 for local lighting, plus 2 for shadow rays.

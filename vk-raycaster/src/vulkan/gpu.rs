@@ -349,7 +349,6 @@ fn create_instance(
     unsafe { entry.create_instance(&info, None) }.named("vkCreateInstance")
 }
 
-/// Properties of a device.
 pub(crate) struct Properties {
     pub(crate) physical: vk::PhysicalDevice,
     kind: vk::PhysicalDeviceType,

@@ -76,9 +76,7 @@ impl Span {
     }
 }
 
-/// Scalar type of voxels.
 pub(crate) trait Scalar: Pod + Into<f32> + Send + Sync {
-    /// The stored value as f32.
     #[inline(always)]
     fn to_f32(self) -> f32 {
         self.into()

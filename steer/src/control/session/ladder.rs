@@ -51,8 +51,8 @@ impl Cast {
     fn serves(&self, other: &Self, tolerance: f32) -> bool {
         let distance = self.eye.length();
         let height = self.heights[0] + distance * (self.heights[1] - self.heights[0]);
-        // If the visible height is less than half of the eye's distance from the volume's center, a smaller
-        // turn already shows other parts of the volume.
+        // If the visible height is less than half of the eye's distance from the volume's center, even a turn
+        // within the tolerance may show other parts of the volume. So the tolerance is reduced.
         let tolerance = tolerance * (2.0 * height / distance).min(1.0);
         let least = libm::cosf(TURN * tolerance);
         let near =

@@ -61,7 +61,6 @@ pub(super) fn full(count: usize) -> Mask {
     if count < Mask::BITS as usize { (1 << count) - 1 } else { Mask::MAX }
 }
 
-/// Mask of a range of cells.
 pub(super) fn mask(cells: Range<usize>) -> Mask {
     full(cells.end) & !full(cells.start)
 }

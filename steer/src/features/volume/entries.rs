@@ -93,7 +93,6 @@ pub(super) trait Voxel: bytemuck::Pod + Into<f32> + Send + Sync + core::fmt::Deb
     fn known(self) -> Self {
         self
     }
-    /// True where the value is NaN or infinite.
     #[inline(always)]
     fn is_non_finite(self) -> bool {
         false
