@@ -67,8 +67,8 @@ pub(crate) struct SkipMap {
 }
 
 impl SkipMap {
-    /// Makes the map of a volume and a transfer function. Stores the times of its occupancy and of its
-    /// distances in `preparation`.
+    /// Makes the map of a volume and a transfer function. Stores in `preparation` the seconds for finding the
+    /// empty blocks and for the distances.
     pub(crate) fn new(blocks: &BlockMap, classifier: &Classifier, preparation: &mut Preparation) -> Self {
         let watch = Stopwatch::start();
         let mut map = Self::occupancy(blocks, classifier);

@@ -53,8 +53,8 @@ impl CpuRaycaster {
         Ok((pixels, counts))
     }
 
-    /// Makes the skip map of the current volume and transfer function. Stores the times of its occupancy and
-    /// of its distances in `preparation`.
+    /// Makes the skip map of the current volume and transfer function, if both are set. Stores its times in
+    /// `preparation`, as [`SkipMap::new`] does.
     fn update_skip_map(&mut self, preparation: &mut Preparation) {
         if let (Some((_, blocks)), Some(classifier)) = (&self.volume, &self.classifier) {
             self.skip = Some(SkipMap::new(blocks, classifier, preparation));

@@ -444,7 +444,7 @@ impl Correction {
         v.max(0.0)
     }
 
-    /// Adds `common` to all covariances of the logarithms of the terms' factors, and `single` also to the
+    /// Adds `common` to all covariances of the logarithms of the terms' factors, and then `single` to their
     /// variances.
     fn widen(&mut self, common: f64, single: f64) {
         for i in 0..TERMS {

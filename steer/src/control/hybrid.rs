@@ -132,7 +132,7 @@ pub struct Hybrid {
     before: Option<Before>,
 }
 
-/// The part of the state that beginning a frame changes.
+/// State that changes when a frame begins.
 #[derive(Clone, Debug)]
 struct Before {
     correction: Correction,

@@ -101,7 +101,7 @@ pub(super) struct Blocks<'a> {
     pub(super) high: &'a [u8],
     /// Index of each cell's first block, and one past the last block.
     pub(super) first: &'a [u32],
-    /// Number of blocks in a cell that the volume's border does not cut.
+    /// Number of blocks in a whole cell, which the volume's border does not cut.
     pub(super) most: usize,
     /// True where every cell has `most` blocks.
     pub(super) uniform: bool,

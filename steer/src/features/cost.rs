@@ -42,8 +42,8 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
 /// ray, are nonzero only for renderers like [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
-/// For each unit cost of the longest ray, the index in [`UnitCosts::seconds`] of the cost of all rays'
-/// samples, lookups in the skip map, or shadow samples.
+/// For each unit cost of the longest ray: index in [`UnitCosts::seconds`] of the unit cost of the same kind
+/// of work (samples, lookups in the skip map, or shadow samples), summed over all rays.
 const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 
 /// Index of [`SceneQuantity::TouchedVoxels`] in [`UnitCosts::seconds`].

@@ -40,7 +40,7 @@ fn along(frame: &Frame, relative_spacing: Vec3, footprint: &Footprint) -> Vec3 {
 /// Side of the pixel tiles whose rays a renderer marches in lockstep, in pixels.
 const TILE_SIDE: f32 = 8.0;
 
-/// Settings of a frame that a controller may change.
+/// Settings that a controller may change from frame to frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
     /// Ray step in multiples of the reference step.

@@ -21,7 +21,7 @@ use entire_core::bail;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
 
-/// Number of terms of a cost that are corrected separately; each holds one or more unit costs.
+/// Number of separately corrected terms of a cost; each term holds one or more unit costs.
 pub(crate) const TERMS: usize = 9;
 
 /// Term of each unit cost; costs that scale together on every machine share a term.
@@ -91,7 +91,7 @@ const LONGEST: f32 = 1.0e9;
 pub struct AnalyticModel {
     costs: UnitCosts,
     fitted: bool,
-    /// Number of rays along each side of the probe to whose counts the costs were fitted.
+    /// Number of rays along each side of the probe; the costs were fitted to counts by this probe.
     probe_side: usize,
     /// Calibration of [`Prediction::upper`].
     pub(super) calibration: UpperBound,
@@ -134,8 +134,8 @@ impl AnalyticModel {
         Ok(Self { costs, fitted: true, ..Self::default() })
     }
 
-    /// Sets the probe to whose counts the costs were fitted: `side` rays along each side, clamped to 1 to
-    /// [`MAX_PROBE_SIDE`].
+    /// Sets the number of rays along each side of the probe, clamped to 1 to [`MAX_PROBE_SIDE`]. The costs
+    /// must have been fitted to counts by this probe.
     #[must_use]
     pub fn with_probe_side(mut self, side: usize) -> Self {
         self.probe_side = side.clamp(1, MAX_PROBE_SIDE);

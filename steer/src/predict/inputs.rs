@@ -92,7 +92,7 @@ pub trait Predictor {
     }
 
     /// Checks that every input of the model was supplied. The default makes a prediction; an implementation
-    /// may check the inputs alone.
+    /// may check the inputs without a prediction.
     ///
     /// # Errors
     /// As [`Predictor::predict`].

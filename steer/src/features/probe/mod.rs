@@ -63,8 +63,8 @@ pub(crate) struct Probe {
     /// Lookups in a skip map during the runs. The map holds the distance to the nearest empty block, so that
     /// deep among occupied blocks one lookup serves several blocks.
     pub(super) segments: f32,
-    /// Distance between rays that are one image height apart, at the mean depth of the samples, in reference
-    /// steps.
+    /// Distance between the rays at the image's top and bottom, at the mean depth of the samples, in
+    /// reference steps.
     pub(super) spread: f32,
     /// Share of rays that terminate early.
     pub(super) terminated: f32,

@@ -270,7 +270,7 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     }
 }
 
-/// Checks the number of samples for which the rays of a group of eight wait against its definition. Adjacent
+/// Checks, by the definition, the number of samples for which the rays of a group of eight wait. Adjacent
 /// rays shade at the same time and do not wait. Rays far apart wait while any of them shades, unless all
 /// eight shade.
 #[test]

@@ -1,4 +1,4 @@
-//! Finds the cells of a volume that changed since the last time step, and summarizes them again.
+//! Finds the volume's cells that changed since the last time step, and summarizes them again.
 
 use super::QUANTILES;
 use super::entries::{Map, Voxel};

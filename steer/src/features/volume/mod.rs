@@ -64,7 +64,7 @@ pub struct VolumeSummary {
     block_low: Vec<u8>,
     block_high: Vec<u8>,
     first_block: Vec<u32>,
-    /// Number of blocks in a cell that the volume's border does not cut.
+    /// Number of blocks in a whole cell, which the volume's border does not cut.
     most_blocks: usize,
     /// True where every cell has `most_blocks` blocks.
     uniform: bool,
