@@ -99,7 +99,8 @@ pub unsafe extern "C" fn entire_session_record(
 /// continues to record. entire_model_save saves the model for later runs. The names of
 /// entire_session_set_timing_source are written to the model's metadata.
 ///
-/// Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
+/// Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_INVALID_ARGUMENT (a fit
+/// to these frames predicts a time that is not finite), ENTIRE_OUT_OF_MEMORY,
 /// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_calibrate(

@@ -60,9 +60,9 @@ pub unsafe extern "C" fn entire_session_set_volume(
 /// the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
 /// the previous time step stay unless the volume has precomputed ones.
 ///
-/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (sizes, spacing or bricks that
-/// differ from the session's volume, a number of precomputed features that is not the model's),
-/// ENTIRE_INVALID_ARGUMENT (a scalar type that differs from the session's volume), ENTIRE_OUT_OF_MEMORY,
+/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (sizes, spacing or bricks that are
+/// not those of the session's volume, a number of precomputed features that is not the model's),
+/// ENTIRE_INVALID_ARGUMENT (a scalar type that is not that of the session's volume), ENTIRE_OUT_OF_MEMORY,
 /// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_time_step(
