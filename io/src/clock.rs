@@ -88,7 +88,8 @@ pub fn for_training<'a>(
             } else {
                 let found = concrete(Clock::Auto, frames)?;
                 crate::files::note(&format!(
-                    "some frames have no {} time; the model predicts {} seconds (--clock chooses the clock)",
+                    "some frames have no {} time, so the model predicts {} seconds; to choose another \
+                     clock, use --clock",
                     wanted.name(),
                     found.name()
                 ));
@@ -141,8 +142,9 @@ pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a M
         let Some(clock) = of(model) else { continue };
         ensure!(
             asked == Clock::Auto || clock == asked,
-            "{name} predicts {} seconds and --clock asks for {}; leave out --clock, or make a model for that \
-             clock: `entire calibrate --clock {}` measures this machine, or reads a table (--data TABLE.csv)",
+            "{name} predicts {} seconds, but --clock asks for {}; leave --clock out, or make a model for \
+             the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine or, \
+             with --data TABLE.csv, to a table",
             clock.name(),
             asked.name(),
             asked.name()

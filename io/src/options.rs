@@ -137,7 +137,7 @@ pub fn skip_parser() -> impl TypedValueParser<Value = Skipping> {
 pub fn check_termination(opacity: f32) -> Result<()> {
     ensure!(
         opacity > 0.0 && opacity <= 1.0,
-        "--termination is {opacity}; it must lie in (0, 1], 1 for never"
+        "--termination is {opacity}; it must be above 0 and at most 1. At 1, no ray ends early"
     );
     Ok(())
 }

@@ -217,7 +217,7 @@ fn lying_headers_do_not_allocate() {
     let (hundred, packed) = ("x".repeat(100), "CompressedData = True\n");
     let inside = "HeaderSize is 50, but the header alone has 109 bytes";
     for (sizes, more, data, expected) in [
-        ("10000 10000 10000", "", &hundred[..], "need 2000000000000 bytes, the file has 100"),
+        ("10000 10000 10000", "", &hundred[..], "need 2000000000000 bytes, but the file has 100"),
         ("10000 10000 10000", packed, &hundred, "can hold 103200 at most"),
         ("4294967296 4294967296 4294967296", "", &hundred, "more than can be addressed"),
         ("5 0 5", "", "", "size along y is 0"),
@@ -225,7 +225,7 @@ fn lying_headers_do_not_allocate() {
         ("5 5 2", "ElementSpacing = 1 nan 1\n", &hundred, "finite and positive"),
         ("5 5 2", "ElementNumberOfChannels = 3\n", &hundred, "Channels is 3"),
         ("5 5", "", "", "DimSize has 2 entries"),
-        ("5 5 2", "HeaderSize = 1000\n", "", "bytes, only 0 are left"),
+        ("5 5 2", "HeaderSize = 1000\n", "", "bytes, but only 0 are left"),
         ("5 5 2", "HeaderSize = 50\n", "", inside),
     ] {
         check("a.mha", (mha(sizes, more) + data).as_bytes(), expected);
@@ -251,7 +251,7 @@ fn lying_headers_do_not_allocate() {
         check("a.nii", &nii, expected);
         nii = before;
     };
-    patched(42, &[0x10, 0x27, 0x10, 0x27, 0x10, 0x27], "need 2000000000000 bytes, the file has 770");
+    patched(42, &[0x10, 0x27, 0x10, 0x27, 0x10, 0x27], "need 2000000000000 bytes, but the file has 770");
     patched(42, &[0, 0], "size along x is 0");
     patched(42, &[0xff, 0xff], "dim[1] is -1");
     patched(40, &[4, 0, 5, 0, 7, 0, 1, 0, 11, 0], "axis 3 holds 11");
@@ -277,8 +277,8 @@ fn lying_headers_do_not_allocate() {
         ("Scalars=\"density\"", "Scalars=\"velocity\"", "has 3 components"),
         ("vtkZLibDataCompressor", "vtkLZMADataCompressor", "after its SetCompressorTypeToZLib()"),
         ("vtkZLibDataCompressor", "vtkLZ4DataCompressor", "\"density\": compressed block 0 of 4 is damaged"),
-        ("ImageData", "PolyData", "accepted is ImageData"),
-        ("LittleEndian", "BigEndian", "array \"density\": the compressed blocks hold"),
+        ("ImageData", "PolyData", "only ImageData is accepted"),
+        ("LittleEndian", "BigEndian", "array \"density\": the header states"),
         ("Int16", "String", "type \"String\", which is not read"),
         ("</DataArray>", "</DataArrau>", "not well-formed"),
     ] {
@@ -294,8 +294,8 @@ fn lying_headers_do_not_allocate() {
     check("a.json", b"{\"size\": [2, 2, -2], \"type\": \"uint8\"}", "accepted is an array of numbers");
     check("a.json", b"{\"size\": [2, 2, 2], \"type\": \"rgb\"}", "type \"rgb\" is not read");
     check("a.json", b"{\"size\": [2, 2, 2], \"type\": \"uint8\", \"spacing\": [1]}", "1 entries");
-    check("a_9999x9999x9999_uint8.raw", b"123", "need 999700029999 bytes, the file has 3");
-    check("a_1x1x2_uint8.raw", b"1234", "need 2 bytes, the data has 4");
+    check("a_9999x9999x9999_uint8.raw", b"123", "need 999700029999 bytes, but the file has 3");
+    check("a_1x1x2_uint8.raw", b"1234", "need 2 bytes, but the data has 4");
 }
 
 /// Opens a small file that is made after a public bug report of another reader. The expected values in the
@@ -368,7 +368,10 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     assert_eq!(open_array(&path, "c").unwrap().data(), &VolumeData::U8(vec![5, 6]));
     assert!(!cells(&open_array(&path, "vtkGhostType").unwrap()));
     let message = format!("{:#}", open_array(&path, "b").unwrap_err());
-    assert!(message.contains("\"b\" is not in the file; it has \"a\", \"vtkGhostType\", \"c\""), "{message}");
+    assert!(
+        message.contains("\"b\" is not in the file; the file has \"a\", \"vtkGhostType\", \"c\""),
+        "{message}"
+    );
 
     // The active scalars of the cells are read if the points have none.
     write(vti_of(&format!(">{}", points("a")), &format!("Scalars=\"c\">{}", array("c", "5 6"))));
@@ -546,7 +549,7 @@ fn voxels_in_several_files_are_read_in_their_order() {
         assert_eq!(Volume::open(&path).unwrap().data(), &VolumeData::U8(b"123456".to_vec()), "{files}");
     }
     std::fs::write(other.path().join("a1.raw"), "xx3").unwrap();
-    told(Volume::open(&path), &["a1.raw", "need 2 bytes, the file has 1"]);
+    told(Volume::open(&path), &["a1.raw", "need 2 bytes, but the file has 1"]);
     let text = "NDims = 3\nDimSize = 2 1 3\nElementType = MET_UCHAR\nHeaderSize = 2\nElementDataFile = LIST 2D\n\
                 a2.raw\na0.raw\na2.raw\n";
     let path = other.path().join("a.mhd");
@@ -562,7 +565,7 @@ fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
         assert!(volume.notes()[0].contains(behind), "{name}: {:?}", volume.notes());
     }
     for name in ["behind-second.nrrd", "behind-second.mha"] {
-        refused_report(name, "need 1920 bytes, the data has 3840; check sizes and type in the header");
+        refused_report(name, "need 1920 bytes, but the data has 3840; check sizes and type in the header");
     }
     let gz = entire_io::files::gzip;
     let raw = b"123456".to_vec();

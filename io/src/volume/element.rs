@@ -122,7 +122,7 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
         _ => return Ok(()),
     };
     bail!(
-        "{}{} need {expected} bytes, {found}; the file is cut short or its header is wrong",
+        "{}{} need {expected} bytes, but {found}; the file is cut short or its header is wrong",
         stream.prefix(),
         described(dims, element)
     )
@@ -156,8 +156,8 @@ pub(crate) fn expect_end(
             Remaining::AtMost(_) => format!("{} or more", expected + behind),
         };
         bail!(
-            "{prefix}{voxels} need {expected} bytes, the data has {found}; check sizes and type in the header, \
-             or, if the file holds a second volume, save each volume to a file of its own"
+            "{prefix}{voxels} need {expected} bytes, but the data has {found}; check sizes and type in the \
+             header. If the file holds a second volume, save each volume to a file of its own"
         );
     }
     Ok(Some(format!(
@@ -252,7 +252,7 @@ pub(crate) fn parse_voxels(
     let (Remaining::Exact(most) | Remaining::AtMost(most)) = stream.remaining();
     ensure!(
         most.saturating_add(1) / 2 >= voxels as u64,
-        "{}{x} x {y} x {z} voxels as text need at least {} bytes, the data has {most}; the file is cut \
+        "{}{x} x {y} x {z} voxels as text need at least {} bytes, but the data has {most}; the file is cut \
              short or its header is wrong",
         stream.prefix(),
         (voxels as u64).saturating_mul(2) - 1

@@ -44,11 +44,11 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     let sizes = header.sizes.take().context("MetaImage header has no DimSize")?;
     let spacing = header.spacing.take().or(header.element_size.take()).unwrap_or_else(|| vec![1.0; axes]);
     for (found, key) in [(sizes.len(), "DimSize"), (spacing.len(), "ElementSpacing or ElementSize")] {
-        ensure!(found == axes, "MetaImage {key} has {found} entries, NDims says {axes}");
+        ensure!(found == axes, "MetaImage {key} has {found} entries, but NDims says {axes}");
     }
     ensure!(
         header.channels == 1,
-        "MetaImage ElementNumberOfChannels is {}; one component per voxel is accepted, save one of them",
+        "MetaImage ElementNumberOfChannels is {}, but only 1 is accepted; save one of the channels",
         header.channels
     );
     let ([x, y, z], spacing) = three_axes(&sizes, &spacing, &[])?;
@@ -81,7 +81,8 @@ fn voxels(
     match u64::try_from(header.header_size) {
         Ok(0) => {}
         Ok(size) if size < begin => bail!(
-            "MetaImage HeaderSize is {size}, but the header alone has {begin} bytes; set it to the byte of the first voxel, or to -1"
+            "MetaImage HeaderSize is {size}, but the header alone has {begin} bytes; set HeaderSize to the \
+             offset of the first voxel in bytes, or to -1"
         ),
         Ok(size) => stream.skip(size - begin)?,
         // -1: the voxels are the last bytes of the file.

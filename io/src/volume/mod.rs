@@ -420,8 +420,8 @@ fn not_a_volume(sizes: &[u64], spatial: &[bool]) -> anyhow::Error {
         .or_else(|| (sizes[0] <= 4).then_some(0))
         .unwrap_or(sizes.len() - 1);
     anyhow::anyhow!(
-        "the data has {} axes ({list}); axis {culprit} holds {} components or time steps, one is accepted: \
-         save one component of one time step",
+        "the data has {} axes ({list}), and axis {culprit} holds {} components or time steps; save one \
+         component of one time step",
         sizes.len(),
         sizes[culprit]
     )

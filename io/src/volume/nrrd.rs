@@ -126,7 +126,11 @@ fn voxels(
 ) -> Result<VolumeData> {
     for _ in 0..header.line_skip {
         if stream.line()?.is_none() {
-            bail!("{}the header says to skip {} lines, there are fewer", stream.prefix(), header.line_skip);
+            bail!(
+                "{}the header says to skip {} lines, but the file has fewer",
+                stream.prefix(),
+                header.line_skip
+            );
         }
     }
     stream = match header.encoding {
@@ -343,11 +347,11 @@ mod tests {
     fn lies_are_named_with_what_was_expected_and_found() {
         let packed = PLAIN.replace("2 3 4", "10000 10000 10000").replace("raw", "bzip2");
         for (bytes, expected) in [
-            (with(PLAIN, &[0; 23]), "need 24 bytes, the file has 23"),
-            (with(PLAIN, &[0; 48]), "need 24 bytes, the data has 48"),
+            (with(PLAIN, &[0; 23]), "need 24 bytes, but the file has 23"),
+            (with(PLAIN, &[0; 48]), "need 24 bytes, but the data has 48"),
             (
                 with(&PLAIN.replace("2 3 4", "10000 10000 10000"), &[0; 100]),
-                "need 1000000000000 bytes, the file has 100",
+                "need 1000000000000 bytes, but the file has 100",
             ),
             (
                 with(&PLAIN.replace("2 3 4", "10000 10000 10000").replace("raw", "gzip"), &[0; 100]),

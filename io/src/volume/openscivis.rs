@@ -46,8 +46,8 @@ pub(super) fn read_json(
     }
     let Some(name) = found else {
         bail!(
-            "no voxels beside the description: looked for {}; put the file there, or name it with \"file\" relative \
-             to the description",
+            "no voxels beside the description: looked for {}; put the voxels' file there, or give its path, \
+             relative to the description, under the key \"file\"",
             candidates.join(", ")
         );
     };
@@ -119,7 +119,9 @@ fn describe(stream: &mut Stream<'_>) -> Result<Description> {
     if let Some(components) = json.get("components").or_else(|| json.get("channels"))
         && components.as_u64() != Some(1)
     {
-        bail!("the description says {components} components per voxel; one is accepted, save one of them");
+        bail!(
+            "the description says {components} components per voxel, but only 1 is accepted; save one of them"
+        );
     }
     let (sizes, spacing) = three_axes(&sizes, &spacing, &[])?;
     let text = |key: &str| json.get(key).and_then(Value::as_str);

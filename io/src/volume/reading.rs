@@ -108,7 +108,7 @@ impl FromStr for Range {
             "data" => Ok(Self::Data),
             pair => match numbers_in(pair)?[..] {
                 [low, high] => Ok(Self::Given(low, high)),
-                _ => Err("two numbers separated by a comma, data, or auto are expected".to_owned()),
+                _ => Err("data, auto, or two numbers separated by a comma are expected".to_owned()),
             },
         }
     }

@@ -35,7 +35,7 @@ impl Several {
                 add(&mut names, &mut bytes, name)?;
             }
         }
-        ensure!(!names.is_empty(), "LIST is followed by no file name; each stands on a line of its own");
+        ensure!(!names.is_empty(), "LIST is followed by no file name; write each name on a line of its own");
         Ok(Self { names, axes })
     }
 
@@ -47,7 +47,7 @@ impl Several {
             return Ok(None);
         }
         if !(4..=5).contains(&words.len()) {
-            bail!("{value:?} is no pattern of file names; accepted is \"name%03d.raw FIRST LAST STEP\"");
+            bail!("{value:?} is no pattern of file names; give one like \"name%03d.raw FIRST LAST STEP\"");
         }
         let (first, last, step) = (whole(words[1])?, whole(words[2])?, whole(words[3])?);
         let axes = words.get(4).map(|word| whole(word)).transpose()?;
@@ -88,7 +88,8 @@ impl Several {
         let each = product(&sizes[..axes]).unwrap_or(0).max(1);
         ensure!(
             all / each == files,
-            "the voxels are spread over {} files of {axes} axes each, {files} are named; are some missing?",
+            "the voxels are spread over {} files of {axes} axes each, but {files} are named; are some \
+             missing?",
             all / each
         );
         Ok(each as usize)
@@ -145,7 +146,10 @@ fn numbered(pattern: &str, number: i64) -> Result<String> {
         let (width, after) = rest.split_at(end);
         let places: usize = if width.is_empty() { 0 } else { width.parse().unwrap_or(usize::MAX) };
         if put || places > 64 || !after.starts_with(['d', 'i', 'u']) {
-            bail!("{pattern:?} is no pattern of file names; accepted is one %d, or %03d and the like");
+            bail!(
+                "{pattern:?} is no pattern of file names; it must have one %d, or one with a width, such \
+                 as %03d"
+            );
         }
         if width.starts_with('0') {
             name.push_str(&format!("{number:0places$}"));

@@ -180,7 +180,7 @@ impl<'a> Stream<'a> {
         };
         ensure!(
             left >= count,
-            "{prefix}the header says to skip {count} bytes, only {left} are left; is the file cut short?"
+            "{prefix}the header says to skip {count} bytes, but only {left} are left; is the file cut short?"
         );
         Ok(())
     }

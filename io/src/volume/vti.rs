@@ -131,7 +131,7 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
         }
         needed = needed.saturating_add(byte_count(part, array.element.unwrap_or(Element::U8))?);
         if needed > most {
-            bail!("the pieces need {needed} bytes, the file can hold {most} at most; is it cut short?");
+            bail!("the pieces need {needed} bytes, but the file can hold {most} at most; is it cut short?");
         }
         parts.push((voxels(bytes, &file, own, part)?, at, part));
     }
@@ -225,7 +225,7 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
         }
         Place::Appended(offset) => {
             let Some((base64, start)) = file.appended else {
-                bail!("array {shown:?} is appended, the file has no AppendedData; is it cut short?");
+                bail!("array {shown:?} is appended, but the file has no AppendedData; is it cut short?");
             };
             let rest =
                 usize::try_from(*offset).ok().and_then(|offset| bytes.get(start.checked_add(offset)?..));
@@ -248,7 +248,7 @@ fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<
         let (header, rest) = word(&stored, file).with_context(context)?;
         ensure!(
             header == expected,
-            "array {shown:?} has {header} bytes, {} x {} x {} voxels of {} bytes need {expected}",
+            "array {shown:?} has {header} bytes, but {} x {} x {} voxels of {} bytes need {expected}",
             dims[0],
             dims[1],
             dims[2],
@@ -289,11 +289,11 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
         return match all().find(|(_, array, _)| array.name.as_deref() == Some(name)) {
             Some((_, array, cells)) if array.components == 1 => Ok((array, cells)),
             Some((_, array, _)) => bail!(
-                "array {name:?} has {} components per voxel; one is accepted; save one component, or the \
-                 magnitude",
+                "array {name:?} has {} components per voxel, but only 1 is accepted; save one component, or \
+                 the magnitude",
                 array.components
             ),
-            None => bail!("array {name:?} is not in the file; it has {}", names(&|_, _| true)),
+            None => bail!("array {name:?} is not in the file; the file has {}", names(&|_, _| true)),
         };
     }
     let mut refused = None;
@@ -306,8 +306,8 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
     }
     match refused {
         Some((active, Some(array))) => bail!(
-            "the active scalar array {active:?} has {} components per voxel; one is accepted; save one \
-             component, or the magnitude, or make another array the active one (with one component: {})",
+            "the active scalar array {active:?} has {} components per voxel, but only 1 is accepted; save \
+             one component, or the magnitude, or make another array active. Arrays with one component: {}",
             array.components,
             names(&Section::offers)
         ),
@@ -327,7 +327,8 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
     }
     match all().find(|(_, array, _)| array.components != 1).or_else(|| all().next()) {
         Some((_, array, _)) if array.components != 1 => bail!(
-            "array {:?} has {} components per voxel; one is accepted; save one component, or the magnitude",
+            "array {:?} has {} components per voxel, but only 1 is accepted; save one component, or the \
+             magnitude",
             shown(array),
             array.components
         ),
@@ -372,7 +373,10 @@ fn parse(bytes: &[u8]) -> Result<File> {
             (None, "VTKFile") => {
                 let kind = attribute(tag, "type")?.unwrap_or_default();
                 if kind != "ImageData" {
-                    bail!("VTK file of type {kind:?}; accepted is ImageData (save a regular grid as .vti)");
+                    bail!(
+                        "VTK file of type {kind:?}, but only ImageData is accepted; save a regular grid as \
+                         .vti"
+                    );
                 }
                 file.endian = match attribute(tag, "byte_order")?.as_deref() {
                     None | Some("LittleEndian") => Endian::Little,
@@ -595,7 +599,8 @@ fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     let total = full.checked_mul(block).and_then(|n| n.checked_add(if blocks == 0 { 0 } else { last }));
     ensure!(
         total == Some(expected),
-        "the compressed blocks hold {blocks} x {block} (last {last}) bytes, the voxels need {expected}"
+        "the header states {blocks} blocks of {block} bytes (last block: {last}, 0 for a full one), but the \
+         voxels need {expected} bytes"
     );
     let table = blocks.checked_mul(file.width).filter(|n| *n <= sizes.len() as u64);
     let Some(table) = table else {
@@ -627,7 +632,8 @@ fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
             match lz4_flex::block::decompress_into(this, &mut out[from..]) {
                 Ok(got) if got as u64 == wanted => continue,
                 Ok(got) => bail!(
-                    "compressed block {index} of {blocks} decompresses to {got} bytes, its header says {wanted}"
+                    "compressed block {index} of {blocks} decompresses to {got} bytes, but the header says \
+                     {wanted}"
                 ),
                 Err(error) => bail!("compressed block {index} of {blocks} is damaged: {error}"),
             }
@@ -639,7 +645,7 @@ fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
         let got = out.len() as u64 - before;
         ensure!(
             got == wanted,
-            "compressed block {index} of {blocks} decompresses to {got} or more bytes, its header says \
+            "compressed block {index} of {blocks} decompresses to {got} or more bytes, but the header says \
                  {wanted}"
         );
     }
