@@ -54,7 +54,7 @@ fn check_size<T: ByValue>(size: usize) -> Result<(), Failure> {
     if !(T::FIRST_SIZE..LARGEST_STRUCT).contains(&size) {
         refuse!(
             ENTIRE_STRUCT_SIZE,
-            "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name})",
+            "{name}.struct_size is {size}, but the struct has {} bytes; set struct_size to sizeof({name})",
             size_of::<T>(),
             name = T::NAME
         );
@@ -222,7 +222,7 @@ pub(crate) unsafe fn text<'a>(at: *const c_char, what: &str) -> Result<&'a str, 
     unsafe { CStr::from_ptr(at) }.to_str().map_err(|e| {
         Failure::new(
             ENTIRE_INVALID_ARGUMENT,
-            format!("{what} is not UTF-8 (byte {}); convert it before the call", e.valid_up_to()),
+            format!("{what} is not UTF-8 at byte {}; convert it to UTF-8 before the call", e.valid_up_to()),
         )
     })
 }

@@ -61,7 +61,7 @@ fn check_seconds(seconds: f32, what: &str) -> Result<(), Failure> {
     }
     Err(Failure::new(
         ENTIRE_INVALID_ARGUMENT,
-        format!("{what} is {seconds}; it must be finite and not negative (seconds)"),
+        format!("{what} is {seconds} seconds; it must be finite and not negative"),
     ))
 }
 

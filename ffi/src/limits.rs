@@ -52,8 +52,8 @@ pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result
         if n > ENTIRE_MAX_SIDE {
             refuse!(
                 ENTIRE_SIZE_MISMATCH,
-                "the volume has {n} voxels along {axis}, too large: at most {ENTIRE_MAX_SIDE} \
-                 (ENTIRE_MAX_SIDE) are accepted; check its sizes"
+                "the volume has {n} voxels along {axis}; at most {ENTIRE_MAX_SIDE} (ENTIRE_MAX_SIDE) are \
+                 accepted: check the volume's sizes"
             );
         }
     }

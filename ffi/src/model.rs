@@ -168,8 +168,8 @@ impl Loaded {
             if ready.len() != size {
                 refuse!(
                     ENTIRE_SIZE_MISMATCH,
-                    "the volume has {} precomputed features, the model takes {size}; \
-                     encode it with this model",
+                    "the volume has {} precomputed features, but the model takes {size}; encode the volume \
+                     with this model",
                     ready.len()
                 );
             }
@@ -605,13 +605,17 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
     if inputs.len() != expected.saturating_mul(rows) {
         refuse!(
             ENTIRE_SIZE_MISMATCH,
-            "{} inputs in {rows} row(s); the model takes {expected} in each (entire_model_describe)",
+            "{} inputs in {rows} row(s) were given; the model takes {expected} per row, as \
+             entire_model_describe states",
             inputs.len()
         );
     }
     if let Some(i) = inputs.iter().position(|v| !v.is_finite()) {
         let (column, row, value) = (i % expected, i / expected, inputs[i]);
-        refuse!(ENTIRE_INVALID_ARGUMENT, "input {column} of row {row} is {value}; inputs must be finite");
+        refuse!(
+            ENTIRE_INVALID_ARGUMENT,
+            "input {column} of row {row} is {value}; inputs must be finite. Rows and inputs count from 0"
+        );
     }
     Ok(())
 }

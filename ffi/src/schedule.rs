@@ -58,9 +58,9 @@ fn check_counts(tasks: usize, nodes: usize) -> Result<(), Failure> {
     if tasks as u64 * nodes as u64 > ENTIRE_MAX_TASKS_TIMES_NODES {
         refuse!(
             ENTIRE_SIZE_MISMATCH,
-            "{tasks} tasks on {nodes} nodes are too many together: tasks times nodes is at most \
-             {ENTIRE_MAX_TASKS_TIMES_NODES} (ENTIRE_MAX_TASKS_TIMES_NODES); \
-             schedule groups of tasks or of nodes"
+            "{tasks} tasks on {nodes} nodes are too many: the product of both numbers must be at most \
+             {ENTIRE_MAX_TASKS_TIMES_NODES} (ENTIRE_MAX_TASKS_TIMES_NODES). Split the tasks or the nodes \
+             into groups, and schedule each group alone"
         );
     }
     Ok(())

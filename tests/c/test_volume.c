@@ -171,7 +171,7 @@ static void refusals(void) {
     REFUSE(ENTIRE_SIZE_MISMATCH, desc.voxel_count -= 1, "needs");
     REFUSE(ENTIRE_SIZE_MISMATCH, desc.voxel_count = SIZE_MAX, "memory");
     REFUSE(ENTIRE_SIZE_MISMATCH, (desc.voxel_count = SIZE_MAX, desc.ownership = ENTIRE_VOXELS_BORROW), "memory");
-    REFUSE(ENTIRE_SIZE_MISMATCH, desc.dims[0] = desc.dims[1] = desc.dims[2] = SIZE_MAX, "too large");
+    REFUSE(ENTIRE_SIZE_MISMATCH, desc.dims[0] = desc.dims[1] = desc.dims[2] = SIZE_MAX, "at most");
     REFUSE(ENTIRE_SIZE_MISMATCH, desc.strides[0] = desc.strides[1] = desc.strides[2] = SIZE_MAX / 2, "too large");
     REFUSE(ENTIRE_INVALID_ARGUMENT, desc.reserved = 1, "reserved");
     REFUSE(ENTIRE_INVALID_ARGUMENT, desc.spacing[0] = 0, "spacing");

@@ -262,7 +262,8 @@ pub unsafe extern "C" fn entire_session_choose(
             if setting_count > ENTIRE_MAX_SETTINGS {
                 refuse!(
                     ENTIRE_SIZE_MISMATCH,
-                    "{setting_count} settings; choose takes at most {ENTIRE_MAX_SETTINGS}"
+                    "setting_count is {setting_count}; at most {ENTIRE_MAX_SETTINGS} (ENTIRE_MAX_SETTINGS) \
+                     is accepted"
                 );
             }
             let given = slice(settings, setting_count, "settings")?;
