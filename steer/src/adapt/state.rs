@@ -49,8 +49,8 @@ pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
     if stated != found {
         bail!(
             InvalidArgument,
-            "the saved state is damaged or cut short: its checksum is {stated:08x}, its bytes give {found:08x}; start \
-             without it"
+            "the saved state is damaged or cut short: it states the checksum {stated:08x}, but its bytes \
+             have {found:08x}; start without it"
         );
     }
     Ok(body)

@@ -208,8 +208,8 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
     if counted.len() < 4 {
         bail!(
             InvalidArgument,
-            "{} pictures of every scene take at most {LONGEST} of the time at full quality, at least 4 are \
-             needed; draw coarser steps and smaller images",
+            "{} pictures of every scene take at most {LONGEST} times as long as full quality, but at least \
+             4 are needed; draw coarser steps and smaller images",
             counted.len()
         );
     }

@@ -195,9 +195,9 @@ impl Session {
             };
             bail!(
                 SizeMismatch,
-                "a time step must have the sizes, spacing, cells and blocks of the session's volume: the time step \
-                 has {}, the volume has {}; make the time step's summary like the volume's, or call set_volume for \
-                 another volume",
+                "a time step must have the sizes, spacing, cells and blocks of the session's volume: the \
+                 time step has {}, but the volume has {}; make the time step's summary like the volume's, \
+                 or call set_volume for another volume",
                 text(&volume),
                 text(before)
             );
@@ -205,8 +205,8 @@ impl Session {
         if volume.scalar_type != before.scalar_type {
             bail!(
                 InvalidArgument,
-                "a time step must have the scalar type of the session's volume: the time step has {}, the volume \
-                 {}; for another volume, call set_volume",
+                "a time step must have the scalar type of the session's volume: the time step has {}, but \
+                 the volume has {}; for another volume, call set_volume",
                 volume.scalar_type.name(),
                 before.scalar_type.name()
             );

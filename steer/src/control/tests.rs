@@ -348,7 +348,7 @@ fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
     let state = named(None, "a renderer", "device").save_state();
     named(None, "a renderer", "device").load_state(&state).unwrap();
     for (costs, renderer, clock, says) in [
-        (Some(1e-8), "a renderer", "device", "another model"),
+        (Some(1e-8), "a renderer", "device", "this session's model"),
         (None, "another", "device", "renderer \"a renderer\""),
         (None, "", "device", "renderer"),
         (None, "a renderer", "wall", "clock \"device\""),

@@ -70,11 +70,11 @@ quantities! {
         "expected reads of the skip map within runs: each read gives the distance to the nearest empty block, \
          and the renderer takes the samples within this distance without another read";
     LocalSamples, "local_samples", "samples", 1.0, yes, yes,
-        "visible samples with local shading, otherwise 0";
+        "visible samples, if the frame has local lighting; 0 without local lighting";
     ScatterSamples, "scatter_samples", "samples", 1.0, yes, yes,
-        "visible samples with single scattering, otherwise 0";
+        "visible samples, if the frame has single scattering; 0 without single scattering";
     ShadowSamples, "shadow_samples", "samples", 1.0, yes, yes,
-        "samples along shadow rays with single scattering, otherwise 0";
+        "samples along shadow rays; 0 without single scattering";
     LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
         "samples along shadow rays, plus waiting: while one ray of a group of eight adjacent rays shades, \
          each sample along its shadow rays is also counted for every ray that waits";
@@ -89,10 +89,10 @@ quantities! {
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
         "reads of the skip map that miss the caches: `segments` times the far share";
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
-        "`local_samples` times the share of the reads of shading that miss the caches";
+        "`local_samples` times the share of reads for shading that miss the caches";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
-        "`lane_shadow_samples`, computed for a ray spacing of eight reference steps, times the share of the \
-         reads of shading that miss the caches";
+        "`lane_shadow_samples`, computed as if neighboring rays were eight reference steps apart, times the \
+         share of reads for shading that miss the caches";
     FarX, "far_x", "samples", 1.0, yes, yes,
         "`samples` times the far share, times the share of crossed voxel borders that are normal to x; rays \
          along an axis read slowly if adjacent voxels of this axis are far apart in memory";
@@ -102,8 +102,8 @@ quantities! {
         "0 for integers whose minimum is 0 and whose maximum is at most 32767; for all other volumes equal \
          to `samples`, since a renderer with lookup tables must shift or scale their values";
     EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
-        "work times unit cost, summed over all kinds of work, with the unit costs of the model file, or \
-         those of a software renderer if the file has none";
+        "sum, over all kinds of work, of amount times unit cost; the unit costs are those of the model \
+         file, or of a software renderer if the file has none";
     SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples divided by the image's pixels";
     ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, yes, yes,
         "samples along shadow rays, divided by the image's pixels";
@@ -134,7 +134,7 @@ quantities! {
     FarLongestSegments, "far_longest_segments", "segments", 1.0, yes, yes,
         "`longest_segments` times the far share";
     FarLongestShadowSamples, "far_longest_shadow_samples", "samples", 1.0, yes, yes,
-        "`longest_shadow_samples` times the share of the reads of shading that miss the caches";
+        "`longest_shadow_samples` times the share of reads for shading that miss the caches";
 }
 
 impl SceneQuantity {

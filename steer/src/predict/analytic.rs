@@ -56,7 +56,7 @@ impl UnitCosts {
         let Some(text) = model.metadata.get(Key::UnitCosts.name()) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
-            Err(e) => bail!(InvalidModel, "{} is not an object of seconds by name: {e}", Key::UnitCosts),
+            Err(e) => bail!(InvalidModel, "{} is no JSON object of names and seconds: {e}", Key::UnitCosts),
         };
         let mut out = Self { seconds: [0.0; COSTS], cached_voxels: stored_cached_voxels(model)? };
         for (name, &cost) in &named {

@@ -292,7 +292,7 @@ impl InputLayout {
             Some(value) => Ok(if log { quantity.log(value) } else { value as f32 }),
             None => bail!(
                 MissingInput,
-                "the model takes the scene feature {feature}, which was not supplied; measure the frame"
+                "the model takes the scene feature {feature}, which was not supplied; measure the frame with FrameFeatures"
             ),
         }
     }
@@ -356,7 +356,8 @@ fn takes_sorted_lobes(model: &Model) -> Result<bool> {
         Some("center") => Ok(true),
         Some(other) => bail!(
             Unsupported,
-            "{} is {other:?}; only \"center\" is accepted, or no entry if lobes keep the caller's order",
+            "{} is {other:?}; only \"center\" is accepted; without this entry, lobes keep the order in \
+             which the caller gives them",
             Key::LobeOrder
         ),
     }

@@ -124,7 +124,8 @@ impl ModelPredictor {
         if width != net.inputs() {
             bail!(
                 SizeMismatch,
-                "the network takes {} inputs, the model's groups hold {width}; build it from the same model",
+                "the network takes {} inputs, but the model's groups hold {width}; build the network from \
+                 the same model",
                 net.inputs()
             );
         }

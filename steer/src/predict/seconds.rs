@@ -25,8 +25,8 @@ pub(crate) fn checked_seconds(raw: f32) -> Result<(f32, bool)> {
         // The message is a constant text, so it is not allocated. A plan may evaluate the network many times.
         return Err(Error::new(
             ErrorKind::InvalidModel,
-            "the network's prediction is no finite number of seconds: its weights are too large for these \
-             inputs, train the model again or use another",
+            "the network's prediction is not finite, since its weights are too large for these inputs; \
+             train the model again, or use another model",
         ));
     }
     let seconds = raw.clamp(*PREDICTED_SECONDS.start(), *PREDICTED_SECONDS.end());
@@ -42,8 +42,8 @@ pub fn check_predictions(seconds: &mut [f32]) -> Result<usize> {
     if let Some(row) = seconds.iter().position(|s| !s.is_finite()) {
         bail!(
             InvalidModel,
-            "the network's prediction for row {row} is {} seconds; a finite number is expected: its weights are too large \
-             for these inputs, train the model again or use another",
+            "the network's prediction for row {row} is {} seconds, since its weights are too large for \
+             these inputs; train the model again, or use another model",
             seconds[row]
         );
     }

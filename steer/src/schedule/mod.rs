@@ -34,7 +34,7 @@ impl Assignment {
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
             bail!(
                 SizeMismatch,
-                "there are {} times and {} speeds; the assignment has {} tasks and {} nodes and needs one \
+                "there are {} times and {} speeds, but the assignment has {} tasks and {} nodes; give one \
                  time per task and one speed per node",
                 times.len(),
                 speeds.len(),
@@ -100,7 +100,7 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
         1..=MAX_NODES => {}
         n => bail!(
             InvalidArgument,
-            "there are {n} nodes, at most {MAX_NODES} are accepted; check the number of nodes"
+            "there are {n} nodes, but at most {MAX_NODES} are accepted; check the number of nodes"
         ),
     }
     for (i, &s) in speeds.iter().enumerate() {

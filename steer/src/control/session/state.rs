@@ -48,7 +48,7 @@ impl Session {
             if name.len() > MAX_NAME {
                 bail!(
                     InvalidArgument,
-                    "the {what}'s name has {} bytes, at most {MAX_NAME} are accepted; shorten it",
+                    "the {what}'s name has {} bytes, but at most {MAX_NAME} are accepted; shorten the name",
                     name.len()
                 );
             }
@@ -116,8 +116,8 @@ impl Session {
         if found != own {
             bail!(
                 Unsupported,
-                "the saved state was learned with another model (its checksum is {found:08x}, this \
-                 model's {own:08x}); load it into a session with that model, or start without it"
+                "the saved state was learned with the model of checksum {found:08x}, but this session's \
+                 model has {own:08x}; load it into a session with that model, or start without it"
             );
         }
         for (what, own) in ["renderer", "clock"].into_iter().zip(&self.timing) {
@@ -125,8 +125,8 @@ impl Session {
             if found != own {
                 bail!(
                     Unsupported,
-                    "the saved state was learned from the {what} {found:?}, this session's is {own:?}; name the \
-                     timing source before loading, or start without the state"
+                    "the saved state was learned from the {what} {found:?}, but this session's is {own:?}; \
+                     name the timing source before loading, or start without the state"
                 );
             }
         }
