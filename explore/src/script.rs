@@ -135,7 +135,7 @@ fn event(line: &str) -> Result<(u64, Action)> {
     names.sort_unstable();
     ensure!(
         names.len() == 1,
-        "a line has one action, this one has {} ({}); give each action a line",
+        "a line must have one action, but this line has {} ({}); put each action on its own line",
         names.len(),
         names.join(", ")
     );

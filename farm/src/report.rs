@@ -234,8 +234,8 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
         table.row(vec![name.into(), format!("{end:.2}").into(), format!("{:.3}", end / bound).into()]);
     }
     let text = format!(
-        "Measured seconds of the tasks of this run, without loading, replayed on {slots} equal slots; the \
-         last line is the time of the run itself."
+        "Time until the last task ends on {slots} equal slots, computed for each order from the tasks' \
+         measured seconds, without loading. The last line is the measured time of the run."
     );
     page.table(&table, &text);
     Ok(())

@@ -76,8 +76,8 @@ pub fn text(
         bytes as f64 / 1e6
     );
     if planner.learner().observed() == 0 && job.predict.model.is_none() && job.predict.list.is_none() {
-        out += "no task has been measured: the times below are rough; let the job run for a moment, end it \
-                with Ctrl-C, and repeat the dry run\n";
+        out += "no task has been measured, so the times below are rough. For better ones, let the job run \
+                for a moment, end it with Ctrl-C, and repeat the dry run\n";
     }
     let priced = if price.is_some() { " | #price" } else { "" };
     let mut table = Table::headed(&format!("#nodes | done after | 90 % interval | #node hours{priced}"));

@@ -223,7 +223,8 @@ impl Worker {
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
             bail!(
-                "{} changed while the farm was running: {what}; continue with --resume once it is complete",
+                "{} changed while the farm was running: {what}; continue with --resume once the volume is \
+                 complete",
                 order.volume.display()
             );
         }

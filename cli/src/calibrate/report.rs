@@ -119,10 +119,9 @@ impl Report {
         let mut out = Vec::new();
         if self.others.busy() {
             out.push(format!(
-                "the machine was busy: other programs used {:.1} processors on average; during {:.0} of \
-                 {:.0} seconds they used more than {} processors, and a repeat rendered in these seconds is \
-                 used only if its frame has no repeat from the other seconds; calibrate again on a quiet \
-                 machine",
+                "the machine was busy: other programs used {:.1} processors on average, and more than {3} \
+                 processors during {:.0} of {:.0} seconds. Repeats rendered in these busy seconds are used \
+                 only for frames that have no repeat from quiet seconds. Calibrate again on a quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,

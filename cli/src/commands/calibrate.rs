@@ -40,7 +40,8 @@ use std::path::{Path, PathBuf};
         measures without shading on the volumes in data/, and stores the model
         in the user's data folder
   entire calibrate --shade all
-        one model each for none, local and scatter, a minute and a half each
+        makes one model for each of the shading modes none, local and scatter;
+        each takes a minute and a half
   entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
         fits the model to frames that your own renderer logged; renders nothing")]

@@ -210,7 +210,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             );
             if old.files.is_empty() {
                 note(&format!(
-                    "{} has no checksums of the volume files; they are taken as unchanged",
+                    "{} has no checksums of the volume files; the files are taken as unchanged",
                     Manifest::path_for(&options.out).display()
                 ));
             }

@@ -103,8 +103,8 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
         let value = net.predict(&inputs, &mut scratch);
         ensure!(
             value.is_finite(),
-            "row {row}: the model answers {value} seconds; the inputs are far from its training data; \
-                 check their units"
+            "row {row}: the model predicts {value} seconds, since the inputs are far from its training \
+                 data; check the units of the inputs"
         );
         seconds.push(value);
     }

@@ -81,7 +81,7 @@ fn parse_lobes(text: &str) -> Result<Lobes, String> {
     let numbers = numbers_in(text)?;
     if !numbers.len().is_multiple_of(3) {
         return Err(format!(
-            "three numbers per lobe are expected (center, width, height), there are {}",
+            "{} numbers were given; each lobe needs three: center, width, height",
             numbers.len()
         ));
     }

@@ -164,9 +164,8 @@ pub fn run(options: &Options) -> Result<()> {
                 split.by.name()
             ),
             false => {
-                "no --validation-groups: the loss of the training frames decides when training stops, and \
-                 the upper bound is fitted to the training frames, so more than 5 % of other frames may \
-                 exceed the bound"
+                "no --validation-groups: the training frames decide when training stops, and the upper bound \
+                 is fitted to them. More than 5 % of other frames may exceed this bound"
                     .into()
             }
         });
@@ -360,12 +359,14 @@ fn check_used(recipe: &Recipe) -> Result<()> {
     let given: Vec<&str> = options.into_iter().filter(|o| o.1).map(|o| o.0).collect();
     ensure!(
         recipe.kind != Kind::Analytic || given.is_empty(),
-        "{0} is for networks; --model-kind analytic has none: leave {0} out, or choose another kind",
+        "{0} is for networks, but --model-kind analytic has no network; leave {0} out, or choose another \
+         --model-kind",
         given.join(", ")
     );
     ensure!(
         recipe.kind != Kind::Residual || recipe.target == usual.target,
-        "--target is for --model-kind prednet; a residual network learns ratios of times: leave it out"
+        "--target is only for --model-kind prednet, since a residual network learns ratios of times; leave \
+         --target out"
     );
     for (option, given, group) in [
         ("--scene-features", !recipe.scene_features.is_empty(), GroupKind::SceneFeatures),

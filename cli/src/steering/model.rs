@@ -110,7 +110,7 @@ impl Steers {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         format!(
             "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this \
-             volume, which it was not fitted to",
+             volume, to which the model was not fitted",
             self.title,
             100.0 * median_error,
             100.0 * p95_error

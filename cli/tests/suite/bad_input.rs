@@ -132,7 +132,7 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
     let log = meta("entire.target", "log_seconds");
     std::fs::write(at.join("m.safetensors"), safetensors(&log, &poke("prednet.1.bias", 100.0))).unwrap();
     let predict = ["predict", "--model", "m.safetensors", "--inputs", "rows.csv"];
-    refuses(at, &predict, &["rows.csv: row 1: the model answers inf seconds", "check their units"]);
+    refuses(at, &predict, &["rows.csv: row 1: the model predicts inf seconds", "check the units"]);
     // Times below a microsecond, and below zero, become the shortest time.
     for (metadata, bias) in [(&log, -100.0), (&meta("entire.target", "seconds"), -1e6)] {
         std::fs::write(at.join("m.safetensors"), safetensors(metadata, &poke("prednet.1.bias", bias)))

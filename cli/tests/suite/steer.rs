@@ -129,7 +129,7 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
         "target",
         "clock      wall",
         "frames of 3 other volumes",
-        "which it was not fitted to",
+        "to which the model was not fitted",
         "entire",
         "abrupt switch",
     ] {

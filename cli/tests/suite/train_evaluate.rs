@@ -364,7 +364,7 @@ fn what_cannot_be_done_is_said() {
         ("--model-kind residual --inputs scene_features,camera", 1, "takes scene_features alone"),
         // Options that would have no effect are refused.
         ("--model-kind residual --preset 4C64", 1, "--preset is for --model-kind prednet"),
-        ("--model-kind analytic --epochs 9", 1, "--epochs is for networks; --model-kind analytic"),
+        ("--model-kind analytic --epochs 9", 1, "--epochs is for networks, but --model-kind analytic"),
         ("--sorted-lobes --fine-tune m.safetensors", 2, "--sorted-lobes"),
         ("--model-kind residual --fine-tune m.safetensors", 2, "--model-kind"),
         ("--sorted-lobes", 1, "--sorted-lobes has no effect without the input group transfer_function"),

@@ -28,7 +28,8 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
             curve.opacity = Opacity::Lobes(vec![lobe]);
             state.replace(curve);
         }
-        ui.checkbox(&mut state.fine, "fine near 0").on_hover_text("Draws opacity by its cube root");
+        ui.checkbox(&mut state.fine, "fine near 0")
+            .on_hover_text("Draws the cube root of the opacity, so that low opacities can be seen");
     });
     curve(ui, state);
     colors(ui, state);
@@ -55,7 +56,7 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
     ui.horizontal(|ui| {
         ui.add(egui::TextEdit::singleline(&mut state.texts.transfer).desired_width(130.0));
         let file = || state.texts.transfer.trim().into();
-        if ui.button("Load").on_hover_text("A JSON file of this window, or a ParaView preset").clicked() {
+        if ui.button("Load").on_hover_text("A JSON file saved here, or a ParaView preset").clicked() {
             state.commands.push(Command::LoadTransfer(file()));
         }
         if ui.button("Save").clicked() {

@@ -91,7 +91,8 @@ fn modes(ui: &mut Ui, state: &mut State) {
     ui.horizontal(|ui| {
         ui.checkbox(&mut state.show_box, "box");
         ui.checkbox(&mut state.show_axes, "axes");
-        ui.checkbox(&mut state.show_probe, "probe").on_hover_text("Probe rays of the prediction");
+        ui.checkbox(&mut state.show_probe, "probe")
+            .on_hover_text("Shows the probe rays, which estimate the frame's work for the prediction");
         ui.checkbox(&mut state.show_work, "work")
             .on_hover_text("Samples per ray of this view, counted by the raycaster");
     });
@@ -211,14 +212,14 @@ fn files(ui: &mut Ui, state: &mut State) {
         ui.add(egui::TextEdit::singleline(&mut state.texts.recording).desired_width(120.0));
         match &state.recorder {
             None => {
-                if ui.button("Record").on_hover_text("A path file, which `entire steer` plays").clicked() {
+                if ui.button("Record").on_hover_text("Records a path for `entire steer`").clicked() {
                     state.recorder = Some(Recorder::new(state.view.fov_y));
                 }
             }
             Some(recorder) => {
                 ui.label(format!("{} frames", recorder.frames()));
                 if recorder.panned {
-                    ui.weak("(paths look at the center: panning is left out)");
+                    ui.weak("(panning is not recorded, since paths always look at the center)");
                 }
                 if ui.button("Save").clicked() {
                     let file = state.texts.recording.trim().into();

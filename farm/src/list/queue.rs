@@ -93,7 +93,7 @@ fn check_order(order: &[usize], tasks: usize) -> Result<()> {
         }
     }
     if order.len() != tasks {
-        bail!("the order holds {} of {tasks} tasks; it must hold each once", order.len());
+        bail!("the order holds {} of {tasks} tasks; it must hold each task once", order.len());
     }
     Ok(())
 }
