@@ -78,7 +78,8 @@ impl Layout {
         let encoder = model.volumenet.as_ref().map(Encoder::new).transpose()?;
         ensure!(
             encoder.is_some() || layout.groups.iter().all(|g| g.0 != GroupKind::VolumeFeatures),
-            "the model takes volume_features and its file holds no VolumeNet; put both into one file"
+            "the model takes volume_features, but its file holds no VolumeNet; put both networks into one \
+             file"
         );
         Ok(Self { layout, encoder })
     }
@@ -328,7 +329,7 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         return enlarge(&volume, factor);
     }
     bail!(
-        "volume {name} has {have:?} voxels and {} says {want:?}; is it another file of the same name?",
+        "volume {name} has {have:?} voxels, but {} says {want:?}; is it another file of the same name?",
         table.path.display()
     );
 }

@@ -62,7 +62,9 @@ impl<T: Real> Trainer<T> {
             bail!("the network's layer widths are {:?}; the last must be 1 (seconds)", network.widths());
         }
         if clip_norm.is_nan() || clip_norm <= 0.0 {
-            bail!("gradient clipping norm is {clip_norm}; it must be positive (infinity for none)");
+            bail!(
+                "gradient clipping norm is {clip_norm}; it must be positive. Infinity stands for no clipping"
+            );
         }
         let n = network.parameters().len();
         Ok(Self {

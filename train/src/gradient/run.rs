@@ -183,7 +183,8 @@ impl Standardization {
             let [means, deviations] = [part.mean.len(), part.std.len()];
             ensure!(
                 means == count && deviations == count,
-                "standardization of {means} means and {deviations} deviations for {count} {of}"
+                "standardization has {means} means and {deviations} deviations; {count} of each are needed \
+                 ({of})"
             );
             let finite = part.mean.iter().chain(&part.std).all(|v| v.is_finite());
             ensure!(

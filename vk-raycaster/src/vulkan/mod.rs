@@ -309,7 +309,8 @@ impl VulkanRaycaster {
             let limit = self.engine.gpu().limits.max_image_dimension3_d as usize;
             if let Some(count) = volume.blocks.dims.iter().find(|n| **n > limit) {
                 return Err(Error::new(format!(
-                    "the skip map has {count} blocks along an axis, {} takes at most {limit}: crop the volume",
+                    "the skip map has {count} blocks along an axis, but {} takes at most {limit}; crop the \
+                     volume",
                     self.engine.gpu().name
                 )));
             }

@@ -88,8 +88,8 @@ pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3], wish: Option<u32>) -> Resu
     let limit = texture_limit(gpu, wish);
     if cut(dims, limit, u64::MAX).is_none() {
         return Err(Error::new(format!(
-            "the volume has {} x {} x {} voxels, {} takes at most {limit} along each axis of a texture and \
-             {MAX_BRICKS} textures; crop or downsample it, or render on the CPU",
+            "the volume has {} x {} x {} voxels, but {} takes at most {limit} along each axis of a texture \
+             and {MAX_BRICKS} textures; crop or downsample it, or render on the CPU",
             dims[0], dims[1], dims[2], gpu.name
         )));
     }
@@ -155,7 +155,7 @@ pub(crate) fn plan(
         VoxelFetch::Packed => (vec![whole], [1; 3]),
         _ => cut(dims, limit, most).ok_or_else(|| {
             Error::new(format!(
-                "the volume has {dims:?} voxels, {} takes at most {most} in a texture and {MAX_BRICKS} \
+                "the volume has {dims:?} voxels, but {} takes at most {most} in a texture and {MAX_BRICKS} \
                  textures; crop or downsample it, or render on the CPU",
                 gpu.name
             ))

@@ -32,9 +32,9 @@ impl Engine {
             Err(vk::Result::TIMEOUT) => {
                 self.hangs = true;
                 Err(Error::new(format!(
-                    "the device {} has not finished {pass} within {} s and counts as hanging; use smaller tiles \
-                     (ENTIRE_TILE) or a coarser step, allow it longer (ENTIRE_DEVICE_WAIT, seconds), choose another \
-                     device (ENTIRE_DEVICE), or render on the CPU",
+                    "the device {} has not finished {pass} within {} s and counts as hanging; use smaller \
+                     tiles (ENTIRE_TILE) or a coarser step, allow it more seconds (ENTIRE_DEVICE_WAIT), \
+                     choose another device (ENTIRE_DEVICE), or render on the CPU",
                     self.gpu.name,
                     longest.as_secs_f64()
                 )))
