@@ -187,7 +187,7 @@ impl Drive<'_, '_> {
             while self.send()? {}
             ensure!(
                 self.planner.running() > 0 || self.planner.is_over() || self.full.is_some(),
-                "{} tasks wait and no slot takes one; please report this with the job file",
+                "{} tasks wait, but no slot takes one; please report this with the job file",
                 self.planner.pending()
             );
             self.take()?;

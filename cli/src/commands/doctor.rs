@@ -70,7 +70,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
         found(&format!("shading {name}"), &model);
     }
     match volumes_in(Path::new(DATA_FOLDER)).map_or(0, |v| v.len()) {
-        0 => found("volumes", "none in data/: name your own, `entire calibrate VOLUME…`"),
+        0 => found("volumes", "none in data/; name your own files: `entire calibrate VOLUME…`"),
         n => found("volumes", &format!("{n} in data/, for calibration")),
     }
 

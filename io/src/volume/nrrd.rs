@@ -61,7 +61,7 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
         if let Some(found) = found
             && found != dimension
         {
-            bail!("NRRD field \"{field}\" has {found} entries, \"dimension\" says {dimension}");
+            bail!("NRRD field \"{field}\" has {found} entries, but \"dimension\" says {dimension}");
         }
     }
     // If no axis has a direction, the field "space directions" is ignored.
@@ -371,7 +371,7 @@ mod tests {
             (with(&PLAIN.replace("2 3 4", "2097152 2097152 2097152"), &[]), "more than can be addressed"),
             (with(&PLAIN.replace("2 3 4", "2 0 4"), &[]), "size along y is 0"),
             (with(&PLAIN.replace("2 3 4", "2 -3 4"), &[]), "\"-3\" where a number"),
-            (with(&PLAIN.replace("2 3 4", "2 3"), &[]), "\"sizes\" has 2 entries, \"dimension\" says 3"),
+            (with(&PLAIN.replace("2 3 4", "2 3"), &[]), "\"sizes\" has 2 entries, but \"dimension\" says 3"),
             (with(&format!("{PLAIN}spacings: 1 0 1\n"), &[0; 24]), "finite and positive"),
             (with(&format!("{PLAIN}spacings: 1 -1 1\n"), &[0; 24]), "finite and positive"),
             (with(&format!("{PLAIN}sizes: 2 3 4\n"), &[0; 24]), "appears twice"),

@@ -114,7 +114,7 @@ fn describe(stream: &mut Stream<'_>) -> Result<Description> {
     let spacing: Vec<f64> =
         list(&json, &["spacing"], Value::as_f64)?.unwrap_or_else(|| vec![1.0; sizes.len()]);
     if spacing.len() != sizes.len() {
-        bail!("\"spacing\" has {} entries, \"size\" has {}", spacing.len(), sizes.len());
+        bail!("\"spacing\" has {} entries, but \"size\" has {}", spacing.len(), sizes.len());
     }
     if let Some(components) = json.get("components").or_else(|| json.get("channels"))
         && components.as_u64() != Some(1)

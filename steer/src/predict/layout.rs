@@ -292,7 +292,8 @@ impl InputLayout {
             Some(value) => Ok(if log { quantity.log(value) } else { value as f32 }),
             None => bail!(
                 MissingInput,
-                "the model takes the scene feature {feature}, which was not supplied; measure the frame with FrameFeatures"
+                "the model takes the scene feature {feature}, which was not supplied; measure the frame with \
+                 FrameFeatures"
             ),
         }
     }
