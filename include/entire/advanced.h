@@ -468,14 +468,14 @@ typedef struct entire_pass {
 #define ENTIRE_HELD_OUT_VOLUMES 1
 
 /**
- * Transfer functions: the error is that on the training volumes with transfer functions without training
+ * Transfer functions: the error is that of the training volumes under transfer functions without training
  * frames.
  */
 #define ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS 2
 
 /**
- * Stretches of time: the error is that on views without training frames, of the training volumes and
- * transfer functions.
+ * Time intervals: the error is that of new views of the training volumes under the training transfer
+ * functions.
  */
 #define ENTIRE_HELD_OUT_STRETCHES 3
 
@@ -759,8 +759,9 @@ entire_result entire_transfer_function_last_error(const entire_transfer_function
  * observing still do not allocate.
  *
  * `prior` is the model to start from: unit costs that were fitted on another machine or renderer, such as
- * models/unshaded-selected.safetensors. NULL starts from the unit costs of a software renderer. Unusual and
- * cancelled observations, the first frame of the session, and the first frame of a volume are not recorded.
+ * models/unshaded-selected.safetensors. NULL starts from the unit costs of a software renderer. Not recorded
+ * are unusual and cancelled observations, the first frame of the session and of each volume, and a frame for
+ * which entire_session_mark announced ENTIRE_CHANGE_FIRST or ENTIRE_CHANGE_VOLUME.
  *
  * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
  * plan every frame as it was drawn, and observe its time.
@@ -778,7 +779,8 @@ entire_result entire_session_record(entire_session *session, const entire_model 
  * continues to record. entire_model_save saves the model for later runs. The names of
  * entire_session_set_timing_source are written to the model's metadata.
  *
- * Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
+ * Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_INVALID_ARGUMENT (a fit
+ * to these frames predicts a time that is not finite), ENTIRE_OUT_OF_MEMORY,
  * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_calibrate(const entire_session *session,
@@ -846,16 +848,16 @@ entire_result entire_session_predict(entire_session *session,
                                      struct entire_prediction *prediction);
 
 /**
- * Chooses among the caller's settings, which are sorted by quality, best first. Takes the first settings
- * that are expected to meet the target and whose upper bound is at most (1 + tolerance) times the target. If
- * there are none, takes those that are expected to be fastest. There may be at most ENTIRE_MAX_SETTINGS
- * settings. `index` receives the index of the chosen settings, and `plan` their plan, to be observed like
- * any other. The frame's own step must be in range, but is ignored; its width and height give the aspect
- * ratio of all settings, and a change of its size or modes counts as a change of the scene. Does not
- * allocate.
+ * Chooses one of the caller's settings, which are sorted by quality, best first. Takes the first setting
+ * that is expected to meet the target and whose upper bound is at most (1 + tolerance) times the target. If
+ * there is none, takes the setting with the shortest expected time. There may be at most ENTIRE_MAX_SETTINGS
+ * settings. `index` receives the index of the chosen setting, and `plan` its plan; pass the frame's time to
+ * entire_session_observe. The frame's own step must be in range, but is ignored; the frame's width and
+ * height give the aspect ratio of all settings, and a change of its size or modes counts as a change of the
+ * scene. Does not allocate.
  *
- * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
- * range, and with ENTIRE_SIZE_MISMATCH for too many.
+ * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT if there is no setting or one that is out
+ * of range, and with ENTIRE_SIZE_MISMATCH for more than ENTIRE_MAX_SETTINGS settings.
  */
 entire_result entire_session_choose(entire_session *session,
                                     const entire_frame *frame,
@@ -871,9 +873,9 @@ entire_result entire_session_choose(entire_session *session,
  * the next frame includes an upload, call entire_session_mark. If the model takes volume features, those of
  * the previous time step stay unless the volume has precomputed ones.
  *
- * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (sizes, spacing or bricks that
- * differ from the session's volume, a number of precomputed features that is not the model's),
- * ENTIRE_INVALID_ARGUMENT (a scalar type that differs from the session's volume), ENTIRE_OUT_OF_MEMORY,
+ * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (sizes, spacing or bricks that are
+ * not those of the session's volume, a number of precomputed features that is not the model's),
+ * ENTIRE_INVALID_ARGUMENT (a scalar type that is not that of the session's volume), ENTIRE_OUT_OF_MEMORY,
  * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_time_step(entire_session *session, const entire_volume *volume);
@@ -946,11 +948,11 @@ entire_result entire_session_mark(entire_session *session, uint32_t changes);
  * Names the renderer whose frames are observed and the clock that times them, such as
  * "vtkGPUVolumeRayCastMapper" and "wall". A correction learned for one renderer or clock is not valid for
  * another: it is forgotten, with all recorded frames, if a name that was not empty changes. Saved states
- * contain both names, and entire_session_load_state refuses states with other names. Both names are empty in
- * a new session; a state saved with empty names loads only into a session with empty names. Call this
- * function before states are loaded or saved. A clock named "cpu", "wall" or "device" is compared with the
- * model's (entire_session_clocks); if the result of the comparison changes, the learned correction is
- * forgotten, too.
+ * contain both names, and entire_session_load_state refuses a state whose names differ from the session's.
+ * Both names are empty in a new session; a state saved with empty names loads only into a session with empty
+ * names. Call this function before states are loaded or saved. A clock named "cpu", "wall" or "device" is
+ * compared with the model's clock (entire_session_clocks); if the result of the comparison changes, the
+ * learned correction is forgotten, too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
  * ENTIRE_NULL_ARGUMENT.
@@ -986,7 +988,7 @@ entire_result entire_session_save_state(const entire_session *session,
  * Loads the state that an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED
- * (a valid state of another model, renderer or clock: entire_session_set_timing_source),
+ * (a valid state whose model, renderer or clock is not the session's, see entire_session_set_timing_source),
  * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_load_state(entire_session *session, const uint8_t *bytes, size_t byte_count);

@@ -112,7 +112,8 @@
 #define ENTIRE_MAX_MODEL_BYTES 2147483647
 
 /**
- * Observation flag: the time includes work that is not the frame's (a compile, an upload, a stall).
+ * Observation flag: the time includes work that most frames do not include (a compilation, an upload, a
+ * stall).
  */
 #define ENTIRE_OBSERVE_UNUSUAL 1
 
@@ -695,7 +696,8 @@ typedef struct entire_plan {
 #define ENTIRE_VERDICT_CLIPPED 1
 
 /**
- * Not used to correct predictions: the frame was unusual, or cancelled no later than its expected end.
+ * Not used to correct predictions: the frame was unusual, was cancelled no later than its expected end, or
+ * had no prediction.
  */
 #define ENTIRE_VERDICT_IGNORED 2
 
@@ -729,12 +731,13 @@ typedef struct entire_plan {
 #define ENTIRE_REASON_TARGET_UNREACHABLE 5
 
 /**
- * The prediction is not trusted: recent frames decide.
+ * The step was chosen from recent frame times, because the prediction is missing, out of range or recently
+ * wrong.
  */
 #define ENTIRE_REASON_HISTORY 6
 
 /**
- * There is neither a prediction nor a timing: the coarsest allowed step.
+ * The coarsest allowed step, because there is neither a prediction nor a recent frame time.
  */
 #define ENTIRE_REASON_NO_INFORMATION 7
 

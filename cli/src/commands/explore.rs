@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn options_are_checked_before_a_window_opens() {
         assert!(said(&["--target", "5 bananas"]).contains("--target"));
-        assert!(said(&["--termination", "0"]).contains("(0, 1]"));
+        assert!(said(&["--termination", "0"]).contains("above 0 and at most 1"));
         let folder = tempfile::tempdir().unwrap();
         let table = folder.path().join("t.csv");
         drop(entire_io::dataset::Writer::create(&table).unwrap());

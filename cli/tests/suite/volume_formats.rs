@@ -236,7 +236,7 @@ fn lying_headers_do_not_allocate() {
     check(
         "a.mha",
         b"NDims = 3\nDimSize = 2 2 4\nElementType = MET_CHAR\nElementDataFile = a%03d.raw 1 5 1\n",
-        "over 4 files of 2 axes each, 5 are named",
+        "over 4 files of 2 axes each, but 5 are named",
     );
     check(
         "a.mhd",

@@ -378,7 +378,7 @@ mod tests {
             (with(&format!("{PLAIN}data file: gone.raw\n"), &[]), "gone.raw"),
             (
                 with(&format!("{PLAIN}data file: LIST\na\nb\n"), &[]),
-                "over 4 files of 2 axes each, 2 are named",
+                "over 4 files of 2 axes each, but 2 are named",
             ),
             (with(&format!("{PLAIN}data file: LIST\n"), &[]), "followed by no file name"),
             (with(&format!("{PLAIN}data file: a%s 1 4 1\n"), &[]), "no pattern of file names"),

@@ -42,8 +42,8 @@ pub fn check_predictions(seconds: &mut [f32]) -> Result<usize> {
     if let Some(row) = seconds.iter().position(|s| !s.is_finite()) {
         bail!(
             InvalidModel,
-            "the network's prediction for row {row} is {} seconds, since its weights are too large for \
-             these inputs; train the model again, or use another model",
+            "the network's prediction for row {row} is not finite ({} seconds), since its weights are too \
+             large for these inputs; train the model again, or use another model",
             seconds[row]
         );
     }
