@@ -222,7 +222,9 @@ mod tests {
         assert_eq!(each(8, None).unwrap(), 120);
         assert_eq!(each(80, Some(1)).unwrap(), 12);
         assert_eq!(each(4, Some(3)).unwrap(), 240);
-        assert!(each(7, None).unwrap_err().to_string().contains("over 8 files of 2 axes each, but 7 are named"));
+        assert!(
+            each(7, None).unwrap_err().to_string().contains("over 8 files of 2 axes each, but 7 are named")
+        );
         assert!(each(3, Some(3)).unwrap_err().to_string().contains("equal slabs"));
         assert!(each(3, Some(4)).is_err() && each(3, Some(0)).is_err());
         assert!(each(3, Some(-1)).unwrap_err().to_string().contains("each file has -1 axes"));

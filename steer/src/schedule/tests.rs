@@ -64,7 +64,9 @@ fn nonsense_is_refused_with_the_culprit_named() {
     assert!(assign_longest_first(&[1e308; 2], &[4.0, 2.0]).is_ok());
     let many = alloc::vec![1.0; MAX_NODES + 1];
     assert!(assign_longest_first(&[1.0], &many[1..]).is_ok());
-    assert!(kind(assign_longest_first(&[1.0], &many)).to_string().contains("1048577 nodes, but at most 1048576"));
+    assert!(
+        kind(assign_longest_first(&[1.0], &many)).to_string().contains("1048577 nodes, but at most 1048576")
+    );
     let a = assign_longest_first(&[1.0, 2.0], &[1.0]).unwrap();
     assert_eq!(a.makespan(&[1.0], &[1.0]).unwrap_err().kind(), ErrorKind::SizeMismatch);
     let astray = Assignment { node_of: vec![5], nodes: 1 }.makespan(&[1.0], &[1.0]).unwrap_err();
