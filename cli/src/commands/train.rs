@@ -487,7 +487,10 @@ fn card(
             "Upper bound of level {UPPER_LEVEL}: {:.2} times the prediction, computed from the validation \
              frames (from the training frames if there are no validation frames){}.",
             upper.factor().max(1.0),
-            covered.map_or(String::new(), |c| format!("; {:.1} % of the test frames took less", 100.0 * c))
+            covered.map_or(String::new(), |c| format!(
+                "; {:.1} % of the test frames took less than this bound",
+                100.0 * c
+            ))
         ));
     }
     md.push(match noise {

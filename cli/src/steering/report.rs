@@ -51,7 +51,7 @@ impl ResponseCurve {
 pub(crate) struct Story {
     pub(crate) title: String,
     pub(crate) lead: String,
-    /// Origin of the target.
+    /// How the target time was chosen, in words.
     pub(crate) target: String,
     pub(crate) volume: String,
     pub(crate) path: String,

@@ -150,7 +150,7 @@ fn drivers_and_workers_are_killed_and_nothing_is_lost() {
         arguments.push("--resume");
     }
     succeeds(dir.path(), &arguments);
-    // Equal job files give equal task ids and images: none is lost, and none is wrong.
+    // Equal job files give equal task ids and images, so no image may be missing or differ.
     assert_eq!(images(dir.path()), images(reference.path()));
     assert_eq!(table(dir.path()).len(), 40);
     let text = journal(dir.path());

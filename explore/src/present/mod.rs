@@ -209,8 +209,8 @@ impl Presenter {
         self.swapchain.as_ref().is_some_and(|s| s.waits)
     }
 
-    /// Draws the interface and presents it. Returns once the device has finished. Takes out of `textures` the changes
-    /// that were made.
+    /// Draws the interface and presents it. Returns once the device has finished. Removes from `textures` the texture
+    /// updates that were uploaded.
     ///
     /// # Errors
     /// When the device fails. A surface that has changed meanwhile is no error (see [`Presented::shown`]).

@@ -8,7 +8,7 @@ use std::path::Path;
 fn no_kind_of_the_core_is_missing() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     if here.join("Cargo.toml.orig").exists() {
-        // A published package lacks the repository, whose tests have checked this.
+        // A published package does not contain the core's sources. The tests of the repository compare them.
         return;
     }
     let read =

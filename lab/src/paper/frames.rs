@@ -23,7 +23,7 @@ const MADE_AS: u32 = 3;
 pub(super) struct Loaded {
     /// All tables; a frame names its table by the index in this list.
     pub(super) tables: Vec<Table>,
-    /// Index of the table of the experiments, if it was collected.
+    /// Index of the table of the experiments in which one parameter varies, if it was collected.
     pub(super) varied: Option<usize>,
     /// Tables of volumes of another kind: title and index.
     pub(super) modalities: Vec<(String, usize)>,

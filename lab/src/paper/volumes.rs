@@ -148,7 +148,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
             validation = tenths(training.iter()).0;
             training.retain(|n| !validation.contains(n));
         }
-        // There is no split by members if the available data lack these members.
+        // There is no split by members if the available data have no volume of one of its parts.
         if !test.is_empty() && !training.is_empty() && !validation.is_empty() {
             out.push(Parts { name: BY_MEMBERS, training, validation, test });
         }

@@ -11,7 +11,7 @@ use std::ops::Range;
 /// Number of frames between the starts of two sessions.
 const EVERY: usize = 8;
 
-/// Promised share of second frames that take no more than the upper bound of their plan.
+/// Promised share of sessions whose second frame takes at most the upper bound of its plan.
 const PROMISED: f64 = 0.95;
 
 /// Frame ranges of sessions with `frames` frames each that start at regular intervals on a path of `n` frames.

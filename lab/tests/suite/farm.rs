@@ -76,7 +76,7 @@ fn a_simulated_farm_does_all_tasks_and_pays_for_bundles() {
     let plain = plain["makespan_s"].as_f64().unwrap();
     assert!((24.0..=25.0).contains(&plain), "{plain}");
     let paid = run(&["--arrival", "--latency", "0.5", "--overhead", "0"]);
-    // Each of the 64 bundles of one task costs half a second of a slot.
+    // Each of the 64 bundles holds one task and occupies a slot for another half second.
     assert_eq!(paid["bundles"], 64);
     let makespan = paid["makespan_s"].as_f64().unwrap();
     assert!((32.0..=35.0).contains(&makespan), "{makespan}");

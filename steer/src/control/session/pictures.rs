@@ -15,7 +15,8 @@ impl Session {
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
     pub fn set_max_image_sample_distance(&mut self, distance: f32, step_alone: f32) -> Result<()> {
-        let alone = "step_alone (in finest steps; the image is coarsened only at larger steps)";
+        let alone =
+            "step_alone (a multiple of the finest step; the image is coarsened only at larger ray steps)";
         for (what, v) in [("the largest image sample distance", distance), (alone, step_alone)] {
             if !(1.0..=64.0).contains(&v) {
                 bail!(InvalidArgument, "{what} is {v}; it must be 1 to 64");

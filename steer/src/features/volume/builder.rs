@@ -83,7 +83,7 @@ pub(super) fn each_cell([nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = [usize
     (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
 }
 
-/// Allocates the bounds of the blocks in each cell, where a cell holds several.
+/// Allocates the bounds of the blocks of each cell. Allocates nothing if each cell is a single block.
 pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
     if grid.block == grid.edge {
         return Ok(());
