@@ -74,8 +74,8 @@ pub(crate) struct Options {
     /// Also write the measured frames, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) table: Option<PathBuf>,
-    /// Prior model, of kind analytic; default: the shipped models of the shading mode, or on a GPU, typical
-    /// costs of a GPU.
+    /// Prior model, of kind analytic; default: the shipped models of the shading mode. On a GPU, and for a
+    /// mode without a shipped model, the default is the typical costs of such a renderer.
     #[arg(long, value_name = "SAFETENSORS")]
     pub(crate) prior: Option<PathBuf>,
     /// Time limit for each shading mode, in wall seconds.

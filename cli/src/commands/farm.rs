@@ -95,8 +95,8 @@ pub struct Options {
     /// Overhead per bundle, seconds; default: the engine's usual overhead.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
-    /// Longest time that a bundle may request (90s, 30m, 2h). Slurm ends a bundle that takes longer. With
-    /// HyperQueue, the limit only plans bundles; `timeout_s` in the job file ends a task that hangs.
+    /// Longest time that a bundle may request (90s, 30m, 2h). Slurm ends a bundle that takes longer than it
+    /// requested. HyperQueue does not; there, `timeout_s` in the job file ends a task that hangs.
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub time_limit: Option<f64>,
     /// Python with HyperQueue's package [default: python3].

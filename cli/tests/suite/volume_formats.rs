@@ -537,7 +537,7 @@ fn voxels_in_several_files_are_read_in_their_order() {
         assert_eq!((volume.dims(), volume.spacing()), ([12, 10, 8], [1.0, 1.0, 2.0]), "{name}");
         assert_eq!((volume.data(), volume.notes().len()), (&VolumeData::U8(right.clone()), 0), "{name}");
     }
-    // With two bytes before the voxels of each file, and with a file that is too short.
+    // Two bytes before the voxels of each file are skipped, and a file that is too short is refused.
     let other = tempfile::tempdir().unwrap();
     for (name, bytes) in [("a2.raw", "xx12"), ("a1.raw", "xx34"), ("a0.raw", "xx56")] {
         std::fs::write(other.path().join(name), bytes).unwrap();

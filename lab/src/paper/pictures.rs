@@ -31,7 +31,7 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
         let Some(mode) = place.set.modes.iter().find(|m| RAYCASTER_MODES.contains(&m.as_str())) else {
             continue;
         };
-        // Reconstructions are drawn by the encoders with as many features as the main encoder.
+        // The pictures show reconstructions from the encoders that have as many features as the main encoder.
         let mut encoders = trained(work, Some(&place.set.name))?;
         encoders.retain(|e| e.features == work.paper.encoders.main.1);
         let text = format!("{LOBES} {SIDE} {} {:?}", place.jobs.len(), encoders);

@@ -34,7 +34,7 @@ struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
     judged: TimedFrames<'a>,
-    /// Name of the data set of its results: [`TOGETHER`] or [`MACHINES`].
+    /// Name under which the results are stored: [`TOGETHER`] or [`MACHINES`].
     set: &'static str,
 }
 

@@ -116,7 +116,7 @@ fn traces_without_images_open_and_rules_for_them_are_played_on_the_step_and_said
     for f in play(&both[0], players[0], 0.02).unwrap() {
         assert!((1.0..=12.0).contains(&f.step) && f.finest_step == f.oracle_step);
     }
-    // On image resolution, the rule is refused with the reason.
+    // A rule that acts on the image resolution needs smaller images in the trace; the error says so.
     let filament = Player {
         kind: ControllerKind::Filament,
         acts_on: ControllerKind::Filament.acts_on(),

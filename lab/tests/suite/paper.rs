@@ -209,7 +209,8 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     }
     assert_eq!(steering["pictures"].as_array().unwrap().len(), 3);
 
-    // The report has every label, with a command, and says which are not measured.
+    // The report has an entry with a command for every label of a table or figure of the paper, and marks the entries
+    // that are not measured.
     let (output, said) = paper(at, "report", &["--bars", "--keep", "kept.json.gz"]);
     let bars = printed(&output.stdout);
     assert!(bars.contains("bar paper/castro_blast/none/ours-over-network"), "{bars} {said}");

@@ -36,7 +36,8 @@ impl Session {
         self.state.lock(py)
     }
 
-    /// Sets the transfer function of a call; returns the frame of the call and the locked state.
+    /// Sets the transfer function among a call's arguments, if there is one. Returns the frame that the arguments
+    /// describe, and the locked state.
     fn begin(
         &self,
         py: Python<'_>,

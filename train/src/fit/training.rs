@@ -51,7 +51,7 @@ pub(super) fn run_training(
     Ok((trained.to_parts(), trained.history, outcome))
 }
 
-/// Returns a text that states the reason for the end of a run, and the epoch of its weights.
+/// Returns a text that states why the training ended, and the epoch of the weights that are kept.
 fn ending(trained: &Trained) -> String {
     let ran = trained.history.len();
     let why = match trained.stop {

@@ -63,7 +63,7 @@ impl Picture {
         let longest = device.max_image_side();
         if width == 0 || height == 0 || width > longest || height > longest {
             return Err(Error::new(format!(
-                "a picture of {width} x {height} pixels cannot be made; on {} sides must be 1 to {longest} pixels",
+                "a picture of {width} x {height} pixels cannot be made; on {}, each side must have 1 to {longest} pixels",
                 device.name()
             )));
         }
