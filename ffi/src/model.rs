@@ -620,8 +620,8 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
     Ok(())
 }
 
-/// As entire_session_last_error, for the most recent failure of a call with this model on any thread. The
-/// text is empty if no call has failed.
+/// Writes the message of the most recent failure of a call with this model on any thread to `buffer`, by the
+/// rules of entire_session_last_error. The text is empty if no call has failed.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -631,8 +631,8 @@ entire_result entire_model_predict_batch(const entire_model *model,
                                          float *seconds);
 
 /**
- * As entire_session_last_error, for the most recent failure of a call with this model on any thread. The
- * text is empty if no call has failed.
+ * Writes the message of the most recent failure of a call with this model on any thread to `buffer`, by the
+ * rules of entire_session_last_error. The text is empty if no call has failed.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */

@@ -51,7 +51,7 @@ impl ResponseCurve {
 pub(crate) struct Story {
     pub(crate) title: String,
     pub(crate) lead: String,
-    /// How the target time was chosen, in words.
+    /// Text that says how the target time was chosen.
     pub(crate) target: String,
     pub(crate) volume: String,
     pub(crate) path: String,
