@@ -20,13 +20,12 @@ pub(crate) enum Element {
 }
 
 impl Element {
-    /// Returns the type with this name. `names` has the names of every type, in the order of this enum: types
-    /// are separated by semicolons, names of one type by commas.
-    pub(super) fn named(names: &str, name: &str) -> Option<Self> {
+    /// Returns the type with this name. `names` has the names of every type, in the order of this enum.
+    pub(super) fn named(names: [&[&str]; 10], name: &str) -> Option<Self> {
         use Element::*;
         let types = [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64];
-        let known = |names: &str| names.split(',').any(|known| known.trim() == name);
-        types.into_iter().zip(names.split(';')).find(|(_, names)| known(names)).map(|(found, _)| found)
+        let (found, _) = types.into_iter().zip(names).find(|(_, known)| known.contains(&name))?;
+        Some(found)
     }
 
     pub(crate) const fn bytes(self) -> usize {

@@ -160,8 +160,18 @@ impl Header {
             "ElementSize" => self.element_size = Some(numbers(key, value, MAX_AXES)?),
             "ElementNumberOfChannels" => self.channels = number(key, value)?,
             "ElementType" => {
-                let types = "MET_CHAR; MET_UCHAR; MET_SHORT; MET_USHORT; MET_INT, MET_LONG; \
-                             MET_UINT, MET_ULONG; MET_LONG_LONG; MET_ULONG_LONG; MET_FLOAT; MET_DOUBLE";
+                let types: [&[&str]; 10] = [
+                    &["MET_CHAR"],
+                    &["MET_UCHAR"],
+                    &["MET_SHORT"],
+                    &["MET_USHORT"],
+                    &["MET_INT", "MET_LONG"],
+                    &["MET_UINT", "MET_ULONG"],
+                    &["MET_LONG_LONG"],
+                    &["MET_ULONG_LONG"],
+                    &["MET_FLOAT"],
+                    &["MET_DOUBLE"],
+                ];
                 let element = Element::named(types, value);
                 self.element = Some(element.with_context(|| {
                     format!(

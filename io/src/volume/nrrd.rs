@@ -256,12 +256,26 @@ impl Header {
 }
 
 fn element(value: &str) -> Result<Element> {
-    let types = "signed char, int8, int8_t; uchar, unsigned char, uint8, uint8_t; \
-                 short, short int, signed short, signed short int, int16, int16_t; \
-                 ushort, unsigned short, unsigned short int, uint16, uint16_t; \
-                 int, signed int, int32, int32_t; uint, unsigned int, uint32, uint32_t; \
-                 longlong, long long, long long int, signed long long, signed long long int, int64, int64_t; \
-                 ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t; float; double";
+    let types: [&[&str]; 10] = [
+        &["signed char", "int8", "int8_t"],
+        &["uchar", "unsigned char", "uint8", "uint8_t"],
+        &["short", "short int", "signed short", "signed short int", "int16", "int16_t"],
+        &["ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"],
+        &["int", "signed int", "int32", "int32_t"],
+        &["uint", "unsigned int", "uint32", "uint32_t"],
+        &[
+            "longlong",
+            "long long",
+            "long long int",
+            "signed long long",
+            "signed long long int",
+            "int64",
+            "int64_t",
+        ],
+        &["ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"],
+        &["float"],
+        &["double"],
+    ];
     let words = value.to_ascii_lowercase().split_whitespace().collect::<Vec<_>>().join(" ");
     Element::named(types, &words).with_context(|| {
         format!("type {words:?} is not read; accepted are 8- to 64-bit integers, float and double")

@@ -162,9 +162,18 @@ fn list<T>(
 }
 
 fn element(name: &str) -> Option<Element> {
-    let types = "int8, i8, char; uint8, u8, uchar, byte; int16, i16, short; uint16, u16, ushort; \
-                 int32, i32, int; uint32, u32, uint; int64, i64; uint64, u64; float32, f32, float; \
-                 float64, f64, double";
+    let types: [&[&str]; 10] = [
+        &["int8", "i8", "char"],
+        &["uint8", "u8", "uchar", "byte"],
+        &["int16", "i16", "short"],
+        &["uint16", "u16", "ushort"],
+        &["int32", "i32", "int"],
+        &["uint32", "u32", "uint"],
+        &["int64", "i64"],
+        &["uint64", "u64"],
+        &["float32", "f32", "float"],
+        &["float64", "f64", "double"],
+    ];
     Element::named(types, &name.to_ascii_lowercase())
 }
 

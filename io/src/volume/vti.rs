@@ -477,8 +477,9 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
     let name = attribute(tag, "Name")?;
     let shown = name.as_deref().unwrap_or("unnamed").to_owned();
     let kind = attribute(tag, "type")?.unwrap_or_default();
-    let types = "Int8; UInt8; Int16; UInt16; Int32; UInt32; Int64; UInt64; Float32; Float64";
-    let element = Element::named(types, &kind);
+    let types =
+        ["Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Float32", "Float64"];
+    let element = Element::named(types.each_ref().map(std::slice::from_ref), &kind);
     let components = match attribute(tag, "NumberOfComponents")? {
         None => 1,
         Some(text) => {
