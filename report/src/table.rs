@@ -62,6 +62,13 @@ impl Table {
         Self { columns: headings.split(" | ").map(column).collect(), rows: Vec::new() }
     }
 
+    /// Adds columns of numbers with these names, which may contain any character.
+    #[must_use]
+    pub fn with_numbers(mut self, names: impl IntoIterator<Item = String>) -> Self {
+        self.columns.extend(names.into_iter().map(|name| Column { name, number: true }));
+        self
+    }
+
     /// Adds a row. A row that is shorter than the heading is padded with empty cells.
     pub fn row(&mut self, mut cells: Vec<Cell>) {
         cells.resize(self.columns.len(), "".into());
@@ -162,6 +169,14 @@ mod tests {
         t.row(vec!["nothing".into(), None::<String>.into()]);
         t.mark_best(1, &[50.0, 2.5, f64::NAN, f64::NAN], true);
         t
+    }
+
+    #[test]
+    fn names_of_numbers_may_contain_the_separator() {
+        let mut t = Table::headed("group").with_numbers(["a | #b".to_owned()]);
+        t.row(vec!["all".into(), "1".into()]);
+        let text = t.to_text();
+        assert!(text.contains("a | #b") && t.columns.len() == 2, "{text}");
     }
 
     #[test]

@@ -103,13 +103,9 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let rows: Vec<_> = predictors.iter().map(|p| (p.name.as_str(), &p.metrics)).collect();
     let bias = bias_table(&rows);
 
-    // A | in a model's file name would be read as the end of a heading.
-    let of = |p: &Predictor| {
-        let name = p.name.replace('|', "/");
-        format!(" | #RMSE/SD, {name} | #median error %, {name}")
-    };
-    let columns: String = predictors.iter().map(of).collect();
-    let mut by_group = Table::headed(&format!("{} | #frames{columns}", by.name()));
+    let of = |p: &Predictor| ["RMSE/SD", "median error %"].map(|what| format!("{what}, {}", p.name));
+    let mut by_group =
+        Table::headed(&format!("{} | #frames", by.name())).with_numbers(predictors.iter().flat_map(of));
     if let Some(first) = predictors.first() {
         for (group, m) in &first.by_group {
             let mut row = vec![group.clone().into(), m.frames.to_string().into()];
