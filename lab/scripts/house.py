@@ -166,7 +166,7 @@ def figures_apart_from_results(readme):
     numbers = next((section for section in readme.sections() if section.startswith("## Five numbers")), "")
     if not numbers:
         yield "README.md has no section Five numbers"
-    for line in re.findall(r"^- .*", numbers, re.M):
+    for line in re.findall(r"^\| .*", numbers, re.M):
         for figure in re.findall(r"(?<![\w.])\d+\.\d+", line):
             if not re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", stated):
                 yield f"README.md: results.md does not state {figure}"
