@@ -21,8 +21,3 @@ bars-farm: ## Measure the bars of render farms; fails if one is missed
 	python=$$(scripts/test-farm.sh python) || status=1; \
 	python3 lab/scripts/farm/engines.py --bin "$(TARGET_DIR)/release" --python "$$python" --out "$(FARM_OUT)" $(FARM_PARTS) || status=1; \
 	exit $$status
-
-.PHONY: check-farm-simulator
-check-farm-simulator: ## Compare the simulator of farms with SimGrid on list schedules (skipped if SimGrid is not installed)
-	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
-	python3 lab/scripts/farm/simgrid.py --bin "$(TARGET_DIR)/release"
