@@ -44,14 +44,6 @@ impl Latency {
     pub(crate) fn with_changes(&self) -> f64 {
         self.cold + self.transfer / FRAMES_PER_TRANSFER
     }
-
-    fn min(self, other: Self) -> Self {
-        Self {
-            cold: self.cold.min(other.cold),
-            warm: self.warm.min(other.warm),
-            transfer: self.transfer.min(other.transfer),
-        }
-    }
 }
 
 /// A frame, the frame before it, and the transfer function of both.
@@ -113,7 +105,7 @@ impl Bench {
         let code = vec![0.1f32; codes];
         let first = self.scenes.first().context("no scenes")?;
         let mid = |mut v: Vec<f64>| entire_io::metrics::median(&mut v).unwrap_or(0.0);
-        let mut best: Option<Latency> = None;
+        let mut best = [f64::INFINITY; 3];
         for _ in 0..ROUNDS {
             let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
             let mut transfer = TransferSummary::new(&self.summary, &first.table)?;
@@ -157,9 +149,11 @@ impl Bench {
                 }
                 warm.push(call(frame)?);
             }
-            let found = Latency { cold: mid(cold), warm: mid(warm), transfer: mid(transfers) };
-            best = Some(best.map_or(found, |b| b.min(found)));
+            for (least, times) in best.iter_mut().zip([cold, warm, transfers]) {
+                *least = least.min(mid(times));
+            }
         }
-        best.context("no rounds")
+        let [cold, warm, transfer] = best;
+        Ok(Latency { cold, warm, transfer })
     }
 }
