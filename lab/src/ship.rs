@@ -1,19 +1,18 @@
 //! Ships the models of a study: writes model files with their cards. The models are evaluated with the weights as stored.
 
 use crate::study::{
-    Findings, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, Ship, SplitResult, Study,
+    Findings, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, SetTables, Ship, SplitResult, Study,
     judge as judge_split, shipped,
 };
 use anyhow::{Context, Result, ensure};
 use entire_cli::calibrate::can_be_prior;
 use entire_core::model::{GroupKind, Key, ModelFile};
-use entire_io::dataset::{Clock, Table, read_tables};
+use entire_io::dataset::Table;
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
 use entire_steer::predict::AnalyticModel;
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, predict};
-use entire_train::split::TimedFrames;
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -61,12 +60,10 @@ pub(crate) fn ship(
             let judged_as =
                 model.prednet.as_ref().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;
-            let paths: Vec<PathBuf> =
-                set.training.iter().chain(set.splits.iter().flat_map(|s| &s.tables)).cloned().collect();
-            let tables = read_tables(&paths)?;
-            let crossed = found.fit(&set.name, predictor).is_some_and(|fit| fit.crossed.is_some());
+            let tables = SetTables::read(set)?;
+            let crossed = found.crossed(&set.name, predictor).is_some();
             let figures = judge(&file, study, set, &tables, runner, crossed)?;
-            let training = &tables[..set.training.len()];
+            let training = tables.training();
             let shipping = Shipping { study, found, set, predictor, ship, training, figures };
             let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
             let as_it_is = study
@@ -99,20 +96,16 @@ fn judge(
     file: &ModelFile,
     study: &Study,
     set: &Set,
-    tables: &[Table],
+    tables: &SetTables,
     runner: &Runner<'_>,
     crossed: bool,
 ) -> Result<Vec<SplitResult>> {
-    let clock: Clock = study.clock.parse()?;
     let model = file.to_model()?;
     let upper = bound::of(&model);
     let hidden = indicatif::ProgressBar::hidden();
-    let context = FitContext { tables, pool: runner.pool, bar: &hidden, stop: runner.stop };
-    let mut at = set.training.len();
+    let context = FitContext { tables: &tables.tables, pool: runner.pool, bar: &hidden, stop: runner.stop };
     let mut out = Vec::new();
-    for split in &set.splits {
-        let part = TimedFrames::of(tables[at..at + split.tables.len()].iter().flat_map(|t| &t.frames), clock);
-        at += split.tables.len();
+    for (split, part) in set.splits.iter().zip(tables.splits(study.clock.parse()?)) {
         let predicted = predict(&model, &context, &part.frames)?;
         // A bound is not tested on the frames that it was fitted to.
         let upper = upper.filter(|_| crossed || !set.bounds_are_of(split));
@@ -141,13 +134,13 @@ fn provenance(file: &mut ModelFile, of: &Shipping<'_>, as_it_is: bool) -> Result
             })
             .collect();
     }
-    let crossed = found.fit(&set.name, predictor).and_then(|f| f.crossed.as_ref());
+    let crossed = found.crossed(&set.name, predictor);
     stored["bounds_from"] = match crossed {
         Some(_) => json!("cross-validation"),
         None => set.bounds.iter().map(|p| json!(file_name(p))).collect(),
     };
     stored["cross_validated"] =
-        json!(crossed.map(|m| json!({ "rmse_over_sd": m.rmse_over_sd, "mdape": m.mdape })));
+        json!(crossed.map(|(m, _)| json!({ "rmse_over_sd": m.rmse_over_sd, "mdape": m.mdape })));
     stored["figures"] = figures
         .iter()
         .zip(&set.splits)
@@ -239,25 +232,20 @@ fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Res
             let _ = writeln!(md, "- training, other ray steps: `data/timings/{}`", file_name(path));
         }
     }
-    let fit = found.fit(&set.name, predictor);
-    let crossed = fit.and_then(|f| Some((f.crossed.as_ref()?, f.folds)));
-    match crossed {
-        Some((_, folds)) => {
-            let _ = writeln!(
-                md,
-                "- upper bound: fitted to cross-validated predictions of the training frames ({folds} folds, \
-                 ensemble members held out)"
-            );
-        }
-        None => {
-            for path in &set.bounds {
-                let _ = writeln!(
-                    md,
-                    "- only for the upper bound: `data/timings/{}`; weights were not fitted to these frames",
-                    file_name(path)
-                );
-            }
-        }
+    let crossed = found.crossed(&set.name, predictor);
+    if let Some((_, folds)) = crossed {
+        let _ = writeln!(
+            md,
+            "- upper bound: fitted to cross-validated predictions of the training frames ({folds} folds, \
+             ensemble members held out)"
+        );
+    }
+    for path in set.bounds.iter().filter(|_| crossed.is_none()) {
+        let _ = writeln!(
+            md,
+            "- only for the upper bound: `data/timings/{}`; weights were not fitted to these frames",
+            file_name(path)
+        );
     }
     let _ = writeln!(
         md,
@@ -302,47 +290,39 @@ fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Res
             100.0 * found.noise_mdape(&set.name, &f.split)
         );
     }
+    let fit = found.fit(&set.name, predictor);
     if let Some(f) = fit {
         let of = |m: &Metrics, i: Option<&Intervals>| {
-            format!(
-                "RMSE/SD {}, median error {} %",
-                Intervals::beside_rmse(i, m),
-                Intervals::beside_mdape(i, m)
-            )
+            let (rmse, mdape) = (Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m));
+            format!("RMSE/SD {rmse}, median error {mdape} %")
         };
-        let _ = writeln!(
-            md,
-            "\n{}: {}{}.",
-            if !distilled.is_empty() {
-                "On measured frames of its training volumes"
-            } else {
-                "On its training frames"
-            },
-            of(&f.seen, f.seen_intervals.as_ref()),
-            crossed.map_or(String::new(), |(m, _)| format!(
-                "; in cross-validation on these frames, with ensemble members held out: {}",
-                of(m, f.crossed_intervals.as_ref())
-            ))
-        );
+        let what = if distilled.is_empty() {
+            "its training frames"
+        } else {
+            "measured frames of its training volumes"
+        };
+        let _ = write!(md, "\nOn {what}: {}", of(&f.seen, f.seen_intervals.as_ref()));
+        if let Some((m, _)) = crossed {
+            let text = "in cross-validation on these frames, with ensemble members held out";
+            let _ = write!(md, "; {text}: {}", of(m, f.crossed_intervals.as_ref()));
+        }
+        md += ".\n";
     }
     if ship.predictor == SELECTED {
         let numbers = fit.map_or(0, |f| f.numbers);
         let _ = writeln!(md, "\nThe rule selects `{predictor}` ({numbers} fitted parameters). {SENTENCE}");
     }
     if let Some(l) = found.latency(&set.name, predictor) {
-        let _ = writeln!(
+        let (machine, cold, warm) = (entire_io::machine::machine(), 1e6 * l.cold, 1e6 * l.warm);
+        let _ = write!(
             md,
-            "\nTime of one prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with \
-             cold caches, {:.1} µs with warm caches{}.",
-            entire_io::machine::machine(),
-            1e6 * l.cold,
-            1e6 * l.warm,
-            if l.transfer > 0.0 {
-                format!("; {:.0} µs more for a new transfer function", 1e6 * l.transfer)
-            } else {
-                String::new()
-            }
+            "\nTime of one prediction, scene features included, weights as {judged_as}, on {machine}: {cold:.1} µs \
+             with cold caches, {warm:.1} µs with warm caches"
         );
+        if l.transfer > 0.0 {
+            let _ = write!(md, "; {:.0} µs more for a new transfer function", 1e6 * l.transfer);
+        }
+        md += ".\n";
     }
     let tables = set.splits.iter().flat_map(|s| &s.tables);
     let tables: Vec<String> = tables.map(|t| format!("data/timings/{}", file_name(t))).collect();

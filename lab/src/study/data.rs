@@ -14,9 +14,9 @@ use std::ops::Range;
 pub(super) const MEMBERS: usize = 10;
 
 /// A set's tables in memory, with their roles.
-pub(super) struct SetTables {
+pub(crate) struct SetTables {
     /// All tables; a frame names its table by the index in this list.
-    pub(super) tables: Vec<Table>,
+    pub(crate) tables: Vec<Table>,
     training: Range<usize>,
     bounds: Range<usize>,
     other_steps: Range<usize>,
@@ -24,7 +24,7 @@ pub(super) struct SetTables {
 }
 
 impl SetTables {
-    pub(super) fn read(set: &Set) -> Result<Self> {
+    pub(crate) fn read(set: &Set) -> Result<Self> {
         let mut paths = Vec::new();
         let mut add = |tables: &[std::path::PathBuf]| {
             let start = paths.len();
@@ -34,6 +34,16 @@ impl SetTables {
         let (training, bounds, other_steps) = (add(&set.training), add(&set.bounds), add(&set.other_steps));
         let splits = set.splits.iter().map(|s| add(&s.tables)).collect();
         Ok(Self { tables: read_tables(&paths)?, training, bounds, other_steps, splits })
+    }
+
+    /// The training tables.
+    pub(crate) fn training(&self) -> &[Table] {
+        &self.tables[self.training.clone()]
+    }
+
+    /// The frames of each split, in the order of the description.
+    pub(crate) fn splits(&self, clock: Clock) -> Vec<TimedFrames<'_>> {
+        self.splits.iter().map(|r| self.frames(r, clock)).collect()
     }
 
     fn frames(&self, which: &Range<usize>, clock: Clock) -> TimedFrames<'_> {
@@ -86,7 +96,7 @@ impl<'a> SetData<'a> {
             one_step: learned(all),
             every_step: learned(every),
             bounds: tables.frames(&tables.bounds, clock),
-            splits: tables.splits.iter().map(|r| tables.frames(r, clock)).collect(),
+            splits: tables.splits(clock),
             noise,
         })
     }

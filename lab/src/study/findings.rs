@@ -25,15 +25,10 @@ pub(crate) struct Intervals {
 
 impl Intervals {
     /// Intervals of the errors of some predictions; `None` if the frames are of one volume.
-    pub(crate) fn of(predicted: &[f64], measured: &[f64], frames: &[&TimedFrame]) -> Option<Self> {
-        let volumes: Vec<String> = frames.iter().map(|f| GroupBy::Volume.group(&f.scene)).collect();
-        Self::by(predicted, measured, &volumes)
-    }
-
-    /// Returns the intervals of [`Intervals::of`]; `volumes` has the volume of each frame.
-    pub(crate) fn by(predicted: &[f64], measured: &[f64], volumes: &[String]) -> Option<Self> {
+    pub(crate) fn of(predicted: &[f64], measured: &TimedFrames<'_>) -> Option<Self> {
+        let volumes: Vec<String> = measured.frames.iter().map(|f| GroupBy::Volume.group(&f.scene)).collect();
         let both = |m: &Metrics| [m.rmse_over_sd, m.mdape];
-        intervals_by_group(predicted, measured, volumes, (ROUNDS, LEVEL), both)
+        intervals_by_group(predicted, &measured.seconds, &volumes, (ROUNDS, LEVEL), both)
             .map(|[rmse_over_sd, mdape]| Self { rmse_over_sd, mdape })
     }
 
@@ -128,6 +123,11 @@ impl Findings {
         self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
     }
 
+    /// Errors of a predictor in cross-validation, and the number of folds; `None` if it was not cross-validated.
+    pub(crate) fn crossed(&self, set: &str, predictor: &str) -> Option<(&Metrics, usize)> {
+        self.fit(set, predictor).and_then(|f| Some((f.crossed.as_ref()?, f.folds)))
+    }
+
     /// Returns the latency of a predictor that was trained on a data set.
     pub(crate) fn latency(&self, set: &str, predictor: &str) -> Option<Latency> {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
@@ -196,7 +196,7 @@ pub(crate) fn judge(
         split: split.to_owned(),
         predictor: predictor.to_owned(),
         panel: panel.to_owned(),
-        intervals: Intervals::of(predicted, &part.seconds, &part.frames),
+        intervals: Intervals::of(predicted, part),
         metrics,
         bound,
     })

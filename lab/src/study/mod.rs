@@ -19,6 +19,7 @@ mod tests;
 pub(crate) use bars::bars;
 pub(crate) use baselines::{Line, Low, by_proxy, line_of, twins, with_twins};
 pub(crate) use cache::STUDY_KEY;
+pub(crate) use data::SetTables;
 pub(crate) use description::{Named, SELECTED, Set, Ship, Study, read};
 pub(crate) use findings::{
     CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult, judge,

@@ -23,7 +23,7 @@ use entire_steer::predict::UpperBound;
 use entire_train::bound;
 use entire_train::fit::{FitContext, Recipe, predict, predict_stored};
 use entire_train::inputs::Layout;
-use entire_train::split::{GroupBy, TimedFrames};
+use entire_train::split::TimedFrames;
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
@@ -32,21 +32,20 @@ use std::path::PathBuf;
 pub(crate) enum Bounds<'a> {
     /// These frames; the validation frames if there are none.
     Frames(&'a TimedFrames<'a>),
-    Crossed(&'a Crossed),
+    Crossed(&'a Crossed<'a>),
 }
 
 /// Results of a cross-validation: frames, each predicted by a model trained without its member or volume.
-pub(crate) struct Crossed {
+pub(crate) struct Crossed<'a> {
     pub(super) predicted: Vec<f64>,
-    pub(super) measured: Vec<f64>,
+    pub(super) measured: TimedFrames<'a>,
     pub(super) groups: Vec<String>,
-    pub(super) volumes: Vec<String>,
     pub(super) folds: usize,
 }
 
-impl Crossed {
+impl Crossed<'_> {
     fn upper(&self) -> UpperBound {
-        bound::from_groups(&self.predicted, &self.measured, &self.groups)
+        bound::from_groups(&self.predicted, &self.measured.seconds, &self.groups)
     }
 }
 
@@ -109,7 +108,9 @@ impl Runner<'_> {
         let none = TimedFrames::default();
         let (judged, upper, residuals) = match bounds {
             Bounds::Frames(frames) => (*frames, None, Vec::new()),
-            Bounds::Crossed(c) => (&none, Some(c.upper()), bound::log_residuals(&c.predicted, &c.measured)),
+            Bounds::Crossed(c) => {
+                (&none, Some(c.upper()), bound::log_residuals(&c.predicted, &c.measured.seconds))
+            }
         };
         let mark = identity(recipe, context.tables, [training, validation, judged], &residuals)?;
         let path = path_of(&self.models, key, &mark);
@@ -162,17 +163,16 @@ impl Runner<'_> {
 
     /// Cross-validates a predictor: each fold of `judged` is predicted by a model that was trained on the frames of
     /// `all` in other folds. `None` if there are too few groups.
-    pub(super) fn crossed(
+    pub(super) fn crossed<'f>(
         &self,
         key: &str,
         method: (&Recipe, bool),
         context: &FitContext<'_>,
         all: &TimedFrames<'_>,
-        judged: &TimedFrames<'_>,
-    ) -> Result<Option<Crossed>> {
+        judged: &TimedFrames<'f>,
+    ) -> Result<Option<Crossed<'f>>> {
         let (by, folds) = judged.folds();
-        let (mut predicted, mut measured) = (Vec::new(), Vec::new());
-        let (mut groups, mut volumes) = (Vec::new(), Vec::new());
+        let (mut predicted, mut measured, mut groups) = (Vec::new(), TimedFrames::default(), Vec::new());
         for (k, fold) in folds.iter().enumerate() {
             let inside = |f: &TimedFrame| fold.contains(&by.group(&f.scene));
             let (held, rest) = (judged.parted(inside).0, all.parted(inside).1);
@@ -182,11 +182,10 @@ impl Runner<'_> {
             let made = self.any(&key, method, context, (&training, &validation), &Bounds::Frames(&none))?;
             predicted.extend(made.predict(context, &held.frames)?);
             groups.extend(held.frames.iter().map(|f| by.group(&f.scene)));
-            volumes.extend(held.frames.iter().map(|f| GroupBy::Volume.group(&f.scene)));
-            measured.extend(held.seconds);
+            measured = measured.and(held);
         }
         let folds = folds.len();
-        Ok((folds > 0).then_some(Crossed { predicted, measured, groups, volumes, folds }))
+        Ok((folds > 0).then_some(Crossed { predicted, measured, groups, folds }))
     }
 
     pub(crate) fn run(&self, study: &Study) -> Result<Findings> {
@@ -275,11 +274,9 @@ impl Runner<'_> {
             set: set.name.clone(),
             predictor: named.name.clone(),
             seen: metrics,
-            seen_intervals: Intervals::of(&predicted, &seen.seconds, &seen.frames),
-            crossed: crossed.as_ref().and_then(|c| Metrics::new(&c.predicted, &c.measured)),
-            crossed_intervals: crossed
-                .as_ref()
-                .and_then(|c| Intervals::by(&c.predicted, &c.measured, &c.volumes)),
+            seen_intervals: Intervals::of(&predicted, &seen),
+            crossed: crossed.as_ref().and_then(|c| Metrics::new(&c.predicted, &c.measured.seconds)),
+            crossed_intervals: crossed.as_ref().and_then(|c| Intervals::of(&c.predicted, &c.measured)),
             noise: data.noise,
             folds: crossed.as_ref().map_or(0, |c| c.folds),
             numbers: if let StudyPredictor::Model(m) = &made { numbers(&m.model, shading) } else { 0 },
@@ -306,7 +303,7 @@ impl Runner<'_> {
             out.files.push((set.name.clone(), named.name.clone(), kept.path.clone()));
         }
         out.latencies.push((set.name.clone(), named.name.clone(), made.latency(bench)?));
-        let crossed = out.fit(&set.name, &named.name).is_some_and(|fit| fit.crossed.is_some());
+        let crossed = out.crossed(&set.name, &named.name).is_some();
         for (split, part) in set.splits.iter().zip(&data.splits) {
             match made.predict(context, &part.frames) {
                 Ok(predicted) => {

@@ -69,13 +69,13 @@ fn what_is_cross_validated_was_not_learned_from() {
         let Crossed { predicted, measured, folds, groups, .. } =
             runner.crossed("key", (&recipe, trees), &context, &part, &part).unwrap().unwrap();
         assert_eq!((folds, predicted.len(), groups.len()), (4, 40, 40));
-        let worst = bound::log_residuals(&predicted, &measured).into_iter().map(f64::abs);
+        let worst = bound::log_residuals(&predicted, &measured.seconds).into_iter().map(f64::abs);
         assert!(worst.clone().all(|r| r > 0.3), "{:?}", worst.collect::<Vec<_>>());
         let none = TimedFrames::default();
         let seen =
             runner.any("all", (&recipe, trees), &context, (&part, &none), &Bounds::Frames(&none)).unwrap();
         let metrics = Metrics::new(&seen.predict(&context, &part.frames).unwrap(), &part.seconds).unwrap();
-        let crossed = Metrics::new(&predicted, &measured).unwrap();
+        let crossed = Metrics::new(&predicted, &measured.seconds).unwrap();
         assert!(metrics.mdape < 0.5 * crossed.mdape, "{} {}", metrics.mdape, crossed.mdape);
     }
 }
