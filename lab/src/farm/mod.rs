@@ -3,7 +3,6 @@
 pub(crate) mod bars;
 mod compare;
 mod search;
-pub(crate) mod stand_in;
 mod tasks;
 
 pub(crate) use compare::{compare, second_measurement};
