@@ -6,7 +6,6 @@
 //! clock.
 
 pub(crate) mod law;
-pub(crate) mod report;
 pub(crate) mod world;
 
 use crate::bars::Bar;
