@@ -5,8 +5,6 @@ mod bars;
 #[cfg(test)]
 mod bars_tests;
 mod baselines;
-mod cache;
-mod calibrated;
 mod data;
 mod description;
 mod findings;
@@ -18,11 +16,10 @@ mod tests;
 
 pub(crate) use bars::bars;
 pub(crate) use baselines::{Line, Low, by_proxy, line_of, twins, with_twins};
-pub(crate) use cache::STUDY_KEY;
 pub(crate) use data::SetTables;
 pub(crate) use description::{Named, SELECTED, Set, Ship, Study, read};
 pub(crate) use findings::{
     CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, SplitResult, judge,
 };
 pub(crate) use rule::{SENTENCE, by_rule, shipped};
-pub(crate) use runner::{Bounds, Runner};
+pub(crate) use runner::{Bounds, Runner, STUDY_KEY};

@@ -1,32 +1,38 @@
-//! Trains every predictor of a study on every set and tests it.
+//! Trains every predictor of a study on every set and tests it. A stored model is used again if all inputs of its
+//! training are the same.
 
 use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
-use super::cache::{STUDY_KEY, identity, kept, path_of};
-use super::calibrated::calibrated;
 use super::data::{MEMBERS, OnSet, SetData, SetTables};
 use super::description::main_panel;
-use super::findings::judge;
+use super::findings::{CalibratedResult, judge};
 use super::rule::{by_rule, numbers};
-use super::{Findings, Fit, Intervals, Named, Study};
+use super::{CALIBRATION_FRAMES, Findings, Fit, Intervals, Named, Study};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
+use entire_cli::calibrate::calibrate_to_frames;
 use entire_core::kernels::Storage;
 use entire_core::model::{Key, Model, ModelFile};
-use entire_io::dataset::{Clock, TimedFrame, noise_floor};
+use entire_io::dataset::feature_table::FeatureTable;
+use entire_io::dataset::{Clock, Table, TimedFrame, noise_floor};
 use entire_io::enlarge::enlarge;
-use entire_io::files::{make_folder, write_whole};
+use entire_io::files::{fnv1a_text, make_folder, read_bytes, read_model_file, write_whole};
 use entire_io::metrics::Metrics;
 use entire_io::volume::Volume;
-use entire_steer::predict::UpperBound;
+use entire_steer::calibrate::PriorModel;
+use entire_steer::predict::{UnitCosts, UpperBound};
 use entire_train::bound;
 use entire_train::fit::{FitContext, Recipe, predict, predict_stored};
 use entire_train::inputs::Layout;
 use entire_train::split::TimedFrames;
 use indicatif::ProgressBar;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
-use std::path::PathBuf;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 
 /// Frames that determine an upper bound.
 pub(crate) enum Bounds<'a> {
@@ -340,4 +346,155 @@ fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> R
         }
     }
     Ok(())
+}
+
+/// The metadata key under which a stored model holds the hash of the inputs of its training.
+pub(crate) const STUDY_KEY: &str = "entire.study_key";
+
+/// Version of the fits: raised whenever the same recipe gives another model for the same frames.
+const MADE_AS: u32 = 2;
+
+/// Identity of a model: a hash of the program's version, the recipe, the bytes of the model files that it
+/// starts from, the frames of each part with their seconds (which depend on the clock) and the bytes of
+/// their tables and feature tables, and `residuals`, from which the upper bound follows (empty without a
+/// cross-validation). Paths of files are not part of the hash.
+pub(super) fn identity(
+    recipe: &Recipe,
+    tables: &[Table],
+    parts: [&TimedFrames<'_>; 3],
+    residuals: &[f64],
+) -> Result<String> {
+    let from = |path: &Option<PathBuf>| -> Result<String> {
+        let Some(path) = path else { return Ok("none".into()) };
+        let bytes = read_bytes(path).with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(fnv1a_text(&bytes))
+    };
+    let bare = Recipe { volumenet: None, fine_tune: None, file: None, ..recipe.clone() };
+    let mut text = format!(
+        "{} {MADE_AS} {} {} {}",
+        env!("CARGO_PKG_VERSION"),
+        serde_json::to_string(&bare)?,
+        from(&recipe.volumenet)?,
+        from(&recipe.fine_tune)?
+    );
+    if recipe.file.is_some() {
+        text += &format!(" {}", from(&recipe.file)?);
+    }
+    for part in parts {
+        let mut bytes = Vec::with_capacity(32 * part.frames.len());
+        for (f, seconds) in part.frames.iter().zip(&part.seconds) {
+            let table = tables.get(f.table).context("a frame of no table")?;
+            let features = table.features.as_ref().map_or(0, FeatureTable::hash);
+            for v in [table.hash, features, f.number, seconds.to_bits()] {
+                bytes.extend(v.to_le_bytes());
+            }
+        }
+        text += &format!(" {}", fnv1a_text(&bytes));
+    }
+    if !residuals.is_empty() {
+        let bytes: Vec<u8> = residuals.iter().flat_map(|r| r.to_le_bytes()).collect();
+        text += &format!(" {}", fnv1a_text(&bytes));
+    }
+    Ok(fnv1a_text(text.as_bytes()))
+}
+
+/// Path of the model file of a predictor with this key and identity.
+fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
+    let name: String = key.chars().map(plain).collect();
+    models.join(format!("{name}-{}.safetensors", &identity[..8]))
+}
+
+/// Returns the stored model if it has this identity, with `upper`, if given, as its upper bound.
+fn kept(path: &Path, identity: &str, upper: Option<UpperBound>) -> Result<Option<ModelFile>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let (mut file, model) = read_model_file(path)?;
+    if file.metadata.get(STUDY_KEY).is_none_or(|key| key != identity) {
+        return Ok(None);
+    }
+    if let Some(upper) = upper.filter(|u| bound::of(&model) != Some(*u)) {
+        upper.store(&mut file)?;
+        write_whole(path, &file.to_bytes()?)?;
+    }
+    Ok(Some(file))
+}
+
+/// The seed of the split of volumes into calibration and test.
+const HALVES_SEED: u64 = 11;
+const FRAMES_SEED: u64 = 13;
+
+/// Calibrates a predictor to [`CALIBRATION_FRAMES`] of one half of the set's calibration split, tests it on
+/// the other half, and vice versa. Does nothing for sets without such a split and for models that cannot be a
+/// prior.
+fn calibrated(on: &OnSet<'_>, predictor: &str, file: &ModelFile, out: &mut Findings) -> Result<()> {
+    let OnSet { set, data, context, .. } = *on;
+    let Some(at) = set.splits.iter().position(|s| set.calibration_split.as_ref() == Some(&s.name)) else {
+        return Ok(());
+    };
+    if PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_err() {
+        return Ok(());
+    }
+    let Some(halves) = halves(&data.splits[at]) else { return Ok(()) };
+    let (mut predicted, mut measured) = (Vec::new(), Vec::new());
+    for (half, judged) in halves.iter().zip(halves.iter().rev()) {
+        let (few, _) = half.sample(CALIBRATION_FRAMES.min(half.frames.len()), FRAMES_SEED);
+        let here = calibrate_to_frames(std::slice::from_ref(file), context, few.timed())?;
+        predicted.extend(predict(&here.to_model()?, context, &judged.frames)?);
+        measured.extend_from_slice(&judged.seconds);
+    }
+    out.calibrated.extend(Metrics::new(&predicted, &measured).map(|metrics| CalibratedResult {
+        set: set.name.clone(),
+        split: set.splits[at].name.clone(),
+        predictor: predictor.to_owned(),
+        metrics,
+    }));
+    Ok(())
+}
+
+/// Divides frames into two parts without a common ensemble member (without a common volume if there are fewer than two
+/// members), so that no model is tested on data that it was adapted to. `None` with fewer than two volumes.
+fn halves<'a>(all: &TimedFrames<'a>) -> Option<[TimedFrames<'a>; 2]> {
+    let by = all.groups_at_least(2);
+    let groups: BTreeSet<String> = all.frames.iter().map(|f| by.group(&f.scene)).collect();
+    let mut groups: Vec<String> = groups.into_iter().collect();
+    groups.shuffle(&mut ChaCha8Rng::seed_from_u64(HALVES_SEED));
+    groups.truncate(groups.len() / 2);
+    let (first, second) = all.parted(|f| groups.contains(&by.group(&f.scene)));
+    (!first.frames.is_empty()).then_some([first, second])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::study::tests::table;
+    use entire_io::dataset::Clock;
+
+    #[test]
+    fn no_volume_is_adapted_to_and_judged_by() {
+        let volumes = |part: &TimedFrames<'_>| -> BTreeSet<String> {
+            part.frames.iter().map(|f| f.scene.volume.clone()).collect()
+        };
+        let scans: Vec<(String, String)> =
+            (0..70).map(|i| (format!("scans/v{}.nrrd", i % 7), String::new())).collect();
+        let t = table(&scans);
+        let [first, second] = halves(&TimedFrames::of(&t.frames, Clock::Cpu)).unwrap();
+        assert_eq!((first.frames.len(), second.frames.len()), (30, 40));
+        assert!(volumes(&first).is_disjoint(&volumes(&second)));
+
+        // All time steps of a member must be in the same half.
+        let steps: Vec<(String, String)> =
+            (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
+        let t = table(&steps);
+        let [first, second] = halves(&TimedFrames::of(&t.frames, Clock::Cpu)).unwrap();
+        let members = |part: &TimedFrames<'_>| -> BTreeSet<String> {
+            part.frames.iter().map(|f| f.scene.member.clone()).collect()
+        };
+        assert_eq!((first.frames.len(), second.frames.len()), (20, 20));
+        assert!(members(&first).is_disjoint(&members(&second)));
+
+        let one = table(&[("a.nrrd", ""), ("a.nrrd", "")]);
+        assert!(halves(&TimedFrames::of(&one.frames, Clock::Cpu)).is_none());
+    }
 }

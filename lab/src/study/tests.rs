@@ -1,8 +1,7 @@
 //! Tests of cross-validation, of stored models, of frames at low resolution, and of the repository's studies.
 
 use super::baselines::low_resolution;
-use super::cache::identity;
-use super::runner::{Bounds, Crossed};
+use super::runner::{Bounds, Crossed, identity};
 use super::*;
 use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::feature_table::FeatureTable;
