@@ -3,10 +3,10 @@
 
 use crate::bars;
 use crate::fitted::{Calibrated, no_volume, response_of, samples_by_volume};
-use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{
-    self, Disturbance, Player, Replayable, Score, Tally, Trial, frontier, play, trials_of_all,
+    self, Disturbance, Player, Replayable, Score, Tally, Trial, frontier, play, second_in_bound,
+    trials_of_all,
 };
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};

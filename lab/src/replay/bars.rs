@@ -1,10 +1,15 @@
 //! The steering bars.
 
-use super::{Player, Score, Three};
+use super::trials::{starts, without_model};
+use super::{LIMITS, Player, Replayable, Score, Three, Trial, replay};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
+use entire_steer::control::HybridOptions;
+
+/// Promised share of sessions whose second frame takes at most the upper bound of its plan.
+const PROMISED: f64 = 0.95;
 
 /// Controllers that use past frame times only.
 const REACTIVE: [ControllerKind; 9] = [
@@ -61,4 +66,20 @@ pub(crate) fn played(paths: usize, unplayed: &[String]) -> Vec<Bar> {
         vec![Bar::at_least("steer-paths-played", Some((paths - unplayed.len()) as f64), paths as f64)];
     out.extend(unplayed.iter().map(|name| Bar::at_least(format!("steer-played/{name}"), None, 1.0)));
     out
+}
+
+/// Returns the bar of the cold start: sessions without a model start at several frames of every trial. The
+/// value is the share of sessions whose second frame took no longer than the upper bound of its plan.
+pub(crate) fn second_in_bound(traces: &[Replayable], trials: &[Trial]) -> Result<Bar> {
+    let (mut seconds, mut inside) = (0u32, 0u32);
+    for trial in trials {
+        for frames in starts(trial.targets.len(), 2) {
+            let mut who = without_model(HybridOptions::default());
+            let played = replay(&traces[trial.trace], &mut who, &[], &trial.targets, LIMITS, 1, frames)?;
+            seconds += 1;
+            inside += u32::from(played[1].seconds <= played[1].upper);
+        }
+    }
+    let share = (seconds > 0).then(|| f64::from(inside) / f64::from(seconds));
+    Ok(Bar::at_least("cold/second-in-bound", share, PROMISED))
 }

@@ -1,20 +1,18 @@
 //! Replay of traces: controllers act on recorded time curves and are scored beside an oracle that knows the curves.
 
 mod bars;
-pub(crate) mod cold;
 mod disturbance;
 mod frontier;
-mod player;
 pub(crate) mod report;
 mod score;
 mod trials;
 pub(crate) mod tune;
 
-pub(crate) use bars::{bars, played};
+pub(crate) use bars::{bars, played, second_in_bound};
 pub use disturbance::{Disturbance, Slowdown};
 pub(crate) use frontier::frontier;
-pub use player::Player;
 pub use score::{Score, Tally, Three};
+pub use trials::Player;
 pub(crate) use trials::{Outcome, Trial, play, trials, trials_of_all};
 
 use crate::trace::{Curve, Trace};

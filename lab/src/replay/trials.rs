@@ -1,13 +1,18 @@
-//! Trials: traces with targets, played under every controller.
+//! Trials: traces with targets, played under every controller; and sessions without a model that start anywhere on a
+//! path, as in a program that knows only its own frame times.
 
-use super::cold::hybrid;
-use super::{LIMITS, Player, Replayable, Replayed, Tally, replay, worth_playing};
+use super::{LIMITS, Replayable, Replayed, Tally, replay, worth_playing};
 use crate::fitted::Calibrated;
 use anyhow::Result;
-use entire_cli::steering::contenders::contender;
+use clap::ValueEnum;
+use entire_cli::steering::contenders::{ControllerKind, contender};
+use entire_cli::steering::play::{ActsOn, Contender};
 use entire_cli::steering::rivals::StepResponse;
+use entire_io::files::note;
 use entire_io::metrics::median;
-use entire_steer::control::{HybridOptions, Prior};
+use entire_steer::control::{Hybrid, HybridOptions, Prior, Session};
+use entire_steer::predict::{AnalyticModel, Predictor};
+use std::ops::Range;
 
 /// One trace with one target or a series of targets.
 pub(crate) struct Trial {
@@ -118,6 +123,85 @@ pub(crate) fn play(
     Ok(outcome)
 }
 
+/// A controller in a replay.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Player {
+    /// The controller.
+    pub kind: ControllerKind,
+    /// The quantity that the controller sets in this replay.
+    pub acts_on: ActsOn,
+    /// True if the controller's steps ignore a detected load
+    /// ([`entire_steer::control::HybridOptions::ignore_load`]).
+    pub ignore_load: bool,
+}
+
+impl Player {
+    /// Returns players of the given controllers; of all controllers if `kinds` is empty.
+    ///
+    /// If a trace holds no smaller images, rules that act on image resolution act on the ray step instead, on
+    /// all traces, so that each row of a table has one meaning. A note and the tables say so.
+    pub fn all(kinds: &[ControllerKind], traces: &[Replayable]) -> Vec<Self> {
+        let kinds = if kinds.is_empty() { ControllerKind::value_variants() } else { kinds };
+        let without: Vec<&str> =
+            traces.iter().filter(|t| t.images.is_none()).map(|t| t.trace.name.as_str()).collect();
+        let players: Vec<Self> = kinds
+            .iter()
+            .map(|&kind| Self {
+                kind,
+                acts_on: if without.is_empty() { kind.acts_on() } else { ActsOn::RayStep },
+                ignore_load: false,
+            })
+            .collect();
+        let standing_in: Vec<&str> =
+            players.iter().filter(|p| p.stands_in()).map(|p| p.kind.name()).collect();
+        if !standing_in.is_empty() {
+            note(&format!(
+                "played on the ray step instead of image resolution: {}; {} of {} traces hold no smaller images \
+                 ({}), which `entire-lab record` adds when it records them again",
+                standing_in.join(", "),
+                without.len(),
+                traces.len(),
+                without.join(", ")
+            ));
+        }
+        players
+    }
+
+    /// True if the controller sets the ray step instead of its own quantity.
+    pub fn stands_in(&self) -> bool {
+        self.acts_on != self.kind.acts_on()
+    }
+
+    /// Name of the quantity that the controller sets, for tables.
+    pub const fn acts_on_name(&self) -> &'static str {
+        match (self.acts_on, self.kind.acts_on()) {
+            (ActsOn::RayStep, ActsOn::ImageResolution { .. }) => "ray step instead",
+            (acts_on, _) => acts_on.name(),
+        }
+    }
+}
+
+/// Number of frames between the starts of two sessions.
+const EVERY: usize = 8;
+
+/// Frame ranges of sessions with `frames` frames each that start at regular intervals on a path of `n` frames.
+pub(crate) fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..(n + 1).saturating_sub(frames)).step_by(EVERY).map(move |start| start..start + frames)
+}
+
+pub(crate) fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {
+    Contender {
+        name: "hybrid".into(),
+        session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
+        chooses_image_sample_distance: false,
+        acts_on: ActsOn::RayStep,
+    }
+}
+
+pub(crate) fn without_model(options: HybridOptions) -> Contender {
+    hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,5 +244,13 @@ mod tests {
             bars,
             ["bar steer-paths-played 2.0000 3.0000 short", "bar steer-played/nyx-orbit - 1.0000 short"]
         );
+    }
+
+    #[test]
+    fn sessions_begin_along_the_path_and_end_on_it() {
+        let of = |n, frames| starts(n, frames).collect::<Vec<_>>();
+        assert_eq!(of(18, 2), [0..2, 8..10, 16..18]);
+        assert_eq!(of(17, 2), [0..2, 8..10]);
+        assert!(of(1, 2).is_empty() && of(0, 6).is_empty());
     }
 }

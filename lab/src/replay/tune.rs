@@ -15,7 +15,7 @@
 //! tried, so a smaller gain may be chance. The search takes the best multiple that qualifies. It ends after a
 //! round in which no constant changed.
 
-use super::cold::{hybrid, starts, without_model};
+use super::trials::{hybrid, starts, without_model};
 use super::{LIMITS, Replayable, Replayed, Tally, Three, Trial, replay, trials};
 use crate::fitted::Calibrated;
 use crate::trace::{Curve, TRACE_SCALES};
