@@ -4,8 +4,8 @@ use super::replay;
 use crate::bars;
 use crate::farm::compare;
 use crate::paper::{
-    Paper, Place, Selection, Work, book, cases, collect, control, description, encode, material, pictures,
-    places, report, train, trials, yt,
+    Paper, Place, Selection, Work, cases, collect, control, description, encode, pictures, places, report,
+    results, train, trials, yt,
 };
 use anyhow::{Result, ensure};
 use clap::{Subcommand, ValueEnum};
@@ -301,14 +301,14 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
 
 fn report_all(paper: &Paper, out: &Path, how: &HowToReport) -> Result<()> {
     let started = Instant::now();
-    let material = material::material(paper, out, how.kept.as_deref())?;
+    let material = results::material(paper, out, how.kept.as_deref())?;
     if let Some(path) = &how.keep {
-        material::keep(&material, path)?;
+        results::keep(&material, path)?;
         println!("wrote {}", path.display());
     }
     if let Some(pages) = &how.book {
-        book::write(paper, &material, pages)?;
-        println!("wrote {}", pages.join(book::PAGE).display());
+        report::write_book(paper, &material, pages)?;
+        println!("wrote {}", pages.join(report::PAGE).display());
     }
     let found = report::write(paper, &material, out, started)?;
     println!("wrote {}", out.join("report.html").display());

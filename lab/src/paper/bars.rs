@@ -3,7 +3,7 @@
 use super::description::{BASE_MODE, DataSet, Panel, Paper, Rule, YT};
 use super::encode::{ALL, SHIPPED};
 use super::judge::{NETWORK, OURS};
-use super::material::Reconstruction;
+use super::results::Reconstruction;
 use super::results::Results;
 use super::train::FEATURE_VECTOR;
 use super::trials::AS_IT_IS;

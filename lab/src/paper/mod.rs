@@ -5,7 +5,6 @@
 //! continued: tables of frames, encoders, models, and one file of results for every part of the study.
 
 mod bars;
-pub(crate) mod book;
 pub(crate) mod cases;
 pub(crate) mod collect;
 pub(crate) mod control;
@@ -14,11 +13,10 @@ pub(crate) mod encode;
 mod frames;
 mod interval;
 mod judge;
-pub(crate) mod material;
 mod overall;
 pub(crate) mod pictures;
 pub(crate) mod report;
-mod results;
+pub(crate) mod results;
 mod section;
 mod sections;
 pub(crate) mod train;
