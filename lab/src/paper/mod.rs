@@ -13,7 +13,6 @@ pub(crate) mod encode;
 mod frames;
 mod interval;
 mod judge;
-mod overall;
 pub(crate) mod pictures;
 pub(crate) mod report;
 pub(crate) mod results;

@@ -1,10 +1,12 @@
-//! A section of the report, and the texts and tables that several sections share.
+//! A section of the report, the texts and tables that several sections share, and the sections with the errors of all data
+//! sets.
 
-use super::description::Paper;
+use super::description::{BY_VOLUMES, Paper, Rule};
 use super::interval;
-use super::results::{CONSTANT, LVRP, Results};
+use super::judge::{NETWORK, OURS};
+use super::results::{CONSTANT, LVRP, Results, Row, box_of};
 use super::volumes::in_words;
-use entire_report::{Chart, Table};
+use entire_report::{Axis, Chart, Mark, Series, Table};
 
 /// Contents of the report for one table or figure of the paper.
 #[derive(Clone, Debug, Default)]
@@ -92,4 +94,149 @@ pub(super) fn errors_table(r: &Results) -> Table {
         ]);
     }
     table
+}
+
+/// The paper's rule for test volumes, for captions.
+const RULE: &str = "random volumes of MAESTROeX, and a left-out ensemble member each of Nyx and Castro";
+
+/// Adds the tables and the chart of prediction errors by data set and renderer.
+pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let mut parts = Vec::new();
+    let headline = table(paper, of, |rule| rule, &mut parts);
+    if parts.is_empty() {
+        return;
+    }
+    s.summary = parts.join("; ");
+    s.tables.push((headline, format!("The test volumes follow the paper's rule: {RULE}.")));
+    let mut others = Vec::new();
+    let other = table(paper, of, Rule::other, &mut others);
+    if !others.is_empty() {
+        let what = "The test volumes follow the other split of each data set, on which the paper does not \
+                    test: random volumes of Nyx and Castro, and a left-out member of MAESTROeX.";
+        s.tables.push((other, what.into()));
+    }
+    for set in paper.data_sets.iter().filter(|d| !d.only_tests) {
+        for mode in &set.modes {
+            if !of.iter().any(|r| r.set == set.name && r.mode == *mode) {
+                s.notes.push(format!(
+                    "Not measured: {}. The command `entire-lab paper collect --data DATA --data-sets {} \
+                     --modes {mode}` collects the frames.",
+                    title_of(paper, &set.name, mode),
+                    set.name
+                ));
+            }
+        }
+    }
+    // The encoder is stated once for neighboring tables with the same encoder.
+    let mut stated = "";
+    for r in of.iter().filter(|r| r.rows.iter().any(|x| x.split != BY_VOLUMES)) {
+        let mut caption = format!("{}: errors by split.", title(paper, r));
+        if r.encoder != stated {
+            caption += &format!(
+                " {}. In the other split, the network uses the shipped encoder. Scans are predicted by the \
+                 models of the split by random volumes.",
+                r.encoder
+            );
+            stated = r.encoder.as_str();
+        }
+        s.tables.push((errors_table(r), caption));
+    }
+    let mut chart = Chart::new(
+        "Accuracy against latency, test volumes by the paper's rule",
+        Axis::log("one prediction, ms"),
+        Axis::log("RMSE / SD"),
+    )
+    .size(860.0, 520.0);
+    for (i, name) in [NETWORK, OURS, LVRP].into_iter().enumerate() {
+        let points: Vec<(f64, f64, String)> = of
+            .iter()
+            .filter_map(|r| {
+                let row = r.row(paper.rule(&r.set).split(), name)?;
+                Some((1e3 * row.latency?, row.rmse / row.sd, title(paper, r)))
+            })
+            .collect();
+        if !points.is_empty() {
+            chart = chart.series(Series::new(name, Mark::Points(points)).color(i));
+        }
+    }
+    let what = "Points further down have a smaller error, and points further left a shorter prediction time.";
+    s.charts.push((chart, what.into()));
+}
+
+/// Returns a table with a row for every data set and mode that was tested on the split. `split` returns the
+/// split for the data set's rule. Appends each row's ratios to `parts`.
+fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
+    let mut table = Table::headed(
+        "data set, renderer | tested on | #training frames | #test frames | #network: RMSE, s | \
+         #network: SD of the RMSE over runs, s (runs) | #network: time of a prediction, ms | \
+         #mean of 15 %: RMSE, s | #LVRP: RMSE, s | #LVRP: time of a frame, ms | #ours: RMSE, s | \
+         #ours: SD of the RMSE over runs, s | #ours: time of a prediction, ms | \
+         #RMSE: network / mean of 15 % | #RMSE: network / LVRP | #RMSE: ours / network",
+    );
+    for r in of {
+        let split = split(paper.rule(&r.set)).split();
+        let find = |name: &str| r.row(split, name);
+        let Some(network) = find(NETWORK) else { continue };
+        let s_of = |row: Option<&Row>| row.map(|x| seconds(x.rmse));
+        let ms = |row: Option<&Row>| Some(format!("{:.3}", 1e3 * row?.latency?));
+        let ours = find(OURS);
+        let over_mean = with_interval(network.over_constant, r.over_constant_interval(network));
+        let over_lvrp = with_interval(network.over_lvrp, r.over_lvrp_interval(network));
+        let interval = ours.and_then(|o| interval::of_ratio(&o.by_volume, &network.by_volume));
+        let ours_over = with_interval(ours.map(|o| o.rmse / network.rmse), interval);
+        parts.push(format!(
+            "{}: {over_mean} of the mean, {over_lvrp} of LVRP, ours {ours_over} of the network",
+            title(paper, r)
+        ));
+        table.row(vec![
+            title(paper, r).into(),
+            in_words(split).into(),
+            r.frames.get(split).map_or(0, |f| f[0]).to_string().into(),
+            network.frames.to_string().into(),
+            seconds(network.rmse).into(),
+            format!("{} ({})", seconds(network.rmse_sd), network.runs).into(),
+            ms(Some(network)).into(),
+            s_of(find(CONSTANT)).into(),
+            s_of(find(LVRP)).into(),
+            ms(find(LVRP)).into(),
+            s_of(ours).into(),
+            ours.map(|o| seconds(o.rmse_sd)).into(),
+            ms(ours).into(),
+            over_mean.into(),
+            over_lvrp.into(),
+            ours_over.into(),
+        ]);
+    }
+    table
+}
+
+/// Adds the charts of the distributions of times and squared errors.
+pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let split = |r: &Results| paper.rule(&r.set).split();
+    let shown: Vec<&&Results> = of.iter().filter(|r| r.row(split(r), NETWORK).is_some()).collect();
+    if shown.is_empty() {
+        return;
+    }
+    let names: Vec<String> = shown.iter().map(|r| title(paper, r)).collect();
+    let times: Vec<(f64, [f64; 5])> =
+        shown.iter().enumerate().filter_map(|(i, r)| Some((i as f64, box_of(r.fact("times")?)))).collect();
+    let axis = || Axis::categories("data set, renderer", names.clone());
+    s.charts.push((
+        Chart::new("Rendering times", axis(), Axis::log("seconds"))
+            .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(times)).color(0)),
+        "Each box shows percentiles of the frame times for one data set and one renderer.".into(),
+    ));
+    let mut chart = Chart::new("Squared errors", axis(), Axis::log("seconds squared"));
+    for (k, name) in [NETWORK, OURS].into_iter().enumerate() {
+        let boxes = shown
+            .iter()
+            .enumerate()
+            .filter_map(|(i, r)| Some((i as f64, r.row(split(r), name)?.squared_errors)))
+            .collect();
+        chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
+    }
+    let what = "Each box shows percentiles of a predictor's squared errors for one data set and one \
+                renderer, over all runs";
+    s.charts.push((chart, format!("{what}. The test volumes follow the paper's rule: {RULE}.")));
+    s.summary = format!("{} distributions of times and squared errors", shown.len());
 }

@@ -6,10 +6,11 @@ use super::description::{BY_VOLUMES, Label, Panel, Paper};
 use super::encode::{ALL, SHIPPED};
 use super::interval;
 use super::judge::{NETWORK, OURS};
-use super::overall::{distributions, overall};
 use super::results::Material;
 use super::results::{CONSTANT, Curve, DRAWN_CHART, LVRP, ORBIT_CHART, Results, Row, SORTED, box_of};
-use super::section::{Section, errors_table, mode_in_words, over, ratio, seconds, title, with_interval};
+use super::section::{
+    Section, distributions, errors_table, mode_in_words, over, overall, ratio, seconds, title, with_interval,
+};
 use super::trials::{AS_IT_IS, TOGETHER};
 use super::tuning::MACHINES;
 use super::volumes::in_words;
