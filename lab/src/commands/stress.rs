@@ -1,7 +1,7 @@
 //! `entire-lab stress`: scenes in which methods of holding a frame time fail.
 
 use crate::bars;
-use crate::stress::{self, Verdict, bars_on_device, harmless, run as play, run_real};
+use crate::stress::{self, Verdict, bars_on_device, harmless};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
@@ -11,6 +11,7 @@ use entire_io::files::{make_folder, write_json};
 use entire_io::machine::Provenance;
 use entire_io::progress::progress_bar;
 use entire_report::{Page, Table};
+use entire_vk_raycaster::Renderer;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -50,20 +51,20 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         ensure!(all.contains(n), "--scenes names {n}; scenes are numbered 1 to {}", all.len());
     }
     let methods = ControllerKind::value_variants();
-    let bar = progress_bar("stress");
-    let verdicts = play(scenes, methods, LONG_RUN, &bar);
-    bar.finish_and_clear();
-    let verdicts = verdicts?;
+    let play = |methods: &[ControllerKind], real: Option<(&mut dyn Renderer, Clock)>| {
+        let bar = progress_bar("stress");
+        let verdicts = stress::run(scenes, methods, LONG_RUN, real, &bar);
+        bar.finish_and_clear();
+        verdicts
+    };
+    let verdicts = play(methods, None)?;
     let mut name = "scripted clock; the CPU version of the raycaster counts the work".to_owned();
     let mut real = Vec::new();
     // Two controllers play on a real renderer: OLP only reacts, hybrid predicts and reacts.
     let real_methods = [ControllerKind::Olp, ControllerKind::Hybrid];
     if let Some(device) = options.device {
         let mut renderer = device::open(device)?;
-        let bar = progress_bar("stress");
-        let played = run_real(scenes, &real_methods, renderer.as_mut(), options.clock, &bar);
-        bar.finish_and_clear();
-        real = played?;
+        real = play(&real_methods, Some((renderer.as_mut(), options.clock)))?;
         name = format!("{name}; real: {}, clock {}", renderer.device(), options.clock.name());
     }
     make_folder(&options.out)?;

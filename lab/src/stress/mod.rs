@@ -183,52 +183,32 @@ impl Noise {
     }
 }
 
-/// Plays scenes under methods, each by `play`.
-fn verdicts(
-    scenes: &[usize],
-    methods: &[ControllerKind],
-    progress: &indicatif::ProgressBar,
-    mut play: impl FnMut(usize, ControllerKind) -> anyhow::Result<Verdict>,
-) -> anyhow::Result<Vec<Verdict>> {
-    let mut out = Vec::with_capacity(scenes.len() * methods.len());
-    progress.set_length(scenes.len() as u64);
-    for &number in scenes {
-        for &method in methods {
-            out.push(play(number, method)?);
-        }
-        progress.inc(1);
-    }
-    Ok(out)
-}
-
-/// Plays scenes under methods on a scripted clock. `soak` is the number of disturbed frames in scene 27.
+/// Plays scenes under methods: on a scripted clock or, if `real` has a renderer and its clock, those that can be played
+/// on a real renderer. `soak` is the number of disturbed frames in scene 27.
 pub(crate) fn run(
     scenes: &[usize],
     methods: &[ControllerKind],
     soak: u64,
+    mut real: Option<(&mut dyn Renderer, Clock)>,
     progress: &indicatif::ProgressBar,
 ) -> anyhow::Result<Vec<Verdict>> {
-    verdicts(scenes, methods, progress, |number, method| match law::play(number, method, soak) {
-        Some(verdict) => Ok(verdict),
-        None => {
+    let playable = |n: &usize| real.is_none() || world::REAL.contains(n);
+    let scenes: Vec<usize> = scenes.iter().copied().filter(playable).collect();
+    let mut out = Vec::with_capacity(scenes.len() * methods.len());
+    progress.set_length(scenes.len() as u64);
+    for number in scenes {
+        for &method in methods {
             let mut twin = CpuRaycaster::new();
-            world::play(number, method, &mut world::Machine { renderer: &mut twin, clock: None })
+            let mut machine = match &mut real {
+                Some((renderer, clock)) => world::Machine { renderer: *renderer, clock: Some(*clock) },
+                None => world::Machine { renderer: &mut twin, clock: None },
+            };
+            let by_law = if machine.clock.is_none() { law::play(number, method, soak) } else { None };
+            out.push(by_law.map_or_else(|| world::play(number, method, &mut machine), Ok)?);
         }
-    })
-}
-
-/// Plays those of the scenes that can be played on a real renderer with a real clock.
-pub(crate) fn run_real(
-    scenes: &[usize],
-    methods: &[ControllerKind],
-    renderer: &mut dyn Renderer,
-    clock: Clock,
-    progress: &indicatif::ProgressBar,
-) -> anyhow::Result<Vec<Verdict>> {
-    let scenes: Vec<usize> = scenes.iter().copied().filter(|n| world::REAL.contains(n)).collect();
-    verdicts(&scenes, methods, progress, |number, method| {
-        world::play(number, method, &mut world::Machine { renderer: &mut *renderer, clock: Some(clock) })
-    })
+        progress.inc(1);
+    }
+    Ok(out)
 }
 
 /// Bar on the number of scenes that entire's controller passed; a scene that was not played counts as not
@@ -271,11 +251,11 @@ mod tests {
         let all: Vec<usize> = scenes().map(|s| s.0).collect();
         assert_eq!(all, (1..=31).collect::<Vec<_>>());
         let bar = indicatif::ProgressBar::hidden();
-        let verdicts = run(&all, &[ControllerKind::Hybrid], 50_000, &bar).unwrap();
+        let verdicts = run(&all, &[ControllerKind::Hybrid], 50_000, None, &bar).unwrap();
         let failed: Vec<&Verdict> = verdicts.iter().filter(|v| !v.passed()).collect();
         assert!(failed.is_empty(), "{failed:#?}");
         // The verdicts are the same in every run.
-        let again = run(&[1, 17, 24, 7], &[ControllerKind::Hybrid], 10, &bar).unwrap();
+        let again = run(&[1, 17, 24, 7], &[ControllerKind::Hybrid], 10, None, &bar).unwrap();
         for v in again {
             assert_eq!(Some(&v), verdicts.iter().find(|w| w.scene == v.scene));
         }
@@ -283,16 +263,18 @@ mod tests {
 
     #[test]
     fn scenes_play_on_a_real_renderer_too() {
-        let bar = indicatif::ProgressBar::hidden();
         let mut twin = CpuRaycaster::new();
+        let mut play = |scenes: &[usize], clock| {
+            let bar = indicatif::ProgressBar::hidden();
+            run(scenes, &[ControllerKind::Hybrid], 0, Some((&mut twin, clock)), &bar)
+        };
         // Real times of a shared machine may pass or fail; every number must be finite.
-        let verdicts =
-            run_real(&[1, 7, 28], &[ControllerKind::Hybrid], &mut twin, Clock::Auto, &bar).unwrap();
+        let verdicts = play(&[1, 7, 28], Clock::Auto).unwrap();
         assert_eq!(verdicts.len(), 1);
         let v = &verdicts[0];
         assert!(v.scene == 7 && v.quality > 0.0 && v.worst.is_finite());
         assert!(!v.failures.iter().any(|f| f.contains("expected") || f.contains("step")), "{v:?}");
-        let error = run_real(&[7], &[ControllerKind::Hybrid], &mut twin, Clock::Device, &bar).unwrap_err();
+        let error = play(&[7], Clock::Device).unwrap_err();
         assert!(format!("{error:#}").contains("no device clock"), "{error:#}");
     }
 
@@ -311,7 +293,7 @@ mod tests {
         ];
         let verdicts: Vec<Verdict> = rivals
             .iter()
-            .flat_map(|(rival, scenes)| run(scenes, &[*rival], 1000, &progress).unwrap())
+            .flat_map(|(rival, scenes)| run(scenes, &[*rival], 1000, None, &progress).unwrap())
             .collect();
         // Scene 28: all methods read files and states with the same code, and none is known to fail.
         assert_eq!(harmless(&verdicts), [28], "{verdicts:#?}");
