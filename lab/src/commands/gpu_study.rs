@@ -79,18 +79,7 @@ impl Study<'_> {
         if self.outcomes.has(&step.name, &step.arguments) {
             return Ok(());
         }
-        let outcome = if self.deadline.saturating_duration_since(Instant::now()) < Duration::from_secs(1) {
-            Outcome {
-                step: step.name.clone(),
-                arguments: step.arguments.clone(),
-                state: State::LeftOut,
-                seconds: 0.0,
-                said: "the time ran out; raise --seconds, or run the command again".into(),
-            }
-        } else {
-            steps::run(step, &self.entire, &self.options.out, self.deadline, &self.stop)?
-        };
-        self.keep(outcome)
+        self.keep(steps::run(step, &self.entire, &self.options.out, self.deadline, &self.stop)?)
     }
 
     fn pictures(&mut self, device: &str, volumes: &[PathBuf], extent: Extent) -> Result<()> {

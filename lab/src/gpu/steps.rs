@@ -193,8 +193,9 @@ pub(crate) fn switches(out: &Path, volume: &Path, device: (&str, &str), target: 
     step("switches".into(), 90.0, false, steer)
 }
 
-/// Runs a step's command, at most until its time limit or the deadline. Then the command is asked to end, as by
-/// Ctrl-C, and killed if it does not end. Its output goes to `OUT/logs/NAME.txt`.
+/// Runs a step's command, at most until its time limit or the deadline; leaves the step out if the deadline is less
+/// than a second away. At the limit, the command is asked to end, as by Ctrl-C, and killed if it does not end. Its
+/// output goes to `OUT/logs/NAME.txt`.
 ///
 /// # Errors
 /// When the command cannot be started, or the user asked to stop.
@@ -206,6 +207,14 @@ pub(crate) fn run(
     stop: &AtomicBool,
 ) -> Result<Outcome> {
     let begin = Instant::now();
+    let outcome = |state, seconds, said| {
+        let (step, arguments) = (step.name.clone(), step.arguments.clone());
+        Ok(Outcome { step, arguments, state, seconds, said })
+    };
+    if deadline.saturating_duration_since(begin) < Duration::from_secs(1) {
+        let said = "the time ran out; raise --seconds, or run the command again";
+        return outcome(State::LeftOut, 0.0, said.into());
+    }
     let own = begin + Duration::from_secs_f64(step.seconds);
     let end = deadline.min(own);
     for left in &step.anew {
@@ -237,13 +246,7 @@ pub(crate) fn run(
         _ => State::Failed,
     };
     let said = if cut && state == State::Failed { format!("took too long: {last}") } else { last };
-    Ok(Outcome {
-        step: step.name.clone(),
-        arguments: step.arguments.clone(),
-        state,
-        seconds: begin.elapsed().as_secs_f64(),
-        said,
-    })
+    outcome(state, begin.elapsed().as_secs_f64(), said)
 }
 
 #[cfg(test)]
