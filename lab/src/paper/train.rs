@@ -7,6 +7,7 @@ use super::judge::{At, Judge, NETWORK, OURS};
 use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, percentiles, write};
 use super::volumes::{Parts, Place, in_words};
 use super::{Work, tuning};
+use crate::latency::Bench;
 use crate::study::{Runner, by_proxy, line_of};
 use anyhow::{Context, Result, bail};
 use entire_core::kernels::Executor;
@@ -19,7 +20,7 @@ use entire_steer::predict::GroupKind;
 use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use indicatif::ProgressBar;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::Instant;
 
@@ -176,18 +177,16 @@ impl At<'_> {
         let mut sorted = all.seconds.clone();
         sorted.sort_by(f64::total_cmp);
         let dims = all.frames.first().map_or([0; 3], |f| f.scene.dims);
-        let members: std::collections::BTreeSet<&str> =
-            self.place.jobs.iter().map(|j| j.member.as_str()).collect();
+        let jobs = &self.place.jobs;
+        let members: BTreeSet<&str> = jobs.iter().map(|j| j.member.as_str()).collect();
+        let expected = jobs.iter().map(|j| f64::from(self.place.frames_of(j, self.paper()))).sum();
         let mut values: BTreeMap<String, f64> = [
             ("frames", n),
-            (
-                "expected frames",
-                self.place.jobs.iter().map(|j| f64::from(self.place.frames_of(j, self.paper()))).sum(),
-            ),
+            ("expected frames", expected),
             ("mean", mean),
             ("sd", sd),
             ("members", members.len() as f64),
-            ("volumes", self.place.jobs.len() as f64),
+            ("volumes", jobs.len() as f64),
             ("x", f64::from(dims[0])),
             ("y", f64::from(dims[1])),
             ("z", f64::from(dims[2])),
@@ -206,22 +205,17 @@ impl At<'_> {
             self.note_frames(results, parts.name, &frames)?;
             let networks = self.networks(parts.name, &frames)?;
             let ours = self.ours(parts.name, &frames)?;
-            let mut judge = self.judge(parts.name, &frames.test, &frames.training);
-            for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
-                self.add(&mut judge, name, models, bench.as_mut())?;
-            }
-            results.rows.append(&mut judge.rows);
-            if parts.name != BY_VOLUMES {
-                continue;
-            }
-            for (title, table) in &self.loaded.modalities {
-                let other = self.loaded.all(*table, self.clock);
-                let split = format!("{BY_MODALITY}: {title}");
-                let mut judge = self.judge(&split, &other, &frames.training);
+            let mut test = |split: &str, on: &TimedFrames<'_>, mut bench: Option<&mut Bench>| -> Result<()> {
+                let mut judge = self.judge(split, on, &frames.training);
                 for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
-                    self.add(&mut judge, name, models, None)?;
+                    self.add(&mut judge, name, models, bench.as_deref_mut())?;
                 }
                 results.rows.append(&mut judge.rows);
+                Ok(())
+            };
+            test(parts.name, &frames.test, bench.as_mut())?;
+            for (title, table) in self.loaded.modalities.iter().filter(|_| parts.name == BY_VOLUMES) {
+                test(&format!("{BY_MODALITY}: {title}"), &self.loaded.all(*table, self.clock), None)?;
             }
         }
         Ok(())
