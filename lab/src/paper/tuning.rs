@@ -38,14 +38,6 @@ struct Target<'a> {
     set: &'static str,
 }
 
-/// Indices of the tables of another renderer or machine: the first is for training, the last for testing.
-struct Found {
-    name: String,
-    first: usize,
-    last: usize,
-    set: &'static str,
-}
-
 struct Pretrained<'a> {
     work: &'a Work<'a>,
     runner: &'a Runner<'a>,
@@ -81,7 +73,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         note(&format!("no frames in mode {mode}; nothing to pre-train on"));
         return Ok(());
     }
-    let mut others: Vec<Found> = Vec::new();
+    // Another renderer or machine: name, indices of the tables for training and for testing, set of its results.
+    let mut others: Vec<(String, usize, usize, &'static str)> = Vec::new();
     let shipped = open_model(&paper.encoders.shipped[0])?;
     let code = code_column(&encoder_id(shipped.volumenet.as_ref().context("no VolumeNet")?), 0);
     let here = machine(&tables[0]).map(str::to_owned);
@@ -115,14 +108,14 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
         let name =
             if set == TOGETHER && elsewhere { format!("{name}, another machine") } else { name.clone() };
-        others.push(Found { name, first, last: first + found.len() - 1, set });
+        others.push((name, first, first + found.len() - 1, set));
         tables.extend(found);
     }
     let mark = identity(work, Panel::Tuning, TOGETHER, &tables, &Low::new())?;
     let tests = pieces.iter().any(|(p, _)| all[*p].set.only_tests);
     let mut todo: Vec<&'static str> = Vec::new();
     for set in [TOGETHER, MACHINES] {
-        let any = others.iter().any(|o| o.set == set) || (set == TOGETHER && tests);
+        let any = others.iter().any(|o| o.3 == set) || (set == TOGETHER && tests);
         if any && !kept(work.out, Panel::Tuning, set, mode, &mark)? {
             todo.push(set);
         }
@@ -154,7 +147,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             }
         }
     }
-    for Found { name, first, last, set } in &others {
+    for (name, first, last, set) in &others {
         // Of a table of another machine, only frames of the pre-training data sets are used. Then the machine
         // is the only difference from the pre-training.
         let known = |f: &TimedFrame| {
@@ -203,9 +196,7 @@ impl Pretrained<'_> {
             Ok(Metrics::new(&predicted, &target.judged.seconds).map_or(f64::NAN, |m| m.rmse))
         };
         let mut last: Vec<(&str, ModelFile)> = Vec::new();
-        let counts: Vec<usize> =
-            work.paper.tuning.frames.iter().copied().filter(|n| *n <= target.learned.frames.len()).collect();
-        for &count in &counts {
+        for &count in work.paper.tuning.frames.iter().filter(|n| **n <= target.learned.frames.len()) {
             let mut found: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
             for run in 1..=work.paper.runs {
                 work.go_on()?;
@@ -241,27 +232,25 @@ impl Pretrained<'_> {
                 }
             }
         }
-        let constant = {
-            let mean =
-                target.learned.seconds.iter().sum::<f64>() / target.learned.seconds.len().max(1) as f64;
-            let predicted = vec![mean; target.judged.frames.len()];
-            Metrics::new(&predicted, &target.judged.seconds)
-        };
+        let (learned, judged) = (&target.learned.seconds, &target.judged.seconds);
+        let mean = learned.iter().sum::<f64>() / learned.len().max(1) as f64;
+        let constant = Metrics::new(&vec![mean; judged.len()], judged);
         let zero = predict(&open_model(network)?, context, &target.judged.frames)?;
         let mut drawn = vec![("pre-trained, as it was", zero.clone())];
         for (how, file) in &last {
             drawn.push((how, predict(&file.to_model()?, context, &target.judged.frames)?));
         }
         results.curves.extend(frame_by_frame(target, &drawn));
-        let zero = Metrics::new(&zero, &target.judged.seconds);
+        let zero = Metrics::new(&zero, judged);
         let mut values = BTreeMap::from([
             ("learned from at most".to_owned(), target.learned.frames.len() as f64),
             ("judged on".to_owned(), target.judged.frames.len() as f64),
             ("ours, as it was".to_owned(), rmse(costs)?),
         ]);
         values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
-        values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));
-        values.extend(constant.as_ref().map(|m| ("sd".to_owned(), m.sd)));
+        values.extend(
+            constant.into_iter().flat_map(|m| [("mean".to_owned(), m.rmse), ("sd".to_owned(), m.sd)]),
+        );
         results.facts.push(Fact { name: target.name.clone(), values });
         for (how, points) in curves {
             results.curves.push(Curve::new(&target.name, how, "frames learned from", points));
