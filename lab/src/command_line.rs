@@ -30,9 +30,9 @@ enum Command {
     Stress(commands::stress::Options),
     GpuStudy(commands::gpu_study::Options),
     Farm(commands::farm::Options),
-    FarmBars(commands::farm_bars::BarsOptions),
-    FarmSimulate(commands::farm_bars::SimulateOptions),
-    FarmStandIn(commands::farm_bars::StandInOptions),
+    FarmBars(commands::farm::BarsOptions),
+    FarmSimulate(commands::farm::SimulateOptions),
+    FarmStandIn(commands::farm::StandInOptions),
 }
 
 /// The commands with their options, as in `--help`.
@@ -56,9 +56,9 @@ pub fn main() -> ExitCode {
             Command::Stress(options) => commands::stress::run(options),
             Command::GpuStudy(options) => commands::gpu_study::run(options),
             Command::Farm(options) => commands::farm::run(options),
-            Command::FarmBars(options) => commands::farm_bars::run_bars(options),
-            Command::FarmSimulate(options) => commands::farm_bars::run_simulate(options),
-            Command::FarmStandIn(options) => commands::farm_bars::run_stand_in(options),
+            Command::FarmBars(options) => commands::farm::run_bars(options),
+            Command::FarmSimulate(options) => commands::farm::run_simulate(options),
+            Command::FarmStandIn(options) => commands::farm::run_stand_in(options),
         }
     })
 }

@@ -2,7 +2,6 @@
 
 pub(crate) mod disturb;
 pub(crate) mod farm;
-pub(crate) mod farm_bars;
 pub(crate) mod frames;
 pub(crate) mod gpu_study;
 pub(crate) mod paper;
