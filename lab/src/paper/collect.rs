@@ -200,21 +200,19 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
             let protocol = protocol(paper, mode, low)?;
             let path = table_path(work.out, &place.set.name, mode, kind, low);
             let mut open = Open::new(path, protocol, (kind, low), (&place.jobs, &place.root), renderer)?;
-            let mut frames = if kind == Kind::Varied {
-                varied.clone()
+            if kind == Kind::Varied {
+                open.frames.clone_from(&varied);
             } else {
-                let mut all = Vec::new();
                 for (j, job) in place.jobs.iter().enumerate() {
                     let count = if low { paper.frames.held_out } else { place.frames_of(job, paper) };
-                    for i in 0..u64::from(count) {
-                        let number = j as u64 * u64::from(paper.frames.training) + i;
-                        all.push(Wanted { number, job: j, scene: open.protocol.scene(job, [1; 3], i) });
-                    }
+                    open.frames.extend((0..u64::from(count)).map(|i| Wanted {
+                        number: j as u64 * u64::from(paper.frames.training) + i,
+                        job: j,
+                        scene: open.protocol.scene(job, [1; 3], i),
+                    }));
                 }
-                all
-            };
-            frames.retain(|w| !open.writer.done().contains(&w.number));
-            open.frames = frames;
+            }
+            open.frames.retain(|w| !open.writer.done().contains(&w.number));
             tables.push(open);
         }
     }

@@ -185,9 +185,8 @@ pub(super) fn read_all(out: &Path, kept: Vec<Results>) -> Result<Vec<Results>> {
     let mut all: BTreeMap<_, Results> = kept.into_iter().map(|r| (key(&r), r)).collect();
     let folder = out.join("results");
     if folder.is_dir() {
-        for entry in
-            std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?
-        {
+        let fail = || format!("cannot read {}", folder.display());
+        for entry in std::fs::read_dir(&folder).with_context(fail)? {
             let path = entry?.path();
             if path.extension().is_some_and(|e| e == "json") {
                 let found = one(&path)?;

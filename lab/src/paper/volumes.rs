@@ -134,7 +134,7 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
     let all: BTreeSet<String> = jobs.iter().map(Job::name).collect();
     ensure!(all.len() >= 3, "{} has {} volumes; at least 3 are needed", set.name, all.len());
     let (test, validation) = tenths(all.iter());
-    let training = all.iter().filter(|n| !test.contains(*n) && !validation.contains(*n)).cloned().collect();
+    let training = &(&all - &test) - &validation;
     let mut out = vec![Parts { name: BY_VOLUMES, training, validation, test }];
     if let Some(members) = &set.members {
         let of = |wanted: &BTreeSet<String>| -> BTreeSet<String> {
@@ -142,12 +142,10 @@ fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
         };
         let test = of(&members.test);
         let mut validation = of(&members.validation);
-        let mut training: BTreeSet<String> =
-            all.iter().filter(|n| !test.contains(*n) && !validation.contains(*n)).cloned().collect();
         if validation.is_empty() {
-            validation = tenths(training.iter()).0;
-            training.retain(|n| !validation.contains(n));
+            validation = tenths((&all - &test).iter()).0;
         }
+        let training = &(&all - &test) - &validation;
         // There is no split by members if the available data have no volume of one of its parts.
         if !test.is_empty() && !training.is_empty() && !validation.is_empty() {
             out.push(Parts { name: BY_MEMBERS, training, validation, test });
