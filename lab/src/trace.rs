@@ -209,8 +209,8 @@ fn record_on(
         if swapped || at.transfer_changed {
             renderer.render(&frame).with_context(place)?;
         }
-        let mut seconds = vec![Vec::with_capacity(recording.repeats); grid.len()];
-        let mut looks = vec![(0.0, 0.0); grid.len()];
+        let point = |&(step, scale)| TracePoint { step, scale, seconds: Vec::new(), psnr: 0.0, ssim: 0.0 };
+        let mut points: Vec<TracePoint> = grid.iter().map(point).collect();
         // The picture at the reference step. If the grid begins with it, the loop below sets this variable.
         let mut reference: Option<Image> = None;
         if grid.first() != Some(&(1.0, 1.0)) {
@@ -219,36 +219,23 @@ fn record_on(
         }
         // Each repeat is a round over the whole grid, so that a disturbance does not hit all repeats of one point.
         for round in 0..recording.repeats {
-            for (k, &(step, scale)) in grid.iter().enumerate() {
-                let (width, height) = scaled_size(full, scale);
+            for point in &mut points {
+                let (width, height) = scaled_size(full, point.scale);
                 let small = DrawSettings { width, height, ..draw };
-                let drawn = if scale == 1.0 { frame } else { small.frame(frame.camera)? };
-                let rendered = renderer.render(&Frame { step, ..drawn }.checked()?).with_context(place)?;
-                seconds[k].push(draw.seconds(&Timing::new(rendered.time, rendered.counts))?);
+                let drawn = if point.scale == 1.0 { frame } else { small.frame(frame.camera)? };
+                let drawn = Frame { step: point.step, ..drawn }.checked()?;
+                let rendered = renderer.render(&drawn).with_context(place)?;
+                point.seconds.push(draw.seconds(&Timing::new(rendered.time, rendered.counts))?);
                 if round > 0 {
                     continue;
                 }
                 let picture = resized(&rendered.image, full.0, full.1).context("an image without pixels")?;
                 let original = reference.get_or_insert_with(|| picture.clone());
-                looks[k] = (
-                    psnr(&picture.rgba, &original.rgba).unwrap_or(0.0).min(BEST_PSNR),
-                    ssim(&picture, original).unwrap_or(0.0),
-                );
+                point.psnr = psnr(&picture.rgba, &original.rgba).unwrap_or(0.0).min(BEST_PSNR);
+                point.ssim = ssim(&picture, original).unwrap_or(0.0);
             }
         }
-        trace.frames.push(
-            grid.iter()
-                .zip(seconds)
-                .zip(looks)
-                .map(|((&(step, scale), seconds), (psnr, ssim))| TracePoint {
-                    step,
-                    scale,
-                    seconds,
-                    psnr,
-                    ssim,
-                })
-                .collect(),
-        );
+        trace.frames.push(points);
         progress.inc(1);
     }
     Ok(())
