@@ -41,26 +41,23 @@ pub(crate) fn bars(
         out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
     }
     // Only results with at least as many frames as the study's description specifies are used.
-    let full = |r: &&Results| {
-        r.panel == Panel::Overall && frames_of(r).is_some_and(|[expected, frames]| frames >= expected)
+    let overall = |set: &str, mode: &str| {
+        let full = |r: &&Results| frames_of(r).is_some_and(|[expected, frames]| frames >= expected);
+        find(all, Panel::Overall, set, mode).filter(full)
     };
-    let overall: Vec<&Results> = all.iter().filter(full).collect();
-    let network = |r: &Results| r.row(paper.rule(&r.set).split(), NETWORK).cloned();
+    // The network's row, with the results that hold it.
+    let network = |set: &str, mode: &str| {
+        let r = overall(set, mode)?;
+        Some((r, r.row(paper.rule(set).split(), NETWORK)?))
+    };
     let over_constant = |set: &str, mode: &str| -> Ratio {
-        let Some((r, row)) = find(&overall, set, mode).and_then(|r| Some((r, network(r)?))) else {
-            return (None, None);
-        };
-        (row.over_constant, r.over_constant_interval(&row))
+        network(set, mode).map_or((None, None), |(r, row)| (row.over_constant, r.over_constant_interval(row)))
     };
     for (set, limit) in &limits.over_constant {
         let name = format!("{set}/network-over-constant");
         let bar = at_most(name, over_constant(set, BASE_MODE), *limit);
-        let tried = if bar.value.is_none() {
-            on_fewer_frames(paper, all, set).or_else(|| by_one_network(paper, all, set))
-        } else {
-            None
-        };
-        out.push(match tried {
+        let tried = || on_fewer_frames(paper, all, set).or_else(|| by_one_network(paper, all, set));
+        out.push(match bar.value.is_none().then(tried).flatten() {
             Some(note) => bar.with_note(note),
             None => bar,
         });
@@ -71,8 +68,8 @@ pub(crate) fn bars(
     }
     for set in limits.over_constant.keys() {
         let name = format!("{set}/network-over-lvrp");
-        let found = find(&overall, set, BASE_MODE).and_then(|r| Some((r, network(r)?)));
-        let voxels = found.as_ref().and_then(|(r, _)| voxels_over_proxy(paper, r));
+        let found = network(set, BASE_MODE);
+        let voxels = found.and_then(|(r, _)| voxels_over_proxy(paper, r));
         out.push(match found.zip(voxels) {
             // A proxy with a larger share of the voxels is a stronger baseline than the paper's, so the bar
             // gets no value.
@@ -83,17 +80,16 @@ pub(crate) fn bars(
                 at_most(name, (None, None), limits.over_lvrp).with_note(note)
             }
             Some(((r, row), _)) => {
-                at_most(name, (row.over_lvrp, r.over_lvrp_interval(&row)), limits.over_lvrp)
+                at_most(name, (row.over_lvrp, r.over_lvrp_interval(row)), limits.over_lvrp)
             }
             None => at_most(name, (None, None), limits.over_lvrp),
         });
     }
     for d in paper.data_sets.iter().filter(|d| !d.only_tests) {
         for mode in &d.modes {
-            let found = find(&overall, &d.name, mode);
-            let pair = found.and_then(|r| r.row(d.rule.split(), OURS).zip(network(r)));
-            let ratio = pair.as_ref().map(|(o, p)| o.rmse / p.rmse);
-            let interval = pair.as_ref().and_then(|(o, p)| interval::of_ratio(&o.by_volume, &p.by_volume));
+            let pair = network(&d.name, mode).and_then(|(r, p)| Some((r.row(d.rule.split(), OURS)?, p)));
+            let ratio = pair.map(|(o, p)| o.rmse / p.rmse);
+            let interval = pair.and_then(|(o, p)| interval::of_ratio(&o.by_volume, &p.by_volume));
             let name = format!("{}/{mode}/ours-over-network", d.name);
             out.push(at_most(name, (ratio, interval), limits.ours_over_network));
         }
@@ -144,8 +140,7 @@ pub(crate) fn bars(
 /// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it, on the paper's split of
 /// a data set. `None` if the volumes have no variants of different sparsity: without them, volumes hardly differ.
 fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
-    let of = |r: &&Results| r.panel == Panel::Ablation && r.set == set.name && r.mode == BASE_MODE;
-    let found = all.iter().find(of).filter(|_| set.variants)?;
+    let found = find(all, Panel::Ablation, &set.name, BASE_MODE).filter(|_| set.variants)?;
     let rmse = |name: &str| Some(found.row(set.rule.split(), name)?.rmse);
     Some(rmse(&format!("without {FEATURE_VECTOR}"))? / rmse(NETWORK)?)
 }
@@ -153,8 +148,7 @@ fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
 /// Returns a note with the network's RMSE divided by the constant's, and the numbers of measured and of
 /// described frames. It is for results on fewer frames than the description specifies.
 fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
-    let of = |r: &&Results| r.panel == Panel::Overall && r.set == set && r.mode == BASE_MODE;
-    let found = all.iter().find(of)?;
+    let found = find(all, Panel::Overall, set, BASE_MODE)?;
     let row = found.row(paper.rule(set).split(), NETWORK)?;
     let [expected, frames] = frames_of(found)?;
     let brackets = interval::in_brackets(found.over_constant_interval(row));
@@ -172,8 +166,8 @@ fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     Some(format!("{:.4} {brackets} by one network for all data sets", row.over_constant?))
 }
 
-fn find<'a>(all: &[&'a Results], set: &str, mode: &str) -> Option<&'a Results> {
-    all.iter().find(|r| r.set == set && r.mode == mode).copied()
+fn find<'a>(all: &'a [Results], panel: Panel, set: &str, mode: &str) -> Option<&'a Results> {
+    all.iter().find(|r| r.panel == panel && r.set == set && r.mode == mode)
 }
 
 /// The n-th largest of some numbers: at least n of them reach it.
