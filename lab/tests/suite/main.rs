@@ -3,10 +3,9 @@
 mod commands;
 mod constants;
 mod farm;
-mod image_resolution;
-mod online_learning;
 mod paper;
 mod reference;
+mod replay;
 mod study;
 
 #[path = "../../../cli/tests/support/reference.rs"]

@@ -1,13 +1,14 @@
-//! In a replay, rules that act on image resolution get the times of smaller images, and rules that act on the ray step
-//! those of coarser steps.
+//! Replays of recorded paths: rules that act on image resolution get the times of smaller images, rules that act on the ray
+//! step those of coarser steps; and a session without a model learns the costs of an unknown renderer (recorded times of
+//! software Vulkan, process-CPU time).
 
 use crate::recorded;
 use entire_cli::steering::contenders::{ControllerKind, contender};
-use entire_cli::steering::play::ActsOn;
+use entire_cli::steering::play::{ActsOn, Contender};
 use entire_cli::steering::rivals::StepResponse;
-use entire_lab::replay::{Player, Replayable, Replayed, replay};
+use entire_lab::replay::{Player, Replayable, Replayed, Tally, replay};
 use entire_lab::trace::{Trace, TracePoint};
-use entire_steer::control::{Prior, StepLimits};
+use entire_steer::control::{Prior, Session, StepLimits};
 use entire_steer::predict::AnalyticModel;
 
 /// A trace without smaller images.
@@ -126,4 +127,40 @@ fn traces_without_images_open_and_rules_for_them_are_played_on_the_step_and_said
     assert!(refused.contains("without smaller images") && refused.contains("record it again"), "{refused}");
     assert_eq!(Player::all(&[ControllerKind::Filament], &both[1..]), [filament]);
     assert_eq!(filament.acts_on_name(), "image resolution");
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    entire_io::metrics::median(&mut values).expect("values")
+}
+
+#[test]
+fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
+    // Factor on the recorded seconds, so that the renderer's costs differ from a session's default costs.
+    const TIMES: f64 = 3.0;
+    for (name, fps) in [("nyx-switches.json", 30.0), ("castro-cuts.json", 45.0)] {
+        let recorded = recorded(name, TIMES);
+        let n = recorded.path.frames.len();
+        let errors = |seed: u64| {
+            let mut who = Contender {
+                name: "untrained".into(),
+                session: Session::untrained(),
+                chooses_image_sample_distance: false,
+                acts_on: ActsOn::RayStep,
+            };
+            let played =
+                replay(&recorded, &mut who, &[], &vec![TIMES / fps; n], StepLimits::default(), seed, 0..n)
+                    .unwrap();
+            let error = |range: std::ops::Range<usize>| {
+                median(played[range].iter().map(|f| (f.predicted / f.seconds - 1.0).abs()).collect())
+            };
+            (error(0..2), error(60..n), Tally::of(&played[60..]).score())
+        };
+        for seed in 1..4 {
+            let (before, after, score) = errors(seed);
+            assert!(after <= 0.10, "{name}: {after}");
+            assert!(before > 2.0 * after, "{name}: there was nothing to learn: {before} {after}");
+            // With this error, most frames meet the target.
+            assert!(score.all.missed < 0.15 && score.all.quality > 0.8, "{name}: {score:?}");
+        }
+    }
 }
