@@ -246,7 +246,7 @@ pub fn replay(
     Ok(out)
 }
 
-/// True for a useful target of a trace: some allowed step meets it exactly in at least half of the frames.
+/// True for a useful target of a trace: some allowed step meets it exactly in at least half of the trace's frames.
 fn worth_playing(recorded: &Replayable, target: f64) -> bool {
     let (finest, coarsest) = (f64::from(LIMITS.finest), f64::from(LIMITS.coarsest));
     let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();

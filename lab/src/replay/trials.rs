@@ -30,8 +30,7 @@ pub(crate) struct Outcome {
     pub(crate) tallies: Vec<Tally>,
 }
 
-/// Returns trials of every trace with each of its useful targets, and with a series of these targets. A
-/// target is useful for a trace if some allowed step meets it exactly in at least half of the trace's frames.
+/// Returns trials of every trace with each of its useful targets ([`worth_playing`]), and with a series of these.
 pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)]) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {
@@ -49,10 +48,8 @@ pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)]) -> Vec<Tria
     out
 }
 
-/// Returns the trials of [`trials`], and one further trial for every trace without a useful target (a target
-/// that some allowed step meets exactly in at least half of the frames). The target of this trial is halfway,
-/// in ln(seconds), between the trace's median frame times at the finest and at the coarsest step. Also
-/// returns the names of the traces for which this target is not useful either; they have no trial.
+/// Returns the trials of [`trials`], and one further trial with its [`own_target`] for every trace without a useful
+/// target. Also returns the names of the traces for which this target is not useful either; they have no trial.
 pub(crate) fn trials_of_all(traces: &[Replayable], targets: &[(f64, &str)]) -> (Vec<Trial>, Vec<String>) {
     let (mut out, mut unplayed) = (trials(traces, targets), Vec::new());
     for (i, trace) in traces.iter().enumerate() {

@@ -82,7 +82,7 @@ const WITHOUT: [(&str, f64); 10] = [
 pub(crate) struct Removed {
     pub(crate) name: &'static str,
     pub(crate) value: f64,
-    /// The value at which the constant has no effect, or the least effect that its valid range allows.
+    /// The constant's value in [`WITHOUT`].
     pub(crate) without: f64,
     /// Increase of the paths' mean cost when the constant is `without`.
     pub(crate) more: f64,
@@ -200,8 +200,7 @@ impl<'a> Course<'a> {
         Self { recorded, calibrated, trials }
     }
 
-    /// True if the path has no useful target (a target that some allowed step meets exactly in at least half
-    /// of its frames).
+    /// True if the path has no useful target.
     pub(crate) fn is_empty(&self) -> bool {
         self.trials[0].is_empty()
     }
