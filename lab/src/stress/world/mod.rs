@@ -6,12 +6,11 @@ mod scenes;
 use super::{Limits, Noise, Seen, Verdict, judge};
 use anyhow::{Context, Result, bail};
 use entire_cli::steering::contenders::{ControllerKind, contender};
-use entire_cli::steering::play::Contender;
 use entire_cli::steering::rivals::StepResponse;
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
 use entire_io::dataset::{Clock, Timing};
-use entire_steer::control::{ObserveFlags, Prior, StepLimits};
+use entire_steer::control::{ObserveFlags, Prior, Session, StepLimits};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{AnalyticModel, Inputs, UnitCosts, load};
 use entire_vk_raycaster::{Renderer, WorkCounts};
@@ -132,6 +131,12 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
     Ok(shot.speed * law(pixels(frame), &counts))
 }
 
+/// A session of a method with a fitted predictor.
+fn session_of(method: ControllerKind, model: AnalyticModel) -> Session {
+    let (response, prior) = (StepResponse::inverse_step(0.1), Prior::Fitted { log_sd: 0.2 });
+    contender(method, 2.0, Box::new(model), &response, prior).session
+}
+
 /// Plays a scene of real geometry, or scene 28. On a real machine the limits are wider, since the noise is
 /// unpredictable: 5 % more of the frames may take longer than 1.1 times the target, and two more in a row;
 /// quality may be lower by 0.1; 80 % of first frames within their bound suffice.
@@ -149,12 +154,8 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         l.quality -= 0.1;
         l.inside = l.inside.min(0.8);
     }
-    let model = fitted(machine)?;
-    let response = StepResponse::inverse_step(0.1);
-    let mut who: Contender =
-        contender(method, 2.0, Box::new(model), &response, Prior::Fitted { log_sd: 0.2 });
-    let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
-    who.session.set_limits(limits)?;
+    let mut session = session_of(method, fitted(machine)?);
+    session.set_limits(StepLimits { finest: FINEST, coarsest: COARSEST })?;
     let views: Vec<VolumeView<'_>> = world.blocks.iter().map(Block::view).collect::<Result<_>>()?;
     let summaries: Vec<VolumeSummary> =
         views.iter().map(|v| Ok(VolumeSummary::new(v)?)).collect::<Result<_>>()?;
@@ -170,16 +171,16 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         let edited = swapped || shown.as_ref().is_none_or(|(_, l)| *l != shot.lobes);
         if swapped {
             machine.renderer.set_volume(&views[shot.volume])?;
-            who.session.set_volume(summaries[shot.volume].clone(), None);
+            session.set_volume(summaries[shot.volume].clone(), None);
         }
         if edited {
             let table: TransferTable = TransferFunction::Gaussian(shot.lobes.clone()).to_table()?;
             machine.renderer.set_transfer(&table)?;
-            who.session.set_transfer(&table, Some(&shot.lobes))?;
+            session.set_transfer(&table, Some(&shot.lobes))?;
         }
         shown = Some((shot.volume, shot.lobes.clone()));
         if shot.camera_cut {
-            who.session.mark(Changes { camera: true, ..Changes::default() });
+            session.mark(Changes { camera: true, ..Changes::default() });
         }
         let frame = machine.frame(&shot)?;
         if machine.is_real() && edited {
@@ -202,10 +203,10 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         }
         let first = i > 0 && (edited || sized != shot.size);
         sized = shot.size;
-        let plan = who.session.plan(&frame, target as f32)?;
+        let plan = session.plan(&frame, target as f32)?;
         let clean = truth(machine, &shot, &frame, plan.step)?;
         let seconds = if machine.is_real() { clean } else { clean * (SIGMA * noise.normal()).exp() };
-        who.session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
+        session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         if method == ControllerKind::Hybrid
             && !(plan.seconds.is_finite()
                 && plan.seconds > 0.0
@@ -324,14 +325,7 @@ fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict>
         broken.push(format!("only {refused} of 203 damaged files were refused, {read} were read"));
     }
     // Saved states of this method that are cut short must be refused, and so must a state of another format.
-    let mut session = contender(
-        method,
-        2.0,
-        Box::new(model),
-        &StepResponse::inverse_step(0.1),
-        Prior::Fitted { log_sd: 0.2 },
-    )
-    .session;
+    let mut session = session_of(method, model);
     session.set_volume(summary, None);
     session.set_transfer(&table, None)?;
     let state = session.save_state();
