@@ -66,11 +66,7 @@ pub(crate) fn ship(
             let training = tables.training();
             let shipping = Shipping { study, found, set, predictor, ship, training, figures };
             let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
-            let as_it_is = study
-                .predictors
-                .iter()
-                .any(|p| p.name == predictor && p.recipe_for(&set.name).file.is_some());
-            provenance(&mut file, &shipping, as_it_is)?;
+            provenance(&mut file, &shipping)?;
             let path = folder.join(format!("{name}.safetensors"));
             write_whole(&path, &file.to_bytes()?)?;
             write_whole(&path.with_extension("md"), card(&name, &file, &shipping, judged_as)?.as_bytes())?;
@@ -115,8 +111,11 @@ fn judge(
     Ok(out)
 }
 
-fn provenance(file: &mut ModelFile, of: &Shipping<'_>, as_it_is: bool) -> Result<()> {
+fn provenance(file: &mut ModelFile, of: &Shipping<'_>) -> Result<()> {
     let Shipping { study, found, set, predictor, training, figures, .. } = of;
+    // A predictor of a file ships as it is.
+    let as_it_is =
+        study.predictors.iter().any(|p| p.name == *predictor && p.recipe_for(&set.name).file.is_some());
     let mut stored: serde_json::Value = match file.metadata.get(Key::Provenance.name()) {
         Some(text) => serde_json::from_str(text)?,
         None => json!({}),

@@ -219,9 +219,15 @@ impl Runner<'_> {
             let mut bench = Bench::new(&volume, data.one_step.all.frames[0].scene.shading)?;
             let on = OnSet { study, set, data: &data, context: &context };
             for named in study.predictors.iter().filter(|p| p.is_of(&set.name)) {
-                let made = self.made_and_judged(&on, named, &mut bench, &mut out);
+                match self.on_set(&on, named) {
+                    Ok((predictor, upper, fit)) => {
+                        out.fits.extend(fit);
+                        self.judge(&on, named, (&predictor, upper), &mut bench, &mut out)?;
+                    }
+                    Err(e) if (self.stop)() => return Err(e),
+                    Err(e) => out.left_out.push((set.name.clone(), named.name.clone(), format!("{e:#}"))),
+                }
                 self.bar.inc(1);
-                made?;
             }
             constant(&on, &mut out);
             proxy(&on, &low, &mut out)?;
@@ -232,25 +238,6 @@ impl Runner<'_> {
             }
         }
         Ok(out)
-    }
-
-    /// Trains a predictor and tests it on every split; notes the reason if it cannot be trained.
-    pub(super) fn made_and_judged(
-        &self,
-        on: &OnSet<'_>,
-        named: &Named,
-        bench: &mut Bench,
-        out: &mut Findings,
-    ) -> Result<()> {
-        match self.on_set(on, named) {
-            Ok((predictor, upper, fit)) => {
-                out.fits.extend(fit);
-                self.judge(on, named, (&predictor, upper), bench, out)?;
-            }
-            Err(e) if (self.stop)() => return Err(e),
-            Err(e) => out.left_out.push((on.set.name.clone(), named.name.clone(), format!("{e:#}"))),
-        }
-        Ok(())
     }
 
     /// Trains a predictor for a set, and cross-validates it if required. Returns it with its upper bound, and
