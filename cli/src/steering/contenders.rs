@@ -2,7 +2,8 @@
 
 use super::play::{ActsOn, Contender};
 use super::rivals::{
-    Algorithm1, Filament, Fixed, Olp, Pid, Recent, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
+    Algorithm1, Filament, Fixed, Olp, Pid, Reactive, Recent, Rule, StepResponse, Unreal, VtkFixedPoint,
+    VtkGpu, VtkJs,
 };
 use clap::ValueEnum;
 use entire_steer::control::{Controller, Hybrid, HybridOptions, Prior, Session};
@@ -111,14 +112,14 @@ pub fn controller(
         ControllerKind::Olp => Box::new(Olp::new(Recent::MeanOfThree, response.clone())),
         ControllerKind::Last => Box::new(Olp::new(Recent::Last, response.clone())),
         ControllerKind::LargerOfTwo => Box::new(Olp::new(Recent::LargerOfTwo, response.clone())),
-        ControllerKind::Pid => Box::new(Pid::new()),
+        ControllerKind::Pid => Box::new(Reactive(Pid::START)),
         ControllerKind::Algorithm1 => Box::new(Algorithm1 { response: response.clone() }),
         ControllerKind::Hybrid => Box::new(Hybrid::new(HybridOptions { prior, ..HybridOptions::default() })),
-        ControllerKind::VtkGpu => Box::new(VtkGpu::new()),
-        ControllerKind::VtkFixedPoint => Box::new(VtkFixedPoint::new()),
-        ControllerKind::VtkJs => Box::new(VtkJs::new()),
-        ControllerKind::Unreal => Box::new(Unreal::new()),
-        ControllerKind::Filament => Box::new(Filament::new()),
+        ControllerKind::VtkGpu => Box::new(Reactive(VtkGpu::START)),
+        ControllerKind::VtkFixedPoint => Box::new(Reactive(VtkFixedPoint::START)),
+        ControllerKind::VtkJs => Box::new(Reactive(VtkJs::START)),
+        ControllerKind::Unreal => Box::new(Reactive(Unreal::START)),
+        ControllerKind::Filament => Box::new(Reactive(Filament::START)),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Algorithm 1 of the paper, and its baselines: a fixed step, OLP and PID.
 
-use super::StepResponse;
-use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
+use super::{Rule, StepResponse};
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, StepLimits, Verdict};
 
 fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decision {
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }
@@ -145,25 +145,22 @@ pub(crate) struct Pid {
 impl Pid {
     /// Proportional, integral and differential gain of the paper.
     const GAINS: [f32; 3] = [0.3, 0.05, 0.1];
-
-    pub(crate) fn new() -> Self {
-        Self { step: 1.0, integral: 0.0, last: None }
-    }
 }
 
-impl Controller for Pid {
-    starts_as_new!("pid");
+impl Rule for Pid {
+    const NAME: &'static str = "pid";
+    const START: Self = Self { step: 1.0, integral: 0.0, last: None };
 
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
-        let clamped = request.limits.clamp(self.step);
+    fn step(&mut self, _: f32, limits: StepLimits) -> f32 {
+        let clamped = limits.clamp(self.step);
         if clamped != self.step {
             self.integral = 0.0;
             self.step = clamped;
         }
-        reactive(self.step)
+        self.step
     }
 
-    fn observe(&mut self, observed: &Observed) -> Verdict {
+    fn learn(&mut self, observed: &Observed) {
         // The error is clamped, so that a single stall does not dominate the integral for a hundred frames.
         let error = ((observed.seconds - observed.target) / observed.target).clamp(-1.0, 10.0);
         self.integral = (self.integral + error).clamp(-20.0, 20.0);
@@ -172,6 +169,5 @@ impl Controller for Pid {
         let [p, i, d] = Self::GAINS;
         self.step =
             (observed.step * (1.0 + p * error) + i * self.integral + d * difference).clamp(1.0e-3, 1.0e4);
-        Verdict::Learned
     }
 }

@@ -2,19 +2,6 @@
 //! baselines, and the reactive rules of other renderers. They implement [`entire_steer::control::Controller`]
 //! and are offered by `entire steer` and `entire explore`. The C library does not contain them.
 
-/// The name of a controller, and its reset to the state before the first frame.
-macro_rules! starts_as_new {
-    ($name:literal) => {
-        fn name(&self) -> &'static str {
-            $name
-        }
-
-        fn reset(&mut self) {
-            *self = Self::new();
-        }
-    };
-}
-
 mod algorithm1;
 mod reactive;
 mod response;
@@ -22,5 +9,5 @@ mod response;
 mod tests;
 
 pub(crate) use algorithm1::{Algorithm1, Fixed, Olp, Pid, Recent};
-pub(crate) use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
+pub(crate) use reactive::{Filament, Reactive, Rule, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 pub use response::StepResponse;

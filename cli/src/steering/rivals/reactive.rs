@@ -9,7 +9,43 @@
 //! taken as the ray step, which assumes work ∝ 1 / step; the tables say so.
 
 use super::algorithm1::reactive;
-use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Verdict};
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, StepLimits, Verdict};
+
+/// A rule whose steps depend on earlier frames alone.
+pub(crate) trait Rule: Sized {
+    /// The rule's name.
+    const NAME: &'static str;
+    /// The rule before the first frame.
+    const START: Self;
+
+    /// Returns the step of the next frame, within the limits; `target` is its time in seconds.
+    fn step(&mut self, target: f32, limits: StepLimits) -> f32;
+
+    /// Updates the rule by a frame's time.
+    fn learn(&mut self, observed: &Observed);
+}
+
+/// A rule as a controller.
+pub(crate) struct Reactive<R>(pub(crate) R);
+
+impl<R: Rule> Controller for Reactive<R> {
+    fn name(&self) -> &'static str {
+        R::NAME
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        reactive(self.0.step(request.target, request.limits))
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        self.0.learn(observed);
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        self.0 = R::START;
+    }
+}
 
 /// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and the ratio of allocated to
 /// full-quality time, rounded down to 1, 0.5, 0.2 or 0.1. The ray step is the inverse of the factor, as in
@@ -21,37 +57,23 @@ pub(crate) struct VtkGpu {
     last: f32,
 }
 
-impl VtkGpu {
-    pub(crate) fn new() -> Self {
-        Self { factor: 1.0, last: 0.0 }
-    }
-}
+impl Rule for VtkGpu {
+    const NAME: &'static str = "vtk-gpu";
+    const START: Self = Self { factor: 1.0, last: 0.0 };
 
-impl Controller for VtkGpu {
-    starts_as_new!("vtk-gpu");
-
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+    fn step(&mut self, target: f32, limits: StepLimits) -> f32 {
         if self.last > 0.0 {
             let full = self.last / self.factor;
-            let wanted = 0.5 * (request.target / full + self.factor);
-            self.factor = if wanted >= 1.0 {
-                1.0
-            } else if wanted >= 0.5 {
-                0.5
-            } else if wanted >= 0.2 {
-                0.2
-            } else {
-                0.1
-            };
+            let wanted = 0.5 * (target / full + self.factor);
+            self.factor = [1.0, 0.5, 0.2].into_iter().find(|factor| wanted >= *factor).unwrap_or(0.1);
         }
-        let step = request.limits.clamp(1.0 / self.factor);
+        let step = limits.clamp(1.0 / self.factor);
         self.factor = 1.0 / step;
-        reactive(step)
+        step
     }
 
-    fn observe(&mut self, observed: &Observed) -> Verdict {
+    fn learn(&mut self, observed: &Observed) {
         self.last = observed.seconds;
-        Verdict::Learned
     }
 }
 
@@ -61,33 +83,27 @@ impl Controller for VtkGpu {
 /// distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct VtkFixedPoint {
+    /// Image sample distance; half of the largest one before the first frame.
     distance: f32,
     last: f32,
 }
 
-impl VtkFixedPoint {
-    /// Returns the rule before the first frame; its image sample distance is half of the largest one.
-    pub(crate) fn new() -> Self {
-        Self { distance: 5.0, last: 0.0 }
-    }
-}
+impl Rule for VtkFixedPoint {
+    const NAME: &'static str = "vtk-fixed-point";
+    const START: Self = Self { distance: 5.0, last: 0.0 };
 
-impl Controller for VtkFixedPoint {
-    starts_as_new!("vtk-fixed-point");
-
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+    fn step(&mut self, target: f32, limits: StepLimits) -> f32 {
         if self.last > 0.0 {
             let full = self.last * self.distance * self.distance;
-            self.distance = libm::sqrtf(full / request.target).clamp(1.0, 10.0);
+            self.distance = libm::sqrtf(full / target).clamp(1.0, 10.0);
         }
-        let step = request.limits.clamp(self.distance * self.distance);
+        let step = limits.clamp(self.distance * self.distance);
         self.distance = libm::sqrtf(step).max(1.0);
-        reactive(step)
+        step
     }
 
-    fn observe(&mut self, observed: &Observed) -> Verdict {
+    fn learn(&mut self, observed: &Observed) {
         self.last = observed.seconds;
-        Verdict::Learned
     }
 }
 
@@ -101,18 +117,13 @@ pub(crate) struct VtkJs {
     frames: f32,
 }
 
-impl VtkJs {
-    pub(crate) fn new() -> Self {
-        Self { scale: 1.0, elapsed: 0.0, frames: 0.0 }
-    }
-}
+impl Rule for VtkJs {
+    const NAME: &'static str = "vtk-js";
+    const START: Self = Self { scale: 1.0, elapsed: 0.0, frames: 0.0 };
 
-impl Controller for VtkJs {
-    starts_as_new!("vtk-js");
-
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+    fn step(&mut self, target: f32, limits: StepLimits) -> f32 {
         if self.elapsed >= 1.0 {
-            let ratio = self.elapsed / self.frames / request.target;
+            let ratio = self.elapsed / self.frames / target;
             if !(0.85..=1.15).contains(&ratio) {
                 self.scale *= ratio;
             }
@@ -120,15 +131,14 @@ impl Controller for VtkJs {
             self.elapsed = 0.0;
             self.frames = 0.0;
         }
-        self.scale = request.limits.clamp(self.scale).max(1.0);
-        reactive(request.limits.clamp(if self.scale > 1.5 { self.scale } else { 1.0 }))
+        self.scale = limits.clamp(self.scale).max(1.0);
+        limits.clamp(if self.scale > 1.5 { self.scale } else { 1.0 })
     }
 
-    fn observe(&mut self, observed: &Observed) -> Verdict {
+    fn learn(&mut self, observed: &Observed) {
         // Browsers show a frame at the next refresh of the display, at most 60 times per second.
         self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
         self.frames += 1.0;
-        Verdict::Learned
     }
 }
 
@@ -154,10 +164,6 @@ pub(crate) struct Unreal {
 }
 
 impl Unreal {
-    pub(crate) fn new() -> Self {
-        Self { side: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 }
-    }
-
     /// Returns the weighted mean of the fractions that the newest `count` frames suggest.
     fn suggested(&self, target: f32, count: usize) -> f32 {
         let (mut sum, mut weights, mut weight) = (0.0f32, 0.0f32, 1.0f32);
@@ -170,14 +176,15 @@ impl Unreal {
     }
 }
 
-impl Controller for Unreal {
-    starts_as_new!("unreal");
+impl Rule for Unreal {
+    const NAME: &'static str = "unreal";
+    const START: Self = Self { side: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 };
 
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+    fn step(&mut self, target: f32, limits: StepLimits) -> f32 {
         let newest = self.len.min(2);
         let panic = newest > 0 && self.over >= newest;
         if panic || (newest > 0 && self.since_change >= 8) {
-            let mut wanted = self.suggested(request.target, if panic { newest } else { self.len });
+            let mut wanted = self.suggested(target, if panic { newest } else { self.len });
             if !panic {
                 if libm::fabsf(wanted - self.side) < 0.02 * self.side {
                     wanted = self.side;
@@ -185,7 +192,7 @@ impl Controller for Unreal {
                     wanted = self.side + 0.9 * (wanted - self.side);
                 }
             }
-            let wanted = wanted.max(1.0 / libm::sqrtf(request.limits.coarsest)).min(1.0);
+            let wanted = wanted.max(1.0 / libm::sqrtf(limits.coarsest)).min(1.0);
             if panic || wanted != self.side {
                 self.since_change = 0;
             }
@@ -196,17 +203,17 @@ impl Controller for Unreal {
             }
         }
         let wanted = 1.0 / (self.side * self.side);
-        let step = request.limits.clamp(wanted);
+        let step = limits.clamp(wanted);
         if step != wanted {
             self.side = (1.0 / libm::sqrtf(step)).min(1.0);
         }
-        reactive(step)
+        step
     }
 
-    fn observe(&mut self, observed: &Observed) -> Verdict {
+    fn learn(&mut self, observed: &Observed) {
         self.frames = self.frames.saturating_add(1);
         if self.frames == 1 {
-            return Verdict::Ignored;
+            return;
         }
         if self.len == WINDOW {
             self.times.copy_within(1.., 0);
@@ -216,7 +223,6 @@ impl Controller for Unreal {
         self.len += 1;
         self.since_change = self.since_change.saturating_add(1);
         self.over = if observed.seconds > observed.target { self.over.saturating_add(1) } else { 0 };
-        Verdict::Learned
     }
 }
 
@@ -235,22 +241,17 @@ pub(crate) struct Filament {
     clamped: bool,
 }
 
-impl Filament {
-    pub(crate) fn new() -> Self {
-        Self { work: 1.0, times: [0.0; 15], len: 0, integral: 0.0, clamped: false }
-    }
-}
+impl Rule for Filament {
+    const NAME: &'static str = "filament";
+    const START: Self = Self { work: 1.0, times: [0.0; 15], len: 0, integral: 0.0, clamped: false };
 
-impl Controller for Filament {
-    starts_as_new!("filament");
-
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+    fn step(&mut self, target: f32, limits: StepLimits) -> f32 {
         if self.len >= 3 {
             let mut sorted = self.times;
             let sorted = &mut sorted[..self.len];
             sorted.sort_unstable_by(f32::total_cmp);
             let time = sorted[self.len / 2];
-            let error = (1.0 - time / request.target).clamp(-10.0, 1.0);
+            let error = (1.0 - time / target).clamp(-10.0, 1.0);
             if !self.clamped {
                 self.integral = (self.integral + 0.002 * error).clamp(-0.2, 0.2);
             }
@@ -261,19 +262,18 @@ impl Controller for Filament {
             }
         }
         let wanted = 1.0 / self.work;
-        let step = request.limits.clamp(wanted);
+        let step = limits.clamp(wanted);
         self.clamped = step != wanted || self.work >= 1.0;
         self.work = (1.0 / step).min(1.0);
-        reactive(step)
+        step
     }
 
-    fn observe(&mut self, observed: &Observed) -> Verdict {
+    fn learn(&mut self, observed: &Observed) {
         if self.len == self.times.len() {
             self.times.copy_within(1.., 0);
             self.len -= 1;
         }
         self.times[self.len] = observed.seconds;
         self.len += 1;
-        Verdict::Learned
     }
 }
