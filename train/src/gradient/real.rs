@@ -7,20 +7,18 @@ use ndarray::NdFloat;
 /// `f32` or `f64`.
 pub trait Real: NdFloat {
     /// Returns the nearest number of this type.
-    fn of(value: f64) -> Self;
+    fn of(value: f64) -> Self {
+        Self::from(value).expect("both types hold NaN and infinities")
+    }
     /// Converts to `f64`, exactly.
-    fn wide(self) -> f64;
+    fn wide(self) -> f64 {
+        self.to_f64().expect("a wider type holds every number")
+    }
     /// x ← selu(x) for every element.
     fn selu(values: &mut [Self]);
 }
 
 impl Real for f64 {
-    fn of(value: f64) -> Self {
-        value
-    }
-    fn wide(self) -> f64 {
-        self
-    }
     fn selu(values: &mut [Self]) {
         for x in values {
             *x = SELU_SCALE * if *x > 0.0 { *x } else { SELU_ALPHA * libm::expm1(*x) };
@@ -29,12 +27,6 @@ impl Real for f64 {
 }
 
 impl Real for f32 {
-    fn of(value: f64) -> Self {
-        value as f32
-    }
-    fn wide(self) -> f64 {
-        self.into()
-    }
     fn selu(values: &mut [Self]) {
         selu(level(), values);
     }
