@@ -7,6 +7,7 @@ use super::{FitContext, FittedModel};
 use crate::gradient::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
 use crate::inputs::{Encoder, Layout};
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use clap::{Args as _, FromArgMatches as _};
 use entire_core::model::{GroupKind, Key, ModelFile};
 use entire_core::nn::{Dtype, PredNetParts, Target};
 use entire_io::dataset::Timed;
@@ -71,7 +72,7 @@ impl DtypeChoice {
     }
 }
 
-/// Recipe of a predictor. Omitted fields have the values of [`Recipe::default`].
+/// Recipe of a predictor. Omitted fields have the defaults of the options.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default, deny_unknown_fields)]
 pub struct Recipe {
@@ -168,30 +169,12 @@ pub struct Recipe {
 }
 
 impl Default for Recipe {
+    /// The recipe of a command line without options.
     fn default() -> Self {
-        Self {
-            kind: Kind::Prednet,
-            layers: vec![64, 64],
-            preset: None,
-            inputs: vec![GroupKind::SceneFeatures.to_string()],
-            scene_features: Vec::new(),
-            probe_side: None,
-            ensemble: 1,
-            target: TargetChoice::LogSeconds,
-            loss: "mse".into(),
-            epochs: 200,
-            batch: 256,
-            learning_rate: None,
-            final_learning_rate: None,
-            clip: 1.0,
-            patience: 50,
-            seed: 1,
-            volumenet: None,
-            fine_tune: None,
-            sorted_lobes: false,
-            file: None,
-            dtype: DtypeChoice::F32,
-        }
+        // An option of the command that the recipe's options conflict with.
+        let command = clap::Command::new("recipe").arg(clap::Arg::new("fine_tune"));
+        let found = Self::augment_args(command).try_get_matches_from(["recipe"]);
+        found.and_then(|found| Self::from_arg_matches(&found)).expect("every option has a default")
     }
 }
 
