@@ -1,13 +1,11 @@
 //! Evaluation of predictors: errors by kind of frame, the constant baseline, warm latency.
 
-use crate::inputs::{Layout, measure, open_volume};
+use crate::inputs::{Layout, open_volume, volume_features};
 use anyhow::{Context, Result};
-use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::{PredNet, VolumeNet};
+use entire_core::nn::PredNet;
 use entire_io::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor};
 use entire_io::metrics::{Metrics, median};
-use entire_io::options::thread_pool;
 use entire_steer::control::{HybridOptions, ObserveFlags, Session};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{InputRange, Inputs, check_predictions, load};
@@ -118,7 +116,6 @@ pub fn warm_latency(
     let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
     let net = PredNet::new(parts)?;
     let mut scratch = net.scratch(1)?;
-    let middle = |mut times: Vec<f64>| median(&mut times).unwrap_or(f64::NAN);
     let width = layout.width();
     let range = InputRange::of(model, width)?;
     let hold = |row: &mut [f32]| {
@@ -136,43 +133,35 @@ pub fn warm_latency(
             times.push(start.elapsed().as_secs_f64());
         }
     }
-    let network_seconds = middle(times);
+    let network_seconds = median(&mut times).unwrap_or(f64::NAN);
     let code = vec![0.0; model.volumenet.as_ref().map_or(0, |v| v.fc.outputs)];
-    let serial = thread_pool(Some(1))?;
-    let hidden = indicatif::ProgressBar::hidden();
     let mut row = vec![0.0f32; width];
-    if !layout.needs_summary() {
-        let times = measure(tables, &of_volume, None, None, &serial, &hidden, |_, inputs| {
-            let mut row = vec![0.0f32; width];
-            let inputs = Inputs { volume_features: Some(&code), ..*inputs };
-            let start = Instant::now();
-            for _ in 0..ROUNDS {
-                layout.write(std::hint::black_box(&inputs), &mut row)?;
-                hold(&mut row);
-                std::hint::black_box(&row);
-            }
-            Ok(start.elapsed().as_secs_f64() / ROUNDS as f64)
-        })?;
-        let seconds = middle(times) + network_seconds;
-        return Ok(WarmLatency { seconds, network_seconds, transfer_seconds: 0.0 });
+    let mut summary = None;
+    if layout.needs_summary() {
+        let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
+        summary = Some(VolumeSummary::new(&volume.view())?);
     }
-    let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
-    let summary = VolumeSummary::new(&volume.view())?;
     let mut features = FrameFeatures::with_probe_side(layout.probe_side());
     let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
     for f in of_volume {
         let (frame, table) = (f.scene.to_frame()?, f.scene.to_table()?);
-        let mut transfer = TransferSummary::new(&summary, &table)?;
-        let start = Instant::now();
-        transfer.update(&summary, std::hint::black_box(&table))?;
-        // Without rays, `measure` computes only the distance map, and only for a frame that skips by
-        // distance.
-        FrameFeatures::with_probe_side(0).measure(&summary, &mut transfer, &frame)?;
-        transfer_times.push(start.elapsed().as_secs_f64());
+        let mut scene = None;
+        if let Some(summary) = &summary {
+            let mut transfer = TransferSummary::new(summary, &table)?;
+            let start = Instant::now();
+            transfer.update(summary, std::hint::black_box(&table))?;
+            // Without rays, `measure` computes only the distance map, and only for a frame that skips by
+            // distance.
+            FrameFeatures::with_probe_side(0).measure(summary, &mut transfer, &frame)?;
+            transfer_times.push(start.elapsed().as_secs_f64());
+            scene = Some((summary, transfer));
+        }
         let setting = Setting::from(&frame);
         for _ in 0..ROUNDS {
             let start = Instant::now();
-            features.measure(&summary, &mut transfer, std::hint::black_box(&frame))?;
+            if let Some((summary, transfer)) = &mut scene {
+                features.measure(summary, transfer, std::hint::black_box(&frame))?;
+            }
             let inputs = Inputs {
                 features: &features,
                 setting,
@@ -189,7 +178,8 @@ pub fn warm_latency(
             all.push(start.elapsed().as_secs_f64());
         }
     }
-    Ok(WarmLatency { seconds: middle(all), network_seconds, transfer_seconds: middle(transfer_times) })
+    let seconds = median(&mut all).unwrap_or(f64::NAN);
+    Ok(WarmLatency { seconds, network_seconds, transfer_seconds: median(&mut transfer_times).unwrap_or(0.0) })
 }
 
 /// Returns the seconds that a session predicts. The session plans and observes the frames in their order, as
@@ -205,20 +195,13 @@ pub fn in_session(
 ) -> Result<Vec<f64>> {
     let mut session = Session::new(load(model)?, HybridOptions::default());
     let mut shown: Option<(usize, &str, [u32; 3])> = None;
-    let mut features = None;
     let mut out = Vec::with_capacity(frames.len());
     for (f, &seconds) in frames.iter().zip(measured) {
         let key = (f.table, f.scene.volume.as_str(), f.scene.dims);
         if shown != Some(key) {
             let volume = open_volume(&tables[f.table], key.1, key.2)?;
-            if let Some(parts) = model.volumenet.as_ref() {
-                let net = VolumeNet::new(parts)?;
-                let mut code = vec![0.0; net.feature_len()];
-                net.encode(&volume.view(), &mut net.scratch(), Executor::Serial, &mut code)?;
-                features = Some(code);
-            }
             let summary = VolumeSummary::new(&volume.view())?;
-            session.set_volume(summary, features.clone());
+            session.set_volume(summary, volume_features(model, &volume.view())?);
             shown = Some(key);
         }
         session.set_transfer(&f.scene.to_table()?, Some(&f.scene.lobes))?;

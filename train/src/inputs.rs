@@ -5,6 +5,7 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
 use entire_core::nn::{VolumeNet, VolumeNetParts};
+use entire_core::scene::VolumeView;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Manifest, Table, TimedFrame};
 use entire_io::enlarge::{MAX_FACTOR, enlarge, resample};
@@ -286,6 +287,19 @@ pub fn measure<T: Send>(
         }
     }
     results.into_iter().map(|r| r.context("a frame was left out")).collect()
+}
+
+/// Returns VolumeNet's output for a volume; `None` if the model does not use it.
+///
+/// # Errors
+/// When the volume cannot be encoded.
+pub fn volume_features(model: &Model, volume: &VolumeView<'_>) -> Result<Option<Vec<f32>>> {
+    let parts = model.input_size(GroupKind::VolumeFeatures).and(model.volumenet.as_ref());
+    let Some(parts) = parts else { return Ok(None) };
+    let net = VolumeNet::new(parts)?;
+    let mut out = vec![0.0; net.feature_len()];
+    net.encode(volume, &mut net.scratch(), Executor::Serial, &mut out)?;
+    Ok(Some(out))
 }
 
 /// Opens the volume that a frame names. The volume is resampled if the manifest says so, and enlarged if its

@@ -2,12 +2,11 @@
 
 use super::calibrate::{Quality, Sample};
 use anyhow::{Context, Result};
-use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::VolumeNet;
 use entire_core::scene::VolumeView;
 use entire_steer::features::Changes;
-use entire_steer::predict::{GroupKind, Inputs, Predictor, load};
+use entire_steer::predict::{Inputs, Predictor, load};
+use entire_train::inputs::volume_features;
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -27,9 +26,8 @@ impl SteeringModel {
     /// When the model holds no predictor, or the volume cannot be encoded.
     pub fn new(title: String, model: Model, volume: &VolumeView<'_>) -> Result<Self> {
         load(&model)?;
-        let mut made = Self { title, model: Arc::new(model), volume_features: None };
-        made.volume_features = made.encode(volume)?;
-        Ok(made)
+        let volume_features = volume_features(&model, volume)?;
+        Ok(Self { title, model: Arc::new(model), volume_features })
     }
 
     /// Returns VolumeNet's output for a volume, if the model uses it.
@@ -37,12 +35,7 @@ impl SteeringModel {
     /// # Errors
     /// When the volume cannot be encoded.
     pub fn encode(&self, volume: &VolumeView<'_>) -> Result<Option<Vec<f32>>> {
-        let parts = self.model.input_size(GroupKind::VolumeFeatures).and(self.model.volumenet.as_ref());
-        let Some(parts) = parts else { return Ok(None) };
-        let net = VolumeNet::new(parts)?;
-        let mut out = vec![0.0; net.feature_len()];
-        net.encode(volume, &mut net.scratch(), Executor::Serial, &mut out)?;
-        Ok(Some(out))
+        volume_features(&self.model, volume)
     }
 
     /// A new predictor.
