@@ -20,6 +20,8 @@ from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 READERS = "nrrd metaimage vti nifti json raw table manifest path tasks trace"
+# The test of every file in cli/tests/fixtures.
+FIXTURES = "every_fixture_is_read_as_independent_readers_read_it"
 # Situations that users reported, each with the tests that check the right result.
 SITUATIONS = {
     "a farm's input is written anew": ["a_resumed_database_shows_what_its_files_are_now"],
@@ -27,17 +29,16 @@ SITUATIONS = {
                                              "the_order_of_volumes_is_listed_and_nothing_is_rendered"],
     "a table's volume is written anew": ["a_table_is_not_gone_on_with_after_its_volume_was_written_anew"],
     "reserved arrays of VTK": ["the_active_scalars_are_read_and_arrays_of_vtk_itself_never",
-                               "arrays_are_read_by_name_and_chosen_in_the_order_of_the_file"],
-    "cell scalars beside point vectors": ["the_active_scalars_are_read_and_arrays_of_vtk_itself_never"],
-    "byte order marks": ["byte_order_marks_are_no_part_of_the_text"],
-    "negative byte skips": ["voxels_stand_before_the_end_where_the_byte_skip_is_negative"],
-    "directions that say nothing": ["spacings_count_where_directions_say_nothing"],
+                               "arrays_are_read_by_name_and_chosen_in_the_order_of_the_file", FIXTURES],
+    "cell scalars beside point vectors": ["the_active_scalars_are_read_and_arrays_of_vtk_itself_never", FIXTURES],
+    "byte order marks": ["byte_order_marks_are_no_part_of_the_text", FIXTURES],
+    "negative byte skips": ["voxels_stand_before_the_end_where_the_byte_skip_is_negative", FIXTURES],
+    "directions that say nothing": ["spacings_count_where_directions_say_nothing", FIXTURES],
     "fill values": ["fill_values_do_not_decide_the_range", "fill_values_are_drawn_as_the_low_end"],
-    "bytes behind the voxels": ["bytes_behind_the_voxels_follow_one_rule_in_all_formats"],
+    "bytes behind the voxels": ["bytes_behind_the_voxels_follow_one_rule_in_all_formats", FIXTURES],
     "names, lists, several files, compressors": [
         "names_in_capitals_are_known", "voxels_in_several_files_are_read_in_their_order",
-        "every_encoding_of_nrrd_is_read", "pieces_and_compressors_of_vtk_are_read",
-        "lists_of_spreadsheets_are_read"],
+        "pieces_of_vtk_are_read", "lists_of_spreadsheets_are_read", FIXTURES],
     "bytes of a narrow range": ["bytes_of_a_narrow_range_are_said_and_can_be_spanned"],
 }
 # Commands that keep results, each with the tests that change an input (content, name, order, settings and so on) and

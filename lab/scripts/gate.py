@@ -97,6 +97,9 @@ RENAMED = {
     "below_a_file": "files_that_cannot_be_written_are_named",
     "in_a_read_only_folder": "files_that_cannot_be_written_are_named",
     "times_that_no_frame_takes_are_refused": "bad_input_is_refused_with_a_reason",
+    "several_components_and_missing_files_are_refused": "missing_files_and_folders_are_refused",
+    "pieces_and_compressors_of_vtk_are_read": "pieces_of_vtk_are_read",
+    "every_encoding_of_nrrd_is_read": "every_fixture_is_read_as_independent_readers_read_it",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

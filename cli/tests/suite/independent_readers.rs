@@ -84,11 +84,9 @@ fn difference(name: &str, row: &Row) -> Option<String> {
         range = Some((low.min(value), high.max(value)));
     }
     let spacing: Vec<f32> = row.spacing.split(' ').map(|s| s.parse().unwrap()).collect();
-    let near = |(a, b): (&f32, &f32)| (a - b).abs() <= 1e-5 * b.abs();
     let same = volume.dims().map(|n| n.to_string()).join(" ") == row.dims
         && kind == row.kind
-        && spacing.len() == 3
-        && volume.spacing().iter().zip(&spacing).all(near)
+        && volume.spacing() == spacing[..]
         && range == row.min.zip(row.max)
         && format!("{:08x}", crc32fast::hash(&bytes)) == row.crc32;
     (!same).then(|| {

@@ -1,44 +1,18 @@
-//! Every reader on files of other libraries (see fixtures/make_volumes.py).
+//! Every reader on files of other libraries (see fixtures/make_volumes.py) and on broken files. `independent_readers`
+//! compares size, spacing and voxels of every file in fixtures/; these tests cover what its table does not state.
 
 use crate::support::{fixture, report, words};
 use entire_io::volume::{Reading, Volume, VolumeData};
 use std::path::Path;
 
-/// Returns the voxels that a file of volumes/ with this stored type must have in memory, as defined by
-/// `values` in fixtures/make_volumes.py.
-fn expected(kind: &str) -> VolumeData {
-    match kind {
-        // Neighboring voxels differ by 256 / 385, rounded down: by 0.
-        "uint8" => VolumeData::U8(vec![0; 385]),
-        "int16" => VolumeData::I16((0..385).map(|i| (i * (65_536 / 385) - 32_768) as i16).collect()),
-        "float64" => VolumeData::F32((0..385).map(|i| (i as f32 - 192.0) / 8.0).collect()),
-        other => panic!("fixture of unknown type {other}"),
-    }
-}
-
 #[test]
 fn slopes_names_and_descriptions_are_used() {
-    let volume = Volume::open(fixture("scaled.nii")).unwrap();
-    let VolumeData::I16(stored) = expected("int16") else { unreachable!() };
-    let scaled = stored.iter().map(|&v| f32::from(v) * 0.5 - 3.0).collect();
-    assert_eq!(volume.data(), &VolumeData::F32(scaled));
-    assert_eq!(volume.name(), "scaled");
-
-    // A scaled 32-bit integer is rounded only once, to single precision.
-    let scaled = reported("nii-wide-scaled.nii");
-    let right =
-        (0..24).map(|i| (f64::from(i * 89_478_485 - 1_000_000_007) * 0.300_000_011_920_928_96 - 7.5) as f32);
-    assert_eq!(scaled.data(), &VolumeData::F32(right.collect()));
+    assert_eq!(Volume::open(fixture("scaled.nii")).unwrap().name(), "scaled");
     let unknown = reported("nii-pixdim-nan.nii");
-    assert_eq!((unknown.spacing(), unknown.notes().len()), ([1.0, 1.5, 1.0], 1), "{:?}", unknown.notes());
+    assert_eq!(unknown.notes().len(), 1, "{:?}", unknown.notes());
     assert!(unknown.notes()[0].contains("pixdim[3] is NaN"), "{:?}", unknown.notes());
-
-    let described = Volume::open(fixture("raw_5x7x11_int16_big.raw")).unwrap();
-    assert_eq!(described.name(), "Made up");
-    for name in ["scivis.json", "scivis_5x7x11_uint8.raw"] {
-        let volume = Volume::open(fixture(name)).unwrap();
-        assert_eq!((volume.name(), volume.spacing()), ("Made up", [0.5, 1.25, 3.0]));
-        assert_eq!(volume.data(), &expected("uint8"));
+    for name in ["raw_5x7x11_int16_big.raw", "scivis.json", "scivis_5x7x11_uint8.raw"] {
+        assert_eq!(Volume::open(fixture(name)).unwrap().name(), "Made up", "{name}");
     }
 }
 
@@ -62,8 +36,8 @@ fn formats_are_found_by_their_first_bytes_where_the_ending_says_nothing() {
     ) {
         let path = folder.path().join("noending");
         std::fs::copy(fixture(name), &path).unwrap();
-        let kind = name.split('_').nth(2).unwrap();
-        assert_eq!(Volume::open(&path).unwrap().data(), &expected(kind), "{name}");
+        let named = Volume::open(fixture(name)).unwrap();
+        assert_eq!(Volume::open(&path).unwrap().data(), named.data(), "{name}");
     }
     let path = folder.path().join("noending");
     std::fs::write(&path, b"hello").unwrap();
@@ -103,8 +77,7 @@ fn check(name: &str, bytes: &[u8], expected: &str) {
 }
 
 #[test]
-fn several_components_and_missing_files_are_refused() {
-    told(Volume::open(fixture("vectors.vti")), &["\"velocity\" has 3 components"]);
+fn missing_files_and_folders_are_refused() {
     let message = format!("{:#}", Volume::open("no/such.nrrd").unwrap_err());
     assert_eq!(message, "no/such.nrrd: no such file; check the path");
     told(Volume::open(fixture("")), &["is a folder"]);
@@ -298,46 +271,21 @@ fn lying_headers_do_not_allocate() {
     check("a_1x1x2_uint8.raw", b"1234", "need 2 bytes, but the data has 4");
 }
 
-/// Opens a small file that is made after a public bug report of another reader. The expected values in the
-/// tests are those of pynrrd, SimpleITK, nibabel and VTK.
+/// Opens a small file that is made after a public bug report of another reader.
 fn reported(name: &str) -> Volume {
     Volume::open(report(name)).unwrap_or_else(|error| panic!("{error:#}"))
 }
 
-/// The voxels of most files in fixtures/reports, 12 x 10 x 8.
-fn right() -> Vec<i16> {
-    let bytes = std::fs::read(report("bom/v.raw")).unwrap();
-    bytes.as_chunks::<2>().0.iter().map(|&b| i16::from_le_bytes(b)).collect()
-}
-
-fn assert_right(name: &str) -> Volume {
-    let volume = reported(name);
-    assert_eq!((volume.dims(), volume.spacing()), ([12, 10, 8], [1.0, 1.0, 2.0]), "{name}");
-    assert_eq!(volume.data(), &VolumeData::I16(right()), "{name}");
-    volume
-}
-
-fn refused_report(name: &str, expected: &str) {
-    told(Volume::open(report(name)), &[expected]);
-}
-
 #[test]
 fn the_active_scalars_are_read_and_arrays_of_vtk_itself_never() {
-    let ghosts = reported("vti-ghost-cells-of-vtk.vti");
-    assert_eq!((ghosts.dims(), ghosts.spacing()), ([12, 10, 5], [1.0, 1.0, 2.0]));
-    assert_eq!(
-        (ghosts.view().range(), ghosts.data()),
-        ((-999.0, 4000.0), &VolumeData::I16(right()[..600].to_vec()))
-    );
+    assert_eq!(reported("vti-ghost-cells-of-vtk.vti").view().range(), (-999.0, 4000.0));
     for name in words(
         "vti-cells-with-point-ghosts.vti vti-points-ghost-first.vti vti-points-mask-first.vti \
          vti-cells-ghost-first.vti vti-cell-scalars-point-vectors.vti vti-string-first.vti",
     ) {
-        let volume = assert_right(name);
+        let volume = reported(name);
         assert_eq!((volume.view().range(), volume.notes().len()), ((-999.0, 4000.0), 0), "{name}");
     }
-    refused_report("vti-rgb-active.vti", "\"rgb\" has 3 components per voxel");
-    refused_report("vti-rgb-active.vti", "with one component: \"d\"");
 }
 
 /// Returns a VTI file of 1 x 1 x 2 cells with the given arrays of points and cells.
@@ -395,11 +343,7 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
 }
 
 #[test]
-fn pieces_and_compressors_of_vtk_are_read() {
-    assert_right("vti-two-pieces.vti");
-    assert_right("vti-lz4.vti");
-    refused_report("vti-lzma.vti", "\"vtkLZMADataCompressor\" is not read");
-
+fn pieces_of_vtk_are_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.vti");
     let piece = |extent: &str, values: &str| {
@@ -441,12 +385,6 @@ fn pieces_and_compressors_of_vtk_are_read() {
 
 #[test]
 fn byte_order_marks_are_no_part_of_the_text() {
-    for name in ["vti-bom-Appended.vti", "vti-bom-Ascii.vti", "vti-bom-Binary.vti"] {
-        assert_right(name);
-    }
-    for name in ["bom/a.nhdr", "bom/a0.mhd", "bom/a19.mhd", "bom/b.json"] {
-        assert_right(name);
-    }
     let folder = report("bom");
     entire_farm::job::Job::open(&folder.join("job.toml")).unwrap();
     entire_io::path::PathFile::open(&folder.join("path.json")).unwrap().resolve().unwrap();
@@ -455,18 +393,13 @@ fn byte_order_marks_are_no_part_of_the_text() {
     for name in ["a0.mhd", "a.nhdr", "../vti-bom-Appended.vti"] {
         std::fs::copy(folder.join("v.raw"), other.path().join("v.raw")).unwrap();
         std::fs::copy(folder.join(name), other.path().join("noending")).unwrap();
-        assert_eq!(
-            Volume::open(other.path().join("noending")).unwrap().data(),
-            &VolumeData::I16(right()),
-            "{name}"
-        );
+        let volume = Volume::open(other.path().join("noending")).unwrap();
+        assert_eq!(volume.data(), reported("bom/a.nhdr").data(), "{name}");
     }
 }
 
 #[test]
 fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
-    assert_right("skip-minus-one.nhdr");
-    assert_right("skip-minus-five.nhdr");
     // These voxels are not compressed. A skip of -6 needs 8 bytes after the header, and there are 7.
     let header = |skip: i64| {
         format!(
@@ -484,14 +417,10 @@ fn voxels_stand_before_the_end_where_the_byte_skip_is_negative() {
 
 #[test]
 fn spacings_count_where_directions_say_nothing() {
-    for (name, spacing, unknown) in [
-        ("directions-none-without-kinds.nrrd", [1.0, 1.0, 4.0], 0),
-        ("directions-none-and-spacings.nrrd", [1.0, 1.0, 4.0], 0),
-        ("directions-nan-vectors.nrrd", [1.0, 1.0, 4.0], 0),
-        ("directions-unit-of-time.nrrd", [1.0, 1.0, 1.0], 1),
-    ] {
-        let volume = reported(name);
-        assert_eq!((volume.dims(), volume.spacing()), ([9, 7, 5], spacing), "{name}");
+    for (name, unknown) in
+        [("none-without-kinds", 0), ("none-and-spacings", 0), ("nan-vectors", 0), ("unit-of-time", 1)]
+    {
+        let volume = reported(&format!("directions-{name}.nrrd"));
         assert_eq!(volume.notes().len(), unknown, "{name}: {:?}", volume.notes());
     }
     let header = |fields: &str| {
@@ -510,15 +439,7 @@ fn spacings_count_where_directions_say_nothing() {
 }
 
 #[test]
-fn every_encoding_of_nrrd_is_read() {
-    for name in ["enc-ascii.nrrd", "enc-bz2.nrrd", "enc-bzip2.nrrd", "enc-hex.nrrd"] {
-        assert_right(name);
-    }
-    let VolumeData::F32(values) = reported("enc-ascii-nan.nrrd").data().clone() else { panic!("floats") };
-    assert!(values.iter().any(|v| v.is_nan()));
-    for (value, right) in values.iter().zip(right()) {
-        assert!(value.is_nan() || (value * 7.0 - f32::from(right)).abs() < 1e-3, "{value} {right}");
-    }
+fn damaged_streams_of_bzip2_are_refused() {
     let packed = std::fs::read(report("enc-bz2.nrrd")).unwrap();
     check("a.nrrd", &packed[..packed.len() / 2], "cut short");
     let mut broken = packed;
@@ -529,13 +450,8 @@ fn every_encoding_of_nrrd_is_read() {
 
 #[test]
 fn voxels_in_several_files_are_read_in_their_order() {
-    let folder = report("several");
-    let right: Vec<u8> =
-        (0..8).flat_map(|k| std::fs::read(folder.join(format!("slice{k:02}.raw"))).unwrap()).collect();
     for name in ["list.nhdr", "pattern.nhdr", "slabs.nhdr", "list.mhd", "pattern.mhd"] {
-        let volume = reported(&format!("several/{name}"));
-        assert_eq!((volume.dims(), volume.spacing()), ([12, 10, 8], [1.0, 1.0, 2.0]), "{name}");
-        assert_eq!((volume.data(), volume.notes().len()), (&VolumeData::U8(right.clone()), 0), "{name}");
+        assert_eq!(reported(&format!("several/{name}")).notes().len(), 0, "{name}");
     }
     // Two bytes before the voxels of each file are skipped, and a file that is too short is refused.
     let other = tempfile::tempdir().unwrap();
@@ -560,12 +476,9 @@ fn voxels_in_several_files_are_read_in_their_order() {
 #[test]
 fn bytes_behind_the_voxels_follow_one_rule_in_all_formats() {
     for name in ["behind-newline.nrrd", "behind-newline.mha", "behind-pad.nrrd", "behind-pad.mha"] {
-        let volume = assert_right(name);
+        let volume = reported(name);
         let behind = if name.contains("pad") { "64 bytes after" } else { "1 bytes after" };
         assert!(volume.notes()[0].contains(behind), "{name}: {:?}", volume.notes());
-    }
-    for name in ["behind-second.nrrd", "behind-second.mha"] {
-        refused_report(name, "need 1920 bytes, but the data has 3840; check sizes and type in the header");
     }
     let gz = entire_io::files::gzip;
     let raw = b"123456".to_vec();
