@@ -86,14 +86,11 @@ fn bound(input: &[u8]) -> usize {
 
 #[derive(Clone, Debug)]
 enum Change {
-    Flip(prop::sample::Index, u8),
-    Cut(prop::sample::Index),
-    Remove(prop::sample::Index, usize),
+    /// Replaces this many bytes at a position.
+    Replace(prop::sample::Index, usize, Vec<u8>),
     Double(prop::sample::Index, usize),
     /// Replaces the n-th number by a word.
     Number(prop::sample::Index, &'static str),
-    /// Writes eight bytes at a position.
-    Word(prop::sample::Index, u64),
 }
 
 const WORDS: &str = "0 1 2 -1 7 65536 99999 4294967295 4294967296 9223372036854775807 18446744073709551615 \
@@ -103,13 +100,13 @@ fn change() -> impl Strategy<Value = Change> {
     use prop::sample::Index;
     let words: Vec<&str> = WORDS.split(' ').collect();
     prop_oneof![
-        3 => (any::<Index>(), 1u8..).prop_map(|(at, mask)| Change::Flip(at, mask)),
-        1 => any::<Index>().prop_map(Change::Cut),
-        1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Remove(at, n)),
+        3 => (any::<Index>(), any::<u8>()).prop_map(|(at, byte)| Change::Replace(at, 1, vec![byte])),
+        1 => any::<Index>().prop_map(|at| Change::Replace(at, usize::MAX, Vec::new())),
+        1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Replace(at, n, Vec::new())),
         1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Double(at, n)),
         4 => (any::<Index>(), prop::sample::select(words)).prop_map(|(at, w)| Change::Number(at, w)),
         1 => (any::<Index>(), prop_oneof![Just(0), Just(u64::MAX), Just(1 << 40), any::<u64>()])
-            .prop_map(|(at, w)| Change::Word(at, w)),
+            .prop_map(|(at, word)| Change::Replace(at, 8, word.to_le_bytes().to_vec())),
     ]
 }
 
@@ -118,14 +115,9 @@ fn apply(input: &mut Vec<u8>, change: &Change) {
         return;
     }
     match change {
-        Change::Flip(at, mask) => {
+        Change::Replace(at, n, bytes) => {
             let at = at.index(input.len());
-            input[at] ^= mask;
-        }
-        Change::Cut(at) => input.truncate(at.index(input.len())),
-        Change::Remove(at, n) => {
-            let at = at.index(input.len());
-            input.drain(at..(at + n).min(input.len()));
+            input.splice(at..at.saturating_add(*n).min(input.len()), bytes.iter().copied());
         }
         Change::Double(at, n) => {
             let at = at.index(input.len());
@@ -141,12 +133,6 @@ fn apply(input: &mut Vec<u8>, change: &Change) {
             if let Some(&start) = starts.get(at.index(starts.len().max(1))) {
                 let end = (start..input.len()).find(|&i| !input[i].is_ascii_digit()).unwrap_or(input.len());
                 input.splice(start..end, word.bytes());
-            }
-        }
-        Change::Word(at, word) => {
-            let at = at.index(input.len());
-            for (slot, byte) in input[at..].iter_mut().zip(word.to_le_bytes()) {
-                *slot = byte;
             }
         }
     }

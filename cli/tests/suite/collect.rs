@@ -1,6 +1,6 @@
 //! `entire collect` as a process: interruption, resumption and refused input.
 
-use crate::support::{byte_nrrd, entire, json, stderr, stdout, words};
+use crate::support::{byte_nrrd, fails, json, refuses, stderr, stdout, succeeds, words};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -205,8 +205,7 @@ fn frames_of_a_proxy_have_features() {
         &dir.path().join("t.csv"),
         &["--frames", "3", "--max-size", "48", "--proxy", "6"],
     ));
-    let output = entire(dir.path(), &words("features --quiet --data t.csv"));
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeeds(dir.path(), &words("features --quiet --data t.csv"));
     assert!(dir.path().join("t.features.csv.gz").exists());
 }
 
@@ -220,8 +219,7 @@ fn a_table_of_a_teacher_is_not_gone_on_with_after_its_model_changed() {
     };
     let line = "collect v.nrrd --out t.csv --teacher m.safetensors --frames 2 --repeats 1 --max-size 48";
     take("unshaded-selected.safetensors");
-    let output = entire(dir.path(), &words(line));
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeeds(dir.path(), &words(line));
     let table = dir.path().join("t.csv");
     let whole = std::fs::read_to_string(&table).unwrap();
     // The table is cut as if the collection had been interrupted before the last frame.
@@ -229,12 +227,9 @@ fn a_table_of_a_teacher_is_not_gone_on_with_after_its_model_changed() {
     std::fs::write(&table, cut.join("\n") + "\n").unwrap();
     let resume = format!("{line} --resume");
     take("unshaded-xeon-selected.safetensors");
-    let output = entire(dir.path(), &words(&resume));
-    let said = stderr(&output);
-    assert!(output.status.code() == Some(1) && said.contains("teacher was"), "{said}");
+    fails(dir.path(), &resume, 1, &["teacher was"]);
     take("unshaded-selected.safetensors");
-    let output = entire(dir.path(), &words(&resume));
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeeds(dir.path(), &words(&resume));
     assert_eq!(std::fs::read_to_string(&table).unwrap(), whole);
 }
 
@@ -261,19 +256,15 @@ fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
     // Other commands that read the volumes refuse the changed volume too.
     let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../models/unshaded-distilled.safetensors");
     let evaluate = ["evaluate", "--quiet", "--model", model, "--data", "t.csv"];
-    let features = ["features", "--quiet", "--data", "t.csv"];
+    let features = words("features --quiet --data t.csv");
     let train = words("train --quiet --data t.csv --out m.safetensors");
-    for arguments in [&features[..], &evaluate[..], &train[..]] {
-        let output = entire(dir.path(), arguments);
-        let said = stderr(&output);
-        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
-        assert!(said.contains("v.nrrd changed after the frames of t.csv"), "{arguments:?}: {said}");
+    for arguments in [&features[..], &evaluate, &train] {
+        refuses(dir.path(), arguments, &["v.nrrd changed after the frames of t.csv"]);
     }
 
     // A file with the original content is accepted, although it was written later.
     std::fs::write(&volume, &bytes).unwrap();
-    let output = entire(dir.path(), &features);
-    assert!(output.status.success(), "{}", stderr(&output));
+    succeeds(dir.path(), &features);
     std::fs::remove_file(dir.path().join("t.features.csv.gz")).unwrap();
     works(&mut collect(&volume, &out, &resume));
     assert_eq!(frames(&out), whole);

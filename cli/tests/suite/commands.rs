@@ -2,7 +2,6 @@
 
 use crate::support::*;
 use std::io::Write;
-use std::path::Path;
 use std::process::{Command, Stdio};
 
 fn selu(x: f64) -> f64 {
@@ -200,26 +199,10 @@ fn render_skips_without_changing_the_picture_and_range_changes_it() {
     assert_ne!(pictures[0], pictures[3]);
 }
 
-/// Output of `entire probe` on the CPU version. While other programs run, the times of short frames may be
-/// too noisy, which the command reports. Longer frames are tried then.
-fn probed(folder: &Path, more: &[&str]) -> String {
-    let mut said = String::new();
-    for milliseconds in ["10", "40", "160", "640"] {
-        let probe = ["probe", "--device", "cpu", "--frame-ms", milliseconds, "--repeats", "3"];
-        let output = entire(folder, &[&probe, more].concat());
-        if output.status.success() {
-            return stdout(&output);
-        }
-        said = stderr(&output);
-        assert!(said.contains("the clock is too noisy"), "{said}");
-    }
-    panic!("{said}");
-}
-
 #[test]
 fn probe_prints_the_machine_in_five_numbers() {
     let folder = workshop();
-    let printed = probed(folder.path(), &["--json"]);
+    let printed = probed(folder.path(), "cpu", true);
     let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
     let numbers = json["numbers"].as_object().unwrap();
     assert_eq!(numbers.len(), 5);
@@ -227,7 +210,7 @@ fn probe_prints_the_machine_in_five_numbers() {
     assert_eq!(json["agreement"]["largest_of_255"], 0);
     assert_eq!(json["agreement"]["counts"], json["agreement"]["counts_of_twin"]);
     assert_eq!((json["backend"].as_str(), json["clock"].as_str()), (Some("cpu"), Some("wall")));
-    let text = probed(folder.path(), &[]);
+    let text = probed(folder.path(), "cpu", false);
     for part in
         ["counts equal", "coherent samples", "divergent samples", "skips", "rays", "fixed time per frame"]
     {

@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use crate::ball;
-use crate::support::{byte_nrrd, entire, json, refuses, stderr, succeeds, words};
+use crate::support::{byte_nrrd, entire, fails, json, refuses, stderr, succeeds, words};
 
 const RENDERER: &str = "[renderer]\nkind = \"entire\"\ndevice = \"cpu\"\n";
 
@@ -211,9 +211,8 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     let dir = setting(renderer);
     std::fs::write(dir.path().join("draw.sh"), script).unwrap();
     render_picture(dir.path());
-    let output = entire(dir.path(), &["farm", "job.toml", "--slots", "2", "--quiet"]);
-    let said = stderr(&output);
-    assert!(said.contains("4 tasks were given up") && said.contains("--retry-quarantined"), "{said}");
+    let farm = "farm job.toml --slots 2 --quiet";
+    fails(dir.path(), farm, 1, &["4 tasks were given up", "--retry-quarantined"]);
     assert_eq!(table(dir.path()).len(), 36);
     let logs = std::fs::read_dir(dir.path().join("db.cdb/.farm/quarantine")).unwrap();
     let logs: Vec<String> = logs.map(|f| std::fs::read_to_string(f.unwrap().path()).unwrap()).collect();
@@ -242,8 +241,7 @@ fn tasks_that_kill_their_worker_are_set_aside_and_the_others_are_rendered() {
     let script = "#!/bin/sh\n[ \"$1\" = 36 ] && kill -9 $PPID && sleep 9\ncp picture.png \"$2\"\n";
     std::fs::write(dir.path().join("draw.sh"), script).unwrap();
     render_picture(dir.path());
-    let output = entire(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
-    assert!(stderr(&output).contains("4 tasks were given up"), "{}", stderr(&output));
+    fails(dir.path(), "farm job.toml --slots 1 --quiet", 1, &["4 tasks were given up"]);
     assert_eq!(table(dir.path()).len(), 36);
 }
 
@@ -277,9 +275,8 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         "{said}"
     );
     assert!(!dir.path().join("db.cdb").exists());
-    let early = entire(dir.path(), &["farm", "job.toml", "--dry-run", "--report", "r.html"]);
-    assert_eq!(early.status.code(), Some(1));
-    assert!(stderr(&early).contains("db.cdb holds no image yet; render some first"), "{}", stderr(&early));
+    let early = "farm job.toml --dry-run --report r.html";
+    fails(dir.path(), early, 1, &["db.cdb holds no image yet; render some first"]);
     succeeds(dir.path(), &["farm", "job.toml", "--dry-run", "--save-tasks", "tasks.csv"]);
     let list = std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap();
     assert_eq!(list.lines().count(), 41);
@@ -320,17 +317,16 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     refuses(dir.path(), &replaced, &["--save-tasks: tasks.csv", "would be replaced"]);
     assert_eq!(std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap(), list);
     for (more, part) in [
-        (&["--price", "1"][..], "--dry-run"),
-        (&["--deadline", "1h"], "--dry-run"),
-        (&["--openjd", "u.json", "--report", "r.html"], "--report"),
-        (&["--openjd", "u.json", "--save-tasks", "u.csv"], "--save-tasks"),
-        (&["--openjd", "u.json", "--deadline", "1h"], "--deadline"),
-        (&["--list", "--verify"], "--verify"),
-        (&["--list", "--price", "1"], "--price"),
-        (&["--list", "--slots", "2"], "--slots"),
+        ("--price 1", "--dry-run"),
+        ("--deadline 1h", "--dry-run"),
+        ("--openjd u.json --report r.html", "--report"),
+        ("--openjd u.json --save-tasks u.csv", "--save-tasks"),
+        ("--openjd u.json --deadline 1h", "--deadline"),
+        ("--list --verify", "--verify"),
+        ("--list --price 1", "--price"),
+        ("--list --slots 2", "--slots"),
     ] {
-        let output = entire(dir.path(), &[&["farm", "job.toml"], more].concat());
-        assert!(output.status.code() == Some(2) && stderr(&output).contains(part), "{}", stderr(&output));
+        fails(dir.path(), &format!("farm job.toml {more}"), 2, &[part]);
     }
     let many = words("schedule tasks.csv --nodes 9000000000000 --out a.csv");
     refuses(dir.path(), &many, &["--nodes is"]);
@@ -532,9 +528,9 @@ fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
     ball::write(&dir.path().join("second.nrrd"));
     render_picture(dir.path());
     std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"; echo more >> \"$1\"\n").unwrap();
-    let output = entire(dir.path(), &words("farm job.toml --slots 1 --report r.html --quiet"));
     // A report needs an image. Without any image, the message is still the one on the tasks.
-    assert!(stderr(&output).contains("4 tasks were given up"), "{}", stderr(&output));
+    let farm = "farm job.toml --slots 1 --report r.html --quiet";
+    fails(dir.path(), farm, 1, &["4 tasks were given up"]);
     assert!(!dir.path().join("r.html").exists());
     assert!(journal(dir.path()).contains("changed while the farm was running"));
     assert!(table(dir.path()).is_empty());

@@ -1,7 +1,7 @@
 //! `entire steer` and `entire demo` as processes: their files, output and refused input.
 
 use crate::ball;
-use crate::support::{entire, entire_in, files_in, json, stderr, stdout, succeeds, unread, words};
+use crate::support::{entire_in, fails, files_in, json, refuses, stderr, stdout, succeeds, unread, words};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -149,12 +149,8 @@ fn bad_input_is_one_line_and_status_1() {
     let dir = setting();
     let bad = r#"{"format": "entire-path-1", "frames": 3, "keyframes": []}"#;
     std::fs::write(dir.path().join("bad.json"), bad).unwrap();
-    let with = |more: &str| {
-        let output = entire(dir.path(), &words(&format!("steer ball.nrrd --device cpu --out out {more}")));
-        let text = stderr(&output);
-        assert!(!text.contains("panicked"), "{text}");
-        (output.status.code(), text)
-    };
+    let line = |more: &str| format!("steer ball.nrrd --device cpu --out out {more}");
+    let told = |more: &str, parts: &[&str]| refuses(dir.path(), &words(&line(more)), parts);
     for (more, expected) in [
         ("--target 33", "--target: "),
         ("--target 33", "no known unit"),
@@ -174,21 +170,17 @@ fn bad_input_is_one_line_and_status_1() {
         ("--target 9ms --clock device", "no device clock"),
         ("--target 9ms --model /no/such/model", "/no/such/model"),
     ] {
-        let (code, text) = with(&format!("--generate orbit {more}"));
-        assert_eq!(code, Some(1), "{more:?}: {text}");
-        assert!(text.contains(expected) && text.trim_end().lines().count() == 1, "{more:?}: {text}");
+        told(&format!("--generate orbit {more}"), &[expected]);
     }
     let volume = std::fs::read(dir.path().join("ball.nrrd")).unwrap();
-    let (code, text) = with("--target 9ms --generate orbit --save-path ./ball.nrrd");
-    assert!(code == Some(1) && text.contains("is an input of this command"), "{text}");
+    told("--target 9ms --generate orbit --save-path ./ball.nrrd", &["is an input of this command"]);
     assert_eq!(std::fs::read(dir.path().join("ball.nrrd")).unwrap(), volume);
     // A table or path in the folder of the results must not have the name of a result.
     for more in ["--table out/frames.csv", "--table ./out/../out/summary.json", "--save-path out/report.html"]
     {
-        let (code, text) = with(&format!("--target 9ms --generate orbit {more}"));
         let option = more.split(' ').next().unwrap();
-        assert!(code == Some(1) && text.contains(&format!("{option}: ")), "{more}: {text}");
-        assert!(text.contains("is written by this command itself; choose another name"), "{more}: {text}");
+        let own = "is written by this command itself; choose another name";
+        told(&format!("--target 9ms --generate orbit {more}"), &[&format!("{option}: "), own]);
         assert_eq!(std::fs::read_dir(dir.path().join("out")).unwrap().count(), 0, "{more}");
     }
     // The results do not replace a timing table in their folder.
@@ -198,26 +190,21 @@ fn bad_input_is_one_line_and_status_1() {
     for line in
         ["steer ball.nrrd --device cpu --target 9ms --generate orbit --out out", "demo ball.nrrd --out out"]
     {
-        let output = entire(dir.path(), &words(line));
-        let text = stderr(&output);
-        assert!(output.status.code() == Some(1) && text.contains("frames.csv is a timing table"), "{text}");
+        fails(dir.path(), line, 1, &["frames.csv is a timing table"]);
         assert_eq!(std::fs::read(&table).unwrap(), kept, "{line}");
     }
     std::fs::remove_file(&table).unwrap();
-    let (code, text) = with("--target 9ms --path bad.json");
-    assert!(code == Some(1) && text.contains("bad.json is no path: there is no keyframe"), "{text}");
+    told("--target 9ms --path bad.json", &["bad.json is no path: there is no keyframe"]);
     for usage in [
         "--target 9ms",
         "--target 9ms --size 9 --generate orbit",
         "--target 9ms --path bad.json --save-path copy.json",
     ] {
-        assert_eq!(with(usage).0, Some(2), "{usage}");
+        fails(dir.path(), &line(usage), 2, &[]);
     }
-    let (code, text) = with("--target 9ms --max-image-sample-distance 0.5 --generate orbit");
-    assert!(code == Some(2) && text.contains("from 1 to 20"), "{text}");
-    let output = entire(dir.path(), &["demo"]);
-    let text = stderr(&output);
-    assert!(output.status.code() == Some(1) && text.contains("project's root"), "{text}");
+    let far = "--target 9ms --max-image-sample-distance 0.5 --generate orbit";
+    fails(dir.path(), &line(far), 2, &["from 1 to 20"]);
+    fails(dir.path(), "demo", 1, &["project's root"]);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known formula.
 
-use crate::support::{byte_nrrd, entire, json, model_of, stderr, succeeds, unread, words};
+use crate::support::{self, byte_nrrd, entire, json, model_of, stderr, succeeds, unread, words};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
 use entire_core::scene::{Arcball, GaussianLobe};
@@ -18,10 +18,7 @@ fn works(data: &TempDir, line: &str) -> String {
 
 #[track_caller]
 fn fails(data: &TempDir, line: &str, code: i32, expected: &str) {
-    let output = entire(data.path(), &words(line));
-    let err = stderr(&output);
-    assert_eq!(output.status.code(), Some(code), "{line}\n{err}");
-    assert!(err.contains(expected) && !err.contains("panicked"), "{line}\n{err}");
+    support::fails(data.path(), line, code, &[expected]);
 }
 
 fn text_of(data: &TempDir, name: &str) -> String {

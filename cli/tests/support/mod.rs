@@ -67,6 +67,33 @@ pub(crate) fn refuses_in(folder: &Path, environment: &[(&str, &str)], arguments:
     }
 }
 
+/// Checks that a run ends with this status, and that its messages contain every one of `parts`.
+#[track_caller]
+pub(crate) fn fails(folder: &Path, line: &str, code: i32, parts: &[&str]) {
+    let output = entire(folder, &words(line));
+    let told = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{line}: {told}");
+    assert!(!told.contains("panicked"), "{line}: {told}");
+    parts.iter().for_each(|part| assert!(told.contains(part), "{line}: {part}: {told}"));
+}
+
+/// Output of `entire probe` on a device, as JSON if `json` is true. While other programs run, the times of short
+/// frames may be too noisy, which the command reports. Longer frames are tried then.
+pub(crate) fn probed(folder: &Path, device: &str, json: bool) -> String {
+    let mut said = String::new();
+    for milliseconds in ["10", "40", "160", "640"] {
+        let format = if json { "--json" } else { "" };
+        let line = format!("probe --device {device} --frame-ms {milliseconds} --repeats 3 {format}");
+        let output = entire(folder, &words(&line));
+        if output.status.success() {
+            return stdout(&output);
+        }
+        said = stderr(&output);
+        assert!(said.contains("the clock is too noisy"), "{said}");
+    }
+    panic!("{said}");
+}
+
 pub(crate) type Tensor<'a> = (&'a str, Vec<usize>, Vec<f32>);
 
 /// Returns a safetensors file, valid or not.
