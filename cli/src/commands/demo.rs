@@ -306,7 +306,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             path.switches().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
         ),
         predictor: prepared.predictor.clone(),
-        response: prepared.response_curve(),
+        response: prepared.curve.clone(),
         remarks,
         provenance: Provenance::of(renderer.device()),
     };

@@ -283,7 +283,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             .join("; "),
         path: path_name,
         predictor: prepared.predictor.clone(),
-        response: prepared.response_curve(),
+        response: prepared.curve.clone(),
         remarks: Vec::new(),
         provenance: Provenance::of(renderer.device()),
     };

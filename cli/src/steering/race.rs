@@ -1,6 +1,6 @@
 //! A whole comparison: random scenes at several steps, a target, and a path under every controller.
 
-use super::calibrate::{Sample, measure, response};
+use super::calibrate::{measure, response};
 use super::contenders::{ControllerKind, contender};
 use super::model::{SteeringModel, Steers};
 use super::play::{Contender, Course, Playback, Shown, Task, play};
@@ -120,10 +120,10 @@ fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
 #[derive(Clone, Debug)]
 pub(crate) struct Prepared {
     pub(crate) summary: VolumeSummary,
-    /// One sample per random scene and step.
-    pub(crate) samples: Vec<Sample>,
     /// G: relative frame time over ray step.
     pub(crate) response: StepResponse,
+    /// G with the samples that it was fitted to.
+    pub(crate) curve: ResponseCurve,
     pub(crate) predictor: Steers,
     /// Target, seconds.
     pub(crate) target: f64,
@@ -132,12 +132,6 @@ pub(crate) struct Prepared {
     /// Origin of the target; empty if the target was given.
     pub(crate) target_reason: String,
     pub(crate) fixed_step: f32,
-}
-
-impl Prepared {
-    pub(crate) fn response_curve(&self) -> ResponseCurve {
-        ResponseCurve::new(&self.samples, &self.response)
-    }
 }
 
 /// Default target as a share of the median time of the random scenes at the reference step. At this target,
@@ -195,10 +189,11 @@ pub(crate) fn prepare(
         }
     };
     let fixed_step = race.course.limits.clamp(response.step_ratio((target / full_quality) as f32));
+    let curve = ResponseCurve::new(&samples, &response);
     Ok(Some(Prepared {
         summary,
-        samples,
         response,
+        curve,
         predictor,
         target,
         full_quality,
