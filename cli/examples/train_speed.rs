@@ -47,18 +47,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         INPUTS,
         settings.target,
     );
-    let rows: Vec<f32> = inputs
-        .chunks(INPUTS)
-        .flat_map(|row| {
-            row.iter()
-                .zip(standardized.input.mean.iter().zip(&standardized.input.std))
-                .map(|(x, (m, s))| (x - m) / s)
-                .collect::<Vec<_>>()
-        })
-        .collect();
     let (mean, std) = (standardized.output.mean[0], standardized.output.std[0]);
     let targets: Vec<f32> = seconds.iter().map(|t| (*t as f32 - mean) / std).collect();
-    write("inputs.bin", &rows)?;
+    write("inputs.bin", &standardized.inputs(&inputs))?;
     write("seconds.bin", &targets)?;
     write("weights.bin", network.parameters())?;
 

@@ -165,7 +165,8 @@ impl Standardization {
         }
     }
 
-    fn inputs(&self, inputs: &[f32]) -> Vec<f32> {
+    /// Returns rows of inputs, standardized.
+    pub fn inputs(&self, inputs: &[f32]) -> Vec<f32> {
         let Normalization { mean, std } = &self.input;
         inputs
             .chunks_exact(mean.len())
