@@ -26,50 +26,45 @@ use std::path::PathBuf;
   entire explore t1.nrrd t2.nrrd t3.nrrd --model out/calibrated.safetensors
   xvfb-run -s '-screen 0 1280x900x24' entire explore skull.nrrd \\
       --script events.jsonl --log frames.csv")]
-pub struct Options {
+pub(crate) struct Options {
     /// The volume file, or the files of a time series in order; without a file, the window is empty.
     #[arg(value_name = "VOLUME")]
-    pub volumes: Vec<PathBuf>,
+    pub(crate) volumes: Vec<PathBuf>,
     /// Options for reading the volumes.
     #[command(flatten)]
-    pub reading: Reading,
+    pub(crate) reading: Reading,
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, default_value = "33ms", value_name = "TIME", allow_hyphen_values = true)]
-    pub target: String,
+    pub(crate) target: String,
     /// Model file, calibrated to this machine; default: the machine's model (`entire calibrate --clock
     /// wall`), else the shipped model, corrected by the measured time of every frame.
     #[arg(long, value_name = "M.safetensors")]
-    pub model: Option<PathBuf>,
+    pub(crate) model: Option<PathBuf>,
     /// Controller at the start. Controllers that act on image resolution in `entire steer` change the ray
     /// step here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
-    pub controller: ControllerKind,
+    pub(crate) controller: ControllerKind,
     /// Shading of each sample.
     #[arg(long, value_parser = shade_parser(), default_value = "none")]
-    pub shade: Shading,
+    pub(crate) shade: Shading,
     /// Skipping of empty space.
     #[arg(long, value_parser = skip_parser(), default_value = "blocks")]
-    pub skip: Skipping,
+    pub(crate) skip: Skipping,
     /// Accumulated opacity at which a ray stops; 1 for never.
     #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
-    pub termination: f32,
+    pub(crate) termination: f32,
     /// Size of the window, pixels.
     #[arg(long, default_value = "1280x800", value_name = "WxH", value_parser = parse_size)]
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Play events from a file (JSON lines, see the book) instead of user input.
     #[arg(long, value_name = "FILE.jsonl")]
-    pub script: Option<PathBuf>,
+    pub(crate) script: Option<PathBuf>,
     /// Write every frame as a row of CSV: seconds, prediction, step, memory.
     #[arg(long, value_name = "FILE.csv")]
-    pub log: Option<PathBuf>,
+    pub(crate) log: Option<PathBuf>,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// When there is no display, no Vulkan device can show pictures on it, a model cannot be read, or the log
-/// would replace a timing table.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
     check_termination(options.termination)?;
     if let Some(log) = &options.log {

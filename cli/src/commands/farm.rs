@@ -18,7 +18,7 @@ use std::path::PathBuf;
 
 /// Engine that runs the tasks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum EngineOption {
+pub(crate) enum EngineOption {
     /// Processes of this machine.
     #[default]
     Local,
@@ -30,7 +30,7 @@ pub enum EngineOption {
 
 /// Order in which tasks are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum OrderOption {
+pub(crate) enum OrderOption {
     /// Longest expected time first.
     #[default]
     Longest,
@@ -52,97 +52,93 @@ pub enum OrderOption {
   entire farm job.toml --slots 2 --report out/farm.html
   entire farm job.toml --engine hyperqueue --slots 16 --python venv/bin/python
   entire farm job.toml --engine slurm --slots 4 --resume")]
-pub struct Options {
+pub(crate) struct Options {
     /// The job file (TOML; its format is described in the book's page on render farms).
     #[arg(value_name = "JOB.toml")]
-    pub job: PathBuf,
+    pub(crate) job: PathBuf,
     /// The engine that runs the tasks.
     #[arg(long, value_enum, default_value_t)]
-    pub engine: EngineOption,
+    pub(crate) engine: EngineOption,
     /// Number of bundles (groups of tasks) that run at once: workers of this machine or of HyperQueue, nodes
     /// of Slurm. Default: the processors of this machine; for Slurm, the nodes that Slurm lists, but with
     /// --dry-run or --openjd the processors of this machine.
     #[arg(long, value_name = "N")]
-    pub slots: Option<usize>,
+    pub(crate) slots: Option<usize>,
     /// Continue an unfinished database.
     #[arg(long)]
-    pub resume: bool,
+    pub(crate) resume: bool,
     /// With --resume: try quarantined tasks again.
     #[arg(long, requires = "resume")]
-    pub retry_quarantined: bool,
+    pub(crate) retry_quarantined: bool,
     /// With --resume: read every image and compare it with its checksum.
     #[arg(long, requires = "resume")]
-    pub verify: bool,
+    pub(crate) verify: bool,
     /// Render a coarse subset first: every eighth view at the smallest size and the coarsest step.
     #[arg(long)]
-    pub preview: bool,
+    pub(crate) preview: bool,
     /// Render nothing: print the volume files in their order, with their time steps.
     #[arg(long, conflicts_with_all = ["dry_run", "openjd", "resume", "report", "save_tasks", "verify",
         "retry_quarantined", "preview", "deadline", "price", "slots", "order", "overhead"])]
-    pub list: bool,
+    pub(crate) list: bool,
     /// Render nothing: print plan, cost and expected end.
     #[arg(long)]
-    pub dry_run: bool,
+    pub(crate) dry_run: bool,
     /// With --dry-run: find the smallest number of nodes that meets this deadline (90s, 30m, 2h, 1.5d).
     #[arg(long, value_name = "TIME", requires = "dry_run", value_parser = parse_duration)]
-    pub deadline: Option<f64>,
+    pub(crate) deadline: Option<f64>,
     /// With --dry-run: price of a node hour.
     #[arg(long, value_name = "PRICE", requires = "dry_run")]
-    pub price: Option<f64>,
+    pub(crate) price: Option<f64>,
     /// Order in which tasks are sent.
     #[arg(long, value_enum, default_value_t)]
-    pub order: OrderOption,
+    pub(crate) order: OrderOption,
     /// Overhead per bundle, seconds; default: the engine's usual overhead.
     #[arg(long, value_name = "SECONDS")]
-    pub overhead: Option<f64>,
+    pub(crate) overhead: Option<f64>,
     /// Longest time that a bundle may request (90s, 30m, 2h). Slurm ends a bundle that takes longer than it
     /// requested. HyperQueue does not; there, `timeout_s` in the job file ends a task that hangs.
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub time_limit: Option<f64>,
+    pub(crate) time_limit: Option<f64>,
     /// Python with HyperQueue's package [default: python3].
     #[arg(long, value_name = "PROGRAM")]
-    pub python: Option<String>,
+    pub(crate) python: Option<String>,
     /// Folder of a running HyperQueue server; default: a new server with workers is started.
     #[arg(long, value_name = "DIR")]
-    pub server_dir: Option<String>,
+    pub(crate) server_dir: Option<String>,
     /// Processors per HyperQueue bundle [default: 1].
     #[arg(long, value_name = "N")]
-    pub cpus: Option<u32>,
+    pub(crate) cpus: Option<u32>,
     /// Additional option of sbatch, such as --sbatch=--partition=long; may be given several times.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
-    pub sbatch: Vec<String>,
+    pub(crate) sbatch: Vec<String>,
     /// Write a report (HTML) when done; with --dry-run it covers the finished tasks.
     #[arg(long, value_name = "FILE.html")]
-    pub report: Option<PathBuf>,
+    pub(crate) report: Option<PathBuf>,
     /// Write the tasks with their expected seconds as a list (CSV) for `entire schedule` and for `list` in
     /// the job file's table `[predict]`.
     #[arg(long, value_name = "TASKS.csv")]
-    pub save_tasks: Option<PathBuf>,
+    pub(crate) save_tasks: Option<PathBuf>,
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of about equal expected
     /// time.
     #[arg(long, value_name = "FILE.json", conflicts_with_all = ["dry_run", "report", "save_tasks", "preview",
         "deadline", "price"])]
-    pub openjd: Option<PathBuf>,
+    pub(crate) openjd: Option<PathBuf>,
 }
 
 /// A worker of `entire farm`; engines start it.
 #[derive(Debug, clap::Args)]
-pub struct WorkerOptions {
+pub(crate) struct WorkerOptions {
     /// The state folder of the database.
-    pub state: PathBuf,
+    pub(crate) state: PathBuf,
     /// The worker's name.
     #[arg(long, value_name = "NAME")]
-    pub node: Option<String>,
+    pub(crate) node: Option<String>,
     /// Run this bundle and end; default: read bundles from standard input.
     #[arg(long, value_name = "N")]
-    pub bundle: Option<u64>,
+    pub(crate) bundle: Option<u64>,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// A bad job file, a missing engine, tasks that were given up.
-pub fn run(options: &Options, program: &[OsString]) -> Result<()> {
+pub(crate) fn run(options: &Options, program: &[OsString]) -> Result<()> {
     let job = Job::open(&options.job)?;
     ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");
     for (option, value, what) in
@@ -254,11 +250,7 @@ fn check_engine(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Runs a worker.
-///
-/// # Errors
-/// When the database cannot be read or written.
-pub fn work(options: &WorkerOptions) -> Result<()> {
+pub(crate) fn work(options: &WorkerOptions) -> Result<()> {
     let node = options
         .node
         .clone()

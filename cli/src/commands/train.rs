@@ -47,71 +47,67 @@ Examples:
   entire train --data frames.csv --pictures pictures.csv \\
       --out both.safetensors --model-kind analytic
         frame times, and picture errors of coarser steps and smaller images")]
-pub struct Options {
+pub(crate) struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
-    pub data: Vec<PathBuf>,
+    pub(crate) data: Vec<PathBuf>,
     /// Table of compared pictures: a quality law (picture error over ray step and image size) is fitted to it and
     /// stored in the model file, for steering that coarsens both.
     ///
     /// Columns: scene, step (multiple of the finest step), image_sample_distance (pixels), seconds, error (0
     /// for equal pictures). Each scene is drawn at the same settings, full quality among them.
     #[arg(long, value_name = "CSV")]
-    pub pictures: Option<PathBuf>,
+    pub(crate) pictures: Option<PathBuf>,
     /// Model file to write; its model card is written beside it as Markdown.
     #[arg(long, value_name = "SAFETENSORS")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// The model, and its training.
     #[command(flatten)]
-    pub recipe: Recipe,
+    pub(crate) recipe: Recipe,
     /// Start from this model: its layers, inputs, target and standardization stay, and training continues
     /// from its weights.
     #[arg(long, value_name = "SAFETENSORS")]
-    pub fine_tune: Option<PathBuf>,
+    pub(crate) fine_tune: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; the VolumeNet is also written into the new file.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
-    pub volumenet: Option<PathBuf>,
+    pub(crate) volumenet: Option<PathBuf>,
     /// Group of frames that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
-    pub split: GroupBy,
+    pub(crate) split: GroupBy,
     /// Members or volumes (as --split says) for validation. If neither these nor --test-groups are named, a
     /// random tenth of the groups is taken for validation, and another tenth for testing. If only one of the
     /// two is named, the other part is empty.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
-    pub validation_groups: Vec<String>,
+    pub(crate) validation_groups: Vec<String>,
     /// Members or volumes for testing; see --validation-groups.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
-    pub test_groups: Vec<String>,
+    pub(crate) test_groups: Vec<String>,
     /// Clock of the learned seconds. Default: the clock of the model that training starts from, else auto for
     /// frames of a GPU and cpu (processor time) for others; if some frame has no time by that clock, auto.
     #[arg(long, value_enum)]
-    pub clock: Option<Clock>,
+    pub(crate) clock: Option<Clock>,
     /// Only frames with this shading: none, local, scatter or local-scatter.
     #[arg(long)]
-    pub shade: Option<entire_core::scene::Shading>,
+    pub(crate) shade: Option<entire_core::scene::Shading>,
     /// Use only this many training frames, chosen by the seed.
     #[arg(long, value_name = "FRAMES")]
-    pub limit: Option<usize>,
+    pub(crate) limit: Option<usize>,
     /// Storage format of weights.
     #[arg(long, value_enum, default_value_t = DtypeChoice::F32)]
-    pub dtype: DtypeChoice,
+    pub(crate) dtype: DtypeChoice,
     /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER")]
-    pub root: Option<PathBuf>,
+    pub(crate) root: Option<PathBuf>,
     /// Threads; default: all logical processors.
     #[arg(long)]
-    pub threads: Option<usize>,
+    pub(crate) threads: Option<usize>,
 }
 
 /// Standard deviation of ln(median time of a frame's repeats) above which a note says that the data are
 /// noisy.
 const NOISY: f64 = 0.2;
 
-/// Runs the command.
-///
-/// # Errors
-/// When the data cannot be read or do not fit, a setting is out of range, or the model cannot be written.
-pub fn run(options: &Options) -> Result<()> {
+pub(crate) fn run(options: &Options) -> Result<()> {
     let started = Instant::now();
     check_model_out(&options.out)?;
     let bases = options.fine_tune.iter().chain(&options.volumenet);
