@@ -78,7 +78,7 @@ impl Job {
         parts[parts.len().saturating_sub(keep)..].join("/")
     }
 
-    /// Returns the scene of a random frame of the volume, which is rendered with `dims` voxels (x, y, z).
+    /// Returns the scene of a frame of the volume, which is rendered with `dims` voxels (x, y, z).
     pub(crate) fn scene(
         &self,
         drawn: RandomScene,

@@ -17,6 +17,7 @@ use entire_io::options::{
     DrawSettings, RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
 };
 use entire_io::path::{FlightPath, Generated, parse_target};
+use entire_io::scenes::RandomScene;
 use entire_io::volume::{Reading, Volume};
 use entire_io::{device, identity, interrupt};
 use entire_steer::control::StepLimits;
@@ -346,21 +347,12 @@ fn write_table(
         let job = &jobs[volume];
         for records in &playback.records {
             let r = &records[i];
-            let scene = Scene {
-                volume: job.name(),
-                member: job.member.clone(),
-                time_step: job.time_step,
-                dims: volumes[volume].dims().map(|n| n as u32),
-                camera: at.camera,
-                fov_y_degrees: path.fov_y_degrees,
-                width: r.size.0,
-                height: r.size.1,
-                step: r.step,
-                shading: draw.shading,
-                skipping: draw.skipping,
-                termination: draw.termination,
-                lobes: at.transfer.lobes().unwrap_or_default(),
-            };
+            let (camera, (width, height), step) = (at.camera, r.size, r.step);
+            let lobes = at.transfer.lobes().unwrap_or_default();
+            let drawn = RandomScene { camera, width, height, step, lobes };
+            let modes = (draw.shading, draw.skipping, draw.termination);
+            let scene = job.scene(drawn, volumes[volume].dims(), modes);
+            let scene = Scene { fov_y_degrees: path.fov_y_degrees, ..scene };
             table.append(number, &scene, &[r.measured])?;
             number += 1;
         }
