@@ -60,19 +60,28 @@ impl ControllerKind {
 
     /// The title in charts and tables.
     pub const fn title(self) -> &'static str {
+        self.shown().0
+    }
+
+    /// The color, the same in all charts.
+    pub(crate) const fn color(self) -> usize {
+        self.shown().1
+    }
+
+    const fn shown(self) -> (&'static str, usize) {
         match self {
-            Self::Fixed => "fixed step",
-            Self::Olp => "OLP (mean of 3)",
-            Self::Last => "last frame",
-            Self::LargerOfTwo => "larger of 2",
-            Self::Pid => "PID",
-            Self::Algorithm1 => "Algorithm 1",
-            Self::Hybrid => "entire",
-            Self::VtkGpu => "VTK GPU",
-            Self::VtkFixedPoint => "VTK fixed-point",
-            Self::VtkJs => "vtk.js",
-            Self::Unreal => "Unreal",
-            Self::Filament => "Filament",
+            Self::Fixed => ("fixed step", 5),
+            Self::Olp => ("OLP (mean of 3)", 1),
+            Self::Last => ("last frame", 9),
+            Self::LargerOfTwo => ("larger of 2", 9),
+            Self::Pid => ("PID", 3),
+            Self::Algorithm1 => ("Algorithm 1", 2),
+            Self::Hybrid => ("entire", 0),
+            Self::VtkGpu => ("VTK GPU", 4),
+            Self::VtkFixedPoint => ("VTK fixed-point", 7),
+            Self::VtkJs => ("vtk.js", 6),
+            Self::Unreal => ("Unreal", 8),
+            Self::Filament => ("Filament", 9),
         }
     }
 

@@ -63,8 +63,9 @@ pub(crate) struct Story {
     pub(crate) provenance: Provenance,
 }
 
-fn title(name: &str) -> String {
-    ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
+/// Title and color of a controller.
+fn shown(name: &str) -> (String, usize) {
+    ControllerKind::from_name(name).map_or((name.to_owned(), 9), |k| (k.title().to_owned(), k.color()))
 }
 
 /// Returns the name of the setting that a controller chooses.
@@ -73,22 +74,6 @@ fn acts_on(playback: &Playback, controller: usize) -> &'static str {
     match playback.acts_on[controller] {
         ActsOn::RayStep if smaller => "ray step and image",
         other => other.name(),
-    }
-}
-
-/// Color of a controller, the same in all charts.
-fn color(name: &str) -> usize {
-    match name {
-        "fixed" => 5,
-        "olp" => 1,
-        "pid" => 3,
-        "algorithm1" => 2,
-        "hybrid" => 0,
-        "vtk-gpu" => 4,
-        "vtk-fixed-point" => 7,
-        "vtk-js" => 6,
-        "unreal" => 8,
-        _ => 9,
     }
 }
 
@@ -112,7 +97,7 @@ pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
         (|m| m.mean_psnr, 1.0),
     ];
     for (controller, (name, m)) in playback.names.iter().zip(metrics).enumerate() {
-        let mut row = vec![title(name).into(), acts_on(playback, controller).into()];
+        let mut row = vec![shown(name).0.into(), acts_on(playback, controller).into()];
         row.extend(figures.iter().map(|(value, factor)| {
             let value = value(m) * factor;
             value.is_finite().then(|| format!("{value:.1}")).into()
@@ -202,9 +187,7 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
         "switches": playback.switches,
         "volume": story.volume,
         "path": story.path,
-        "image": { "width_px": draw.width, "height_px": draw.height, "shading": draw.shading.to_string(),
-            "skipping": draw.skipping.to_string(), "termination": draw.termination,
-            "clock": draw.clock.name() },
+        "image": draw,
         "steps_allowed": [playback.limits.finest, playback.limits.coarsest],
         "predictor": story.predictor,
         "step_response": story.response.points,
@@ -242,7 +225,8 @@ fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
 
 fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) -> Mark) -> Chart {
     for (c, name) in playback.names.iter().enumerate() {
-        chart = chart.series(Series::new(title(name), mark(c)).color(color(name)));
+        let (title, color) = shown(name);
+        chart = chart.series(Series::new(title, mark(c)).color(color));
     }
     chart
 }
@@ -324,10 +308,9 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
             .rule(Rule::Horizontal(1.0, "exact".into()));
         let mut chart = with_switches(chart, &playback.switches);
         for c in predicting {
-            let name = &playback.names[c];
+            let (title, color) = shown(&playback.names[c]);
             let ratio = |r: &Record| f64::from(r.predicted) / r.seconds;
-            chart =
-                chart.series(Series::new(title(name), Mark::Line(numbered(c, &ratio))).color(color(name)));
+            chart = chart.series(Series::new(title, Mark::Line(numbered(c, &ratio))).color(color));
         }
         page.chart(
             &chart,
@@ -362,7 +345,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
                 let likeness = if r.psnr >= BEST_PSNR { "equal".into() } else { format!("{:.1} dB", r.psnr) };
                 pictures.push((
                     encode_png(image)?,
-                    format!("{}: {}, {:.1} ms, {likeness}", title(name), setting(r), r.seconds * 1e3),
+                    format!("{}: {}, {:.1} ms, {likeness}", shown(name).0, setting(r), r.seconds * 1e3),
                 ));
             }
         }
