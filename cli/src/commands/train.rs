@@ -290,17 +290,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let card = card(options, made, (&split, &tested), &tables, &results, (upper, held), noise.as_ref());
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
     for (p, m) in &results {
+        let [rmse, over_sd, mae, median, p95, r2_log] = figures(m);
         println!(
-            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  median error {:.2} %  p95 {:.1} \
-             %  R2(log) {:.4}",
+            "{:<10} {:>6} frames  RMSE {rmse} s ({over_sd} SD)  MAE {mae} s  median error {median} %  p95 {p95} %  \
+             R2(log) {r2_log}",
             p.name(),
-            m.frames,
-            m.rmse,
-            m.rmse_over_sd,
-            m.mae,
-            100.0 * m.mdape,
-            100.0 * m.p95,
-            m.r2_log
+            m.frames
         );
     }
     if let Some(n) = noise {
@@ -377,6 +372,13 @@ fn check_used(recipe: &Recipe) -> Result<()> {
         );
     }
     Ok(())
+}
+
+/// RMSE, RMSE/SD, mean absolute error, median error and 95th percentile in %, R² of the logarithms.
+fn figures(m: &Metrics) -> [String; 6] {
+    let [rmse, mae] = [m.rmse, m.mae].map(|seconds| format!("{seconds:.3e}"));
+    let [median, p95] = [format!("{:.2}", 100.0 * m.mdape), format!("{:.1}", 100.0 * m.p95)];
+    [rmse, format!("{:.3}", m.rmse_over_sd), mae, median, p95, format!("{:.4}", m.r2_log)]
 }
 
 /// Returns the model card, in Markdown: paragraphs, lists and tables, separated by blank lines.
@@ -464,17 +466,9 @@ fn card(
     let header = "| frames of | number | RMSE, s | RMSE/SD | MAE, s | median error | p95 error | R² in log |";
     let header = format!("{header}\n{}|", "|---".repeat(8));
     let row = |(p, m): &(Part, Metrics)| {
-        format!(
-            "| {} | {} | {:.3e} | {:.3} | {:.3e} | {:.2} % | {:.1} % | {:.4} |",
-            p.name(),
-            m.frames,
-            m.rmse,
-            m.rmse_over_sd,
-            m.mae,
-            100.0 * m.mdape,
-            100.0 * m.p95,
-            m.r2_log
-        )
+        let [rmse, over_sd, mae, median, p95, r2_log] = figures(m);
+        let errors = format!("{rmse} | {over_sd} | {mae} | {median} % | {p95} % | {r2_log}");
+        format!("| {} | {} | {errors} |", p.name(), m.frames)
     };
     let metrics = std::iter::once(header).chain(results.iter().map(row));
     md.extend(["## Metrics".to_owned(), lines(metrics.collect())]);
