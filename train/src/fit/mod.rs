@@ -26,7 +26,6 @@ use entire_io::dataset::{Table, TimedFrame};
 use entire_steer::predict::{InputRange, check_predictions};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
-use std::borrow::Cow;
 
 /// Context of fitting and prediction: the data and the machine.
 pub struct FitContext<'a> {
@@ -55,8 +54,8 @@ pub struct FittedModel {
     pub outcome: String,
 }
 
-/// Returns the seconds that the model's network predicts for rows of inputs, computed as in a session. The
-/// seconds are finite and positive.
+/// Returns the seconds that the model's network predicts for rows of inputs, computed as in a session: rows are
+/// clamped to the training range, if the model states it. The seconds are finite and positive.
 ///
 /// # Errors
 /// When the model holds no PredNet, or its output for a row is not finite.
@@ -68,19 +67,13 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
 /// As [`predict_rows`], with the model's network already built.
 fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
-    let rows = held(model, rows, width)?;
+    let mut rows = rows.to_vec();
+    if let Some(range) = InputRange::of(model, width)? {
+        rows.chunks_exact_mut(width).for_each(|row| range.hold(row));
+    }
     let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
     check_predictions(&mut seconds)?;
     Ok(seconds.into_iter().map(f64::from).collect())
-}
-
-/// Returns rows in the form in which the model's network gets them: clamped to the training range, if the
-/// model states it.
-fn held<'a>(model: &Model, rows: &'a [f32], width: usize) -> Result<Cow<'a, [f32]>> {
-    let Some(range) = InputRange::of(model, width)? else { return Ok(Cow::Borrowed(rows)) };
-    let mut rows = rows.to_vec();
-    rows.chunks_exact_mut(width).for_each(|row| range.hold(row));
-    Ok(Cow::Owned(rows))
 }
 
 /// Returns the seconds that a model file predicts for frames.

@@ -435,17 +435,14 @@ impl Recipe {
         // The estimate is not clamped, unlike the factor's inputs.
         InputRange::of_rows(&inputs[0], layout.width(), 1).store(&mut file)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
+        let units = joined(&self.layers);
+        let mean = match self.ensemble {
+            1 => String::new(),
+            count => format!(", mean of {count} networks stored as one"),
+        };
         Ok(FittedModel {
             file,
-            what: format!(
-                "Analytic cost model times a learned factor, {} hidden units{}",
-                joined(&self.layers),
-                if self.ensemble > 1 {
-                    format!(", mean of {} networks stored as one", self.ensemble)
-                } else {
-                    String::new()
-                }
-            ),
+            what: format!("Analytic cost model times a learned factor, {units} hidden units{mean}"),
             settings: json!({ "recipe": self.portable(), "unit_costs_seconds": costs }),
             history,
             outcome: format!("analytic part {report}; factor: {outcome}"),

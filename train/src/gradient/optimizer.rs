@@ -204,14 +204,11 @@ impl<T: Real> Trainer<T> {
         Ok(step)
     }
 
-    /// Returns the mean loss over rows, without gradients.
-    pub(crate) fn validate(&self, pool: &ThreadPool, inputs: &[T], targets: &[T]) -> f64 {
-        let rows = targets.len();
+    /// Returns the mean loss over rows, without gradients; `None` without rows.
+    pub(crate) fn validate(&self, pool: &ThreadPool, inputs: &[T], targets: &[T]) -> Option<f64> {
         let outputs = predict(pool, &self.network, inputs);
-        let loss = self.loss;
-        let total: f64 =
-            outputs.iter().zip(targets).map(|(&y, &t)| loss.value_and_slope(y, t).0.wide()).sum();
-        total / rows as f64
+        let losses = outputs.iter().zip(targets).map(|(&y, &t)| self.loss.value_and_slope(y, t).0.wide());
+        (!targets.is_empty()).then(|| losses.sum::<f64>() / targets.len() as f64)
     }
 }
 

@@ -222,11 +222,7 @@ pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
     };
     let mut widths = vec![inputs];
     widths.extend(std::iter::repeat_n(width, layers + 1));
-    let mut next = width / 2;
-    while next >= 16 {
-        widths.push(next);
-        next /= 2;
-    }
+    widths.extend(std::iter::successors(Some(width / 2), |w| Some(w / 2)).take_while(|w| *w >= 16));
     widths.push(1);
     Ok(widths)
 }
@@ -408,7 +404,8 @@ pub fn train(
             if !last {
                 if progress(&told).is_break() {
                     stop = Stop::Interrupted;
-                    let loss = validate(pool, &trainer, &judged).unwrap_or(total / ((at + 1) * batch) as f64);
+                    let validation = trainer.validate(pool, &judged.inputs, &judged.targets);
+                    let loss = validation.unwrap_or(total / ((at + 1) * batch) as f64);
                     if loss < best_loss {
                         (best_loss, best_epoch) = (loss, epoch);
                         best = trainer.network().clone();
@@ -418,7 +415,8 @@ pub fn train(
                 continue;
             }
             let training_loss = total / frames as f64;
-            let validation_loss = validate(pool, &trainer, &judged).unwrap_or(training_loss);
+            let validation = trainer.validate(pool, &judged.inputs, &judged.targets);
+            let validation_loss = validation.unwrap_or(training_loss);
             let record = EpochRecord { epoch, training_loss, validation_loss };
             history.push(record);
             // The training loss does not cover the weights after the epoch's last step, so these weights are
@@ -446,10 +444,6 @@ pub fn train(
     }
     let target = settings.target;
     Ok(Trained { network: best, standardization, target, history, best_epoch, best_loss, stop })
-}
-
-fn validate(pool: &ThreadPool, trainer: &Trainer<f32>, judged: &Prepared) -> Option<f64> {
-    (!judged.targets.is_empty()).then(|| trainer.validate(pool, &judged.inputs, &judged.targets))
 }
 
 fn shuffle(order: &mut [usize], rng: &mut ChaCha8Rng) {
