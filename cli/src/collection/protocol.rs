@@ -279,11 +279,6 @@ impl Protocol {
         }
         settings
     }
-
-    /// Returns the noun that messages put after the numbers of [`super::Outcome`].
-    pub(crate) fn counted(&self) -> &'static str {
-        if self.passes > 1 { "frames of all passes" } else { "frames" }
-    }
 }
 
 /// Returns the manifest of a new table, without the identities of volume files.

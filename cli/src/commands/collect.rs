@@ -144,10 +144,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 format!("{shown} has no manifest {}", Manifest::path_for(table).display())
             })?;
             let (mut protocol, jobs) = Protocol::of_manifest(&manifest).with_context(|| {
+                let file = Manifest::path_for(table);
                 format!(
-                    "the frames of {shown} cannot be collected again from its \
-                     manifest {}",
-                    Manifest::path_for(table).display()
+                    "the frames of {shown} cannot be collected again from its manifest {}",
+                    file.display()
                 )
             })?;
             protocol.repeats = options.repeats.unwrap_or(protocol.repeats);
@@ -300,7 +300,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     manifest.other.insert("runs".into(), with_run(Some(outcome)));
     if outcome.interrupted {
         manifest.write(&options.out)?;
-        bail!("interrupted after {} of {} {}; {go_on}", outcome.done, outcome.total, protocol.counted());
+        let counted = if protocol.passes > 1 { "frames of all passes" } else { "frames" };
+        bail!("interrupted after {} of {} {counted}; {go_on}", outcome.done, outcome.total);
     }
     // The feature table of earlier frames, which may lie beside a resumed table, does not match it.
     let frames = Table::read_without_features(&options.out, 0)?.frames;

@@ -78,11 +78,8 @@ pub(crate) struct Options {
 
 fn parse_storage(text: &str) -> Result<Storage, String> {
     Storage::ALL.into_iter().find(|s| s.to_string() == text).ok_or_else(|| {
-        format!(
-            "not a storage format of weights; accepted are \
-             {}",
-            Storage::ALL.map(|s| s.to_string()).join(", ")
-        )
+        let accepted = Storage::ALL.map(|s| s.to_string()).join(", ");
+        format!("not a storage format of weights; accepted are {accepted}")
     })
 }
 

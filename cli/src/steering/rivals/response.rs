@@ -23,9 +23,8 @@ impl StepResponse {
         for (i, &(step, time)) in samples.iter().enumerate() {
             ensure!(
                 step.is_finite() && step > 0.0 && time.is_finite() && time > 0.0,
-                "step response sample {i} is ({step}, {time}); step ratio and time ratio must be finite \
-                     and \
-                     positive"
+                "step response sample {i} is ({step}, {time}); step ratio and time ratio must be finite and \
+                 positive"
             );
             logs.push((libm::log(f64::from(step)), libm::log(f64::from(time))));
         }
