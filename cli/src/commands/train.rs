@@ -292,8 +292,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for (p, m) in &results {
         let [rmse, over_sd, mae, median, p95, r2_log] = figures(m);
         println!(
-            "{:<10} {:>6} frames  RMSE {rmse} s ({over_sd} SD)  MAE {mae} s  median error {median} %  p95 {p95} %  \
-             R2(log) {r2_log}",
+            "{:<10} {:>6} frames  RMSE {rmse} s ({over_sd} SD)  MAE {mae} s  median error {median} %  p95 \
+             {p95} %  R2(log) {r2_log}",
             p.name(),
             m.frames
         );

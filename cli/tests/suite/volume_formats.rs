@@ -1,5 +1,6 @@
-//! Every reader on files of other libraries (see fixtures/make_volumes.py) and on broken files. `independent_readers`
-//! compares size, spacing and voxels of every file in fixtures/; these tests cover what its table does not state.
+//! Every reader on files of other libraries (see fixtures/make_volumes.py) and on broken files.
+//! `independent_readers` compares size, spacing and voxels of every file in fixtures/; these tests cover what
+//! its table does not state.
 
 use crate::support::{fixture, report, words};
 use entire_io::volume::{Reading, Volume, VolumeData};

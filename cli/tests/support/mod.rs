@@ -77,8 +77,8 @@ pub(crate) fn fails(folder: &Path, line: &str, code: i32, parts: &[&str]) {
     parts.iter().for_each(|part| assert!(told.contains(part), "{line}: {part}: {told}"));
 }
 
-/// Output of `entire probe` on a device, as JSON if `json` is true. While other programs run, the times of short
-/// frames may be too noisy, which the command reports. Longer frames are tried then.
+/// Output of `entire probe` on a device, as JSON if `json` is true. While other programs run, the times of
+/// short frames may be too noisy, which the command reports. Longer frames are tried then.
 pub(crate) fn probed(folder: &Path, device: &str, json: bool) -> String {
     let mut said = String::new();
     for milliseconds in ["10", "40", "160", "640"] {

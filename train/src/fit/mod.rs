@@ -54,8 +54,8 @@ pub struct FittedModel {
     pub outcome: String,
 }
 
-/// Returns the seconds that the model's network predicts for rows of inputs, computed as in a session: rows are
-/// clamped to the training range, if the model states it. The seconds are finite and positive.
+/// Returns the seconds that the model's network predicts for rows of inputs, computed as in a session: rows
+/// are clamped to the training range, if the model states it. The seconds are finite and positive.
 ///
 /// # Errors
 /// When the model holds no PredNet, or its output for a row is not finite.
