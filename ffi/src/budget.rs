@@ -1,7 +1,7 @@
 //! `entire_budget`: the time of a window's frame, divided among the passes that draw volumes in it.
 
 use crate::abi::{slice, slice_mut, write};
-use crate::guard::guard;
+use crate::guard::{entry, guard};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_steer::control::{FrameBudget, PassShare};
@@ -70,11 +70,10 @@ fn check_seconds(seconds: f32, what: &str) -> Result<(), Failure> {
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_budget_begin(budget: *mut entire_budget, volumes: u32) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `budget` is NULL or valid.
-    guard(|| unsafe {
+    entry!(guard(|| {
         value::<_, FrameBudget>(budget, "budget")?.begin(volumes);
         Ok(())
-    })
+    }))
 }
 
 /// Computes the seconds that the next pass may take if the whole frame may take `target` seconds; pass the
@@ -90,13 +89,12 @@ pub unsafe extern "C" fn entire_budget_share(
     target: f32,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid.
-    guard(|| unsafe {
+    entry!(guard(|| {
         let budget: FrameBudget = read(budget, "budget")?;
         let pass: PassShare = read(pass, "pass")?;
         check_seconds(target, "target")?;
         write(seconds, budget.share(&pass, target), "seconds (output)")
-    })
+    }))
 }
 
 /// Adds a pass that took `seconds`. `full_seconds` is its estimated time at full quality: `seconds` *
@@ -110,16 +108,15 @@ pub unsafe extern "C" fn entire_budget_drew(
     seconds: f32,
     full_seconds: f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `budget` and `pass` are NULL or valid, and they point to
-    // different objects.
-    guard(|| unsafe {
+    // `budget` and `pass` point to different objects.
+    entry!(guard(|| {
         let budget = value::<_, FrameBudget>(budget, "budget")?;
         let pass = value::<_, PassShare>(pass, "pass")?;
         check_seconds(seconds, "seconds")?;
         check_seconds(full_seconds, "full_seconds")?;
         budget.drew(pass, seconds, full_seconds);
         Ok(())
-    })
+    }))
 }
 
 /// Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included unusual
@@ -133,11 +130,10 @@ pub unsafe extern "C" fn entire_budget_end(
     seconds: f32,
     usual: u32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `budget` is NULL or valid.
-    guard(|| unsafe {
+    entry!(guard(|| {
         let budget = value::<_, FrameBudget>(budget, "budget")?;
         check_seconds(seconds, "seconds")?;
         budget.end(seconds, usual != 0);
         Ok(())
-    })
+    }))
 }

@@ -1,7 +1,7 @@
 //! `entire_frame`: the next frame to draw, and the settings that a caller can choose from.
 
 use crate::abi::{by_value, init_struct};
-use crate::guard::guard;
+use crate::guard::{entry, guard};
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, refuse};
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping};
@@ -132,8 +132,7 @@ const _: () = assert!(size_of::<entire_setting>() == 20);
 /// Fills a frame with its defaults; `struct_size` is sizeof(entire_frame).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_frame_init(frame: *mut entire_frame, struct_size: usize) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `frame` is NULL or valid for writing `struct_size` bytes.
-    guard(|| unsafe { init_struct(frame, struct_size) })
+    entry!(guard(|| init_struct(frame, struct_size)))
 }
 
 pub(crate) fn shading(number: u32) -> Result<Shading, Failure> {

@@ -1,8 +1,9 @@
 //! Wrapper in which every entry point runs its body. Handles are checked, panics become [`ENTIRE_PANIC`] and
 //! mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
 
-use crate::abi::write_text;
-use crate::handle::{Handle, Status, borrow, release};
+use crate::abi::{check_pointer, write, write_text};
+use crate::handle::{Handle, Held, Status, borrow, give, release};
+use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use crate::sink;
@@ -42,6 +43,15 @@ pub extern "C" fn entire_last_error() -> *const c_char {
     }
 }
 
+/// Runs the body of an entry point: an expression whose unsafe calls require only the pointer rules in lib.rs.
+macro_rules! entry {
+    ($call:expr) => {
+        // SAFETY: by the pointer rules in lib.rs, which the callers of all entry points guarantee.
+        unsafe { $call }
+    };
+}
+pub(crate) use entry;
+
 /// Runs a body that works on no handle.
 pub(crate) fn guard(body: impl FnOnce() -> Outcome) -> entire_result {
     ended(contained(body), None)
@@ -58,7 +68,7 @@ pub(crate) unsafe fn reading<H: Handle>(
     // SAFETY: the caller guarantees that `handle` is NULL, or live and not being changed.
     let result = contained(|| body(unsafe { borrow(handle)? }));
     // SAFETY: the caller guarantees that `handle` is NULL or live.
-    ended(result, unsafe { handle.as_ref() }.map(H::status))
+    ended(result, unsafe { handle.as_ref() }.map(|handle| &handle.held().status))
 }
 
 /// Runs a body that changes a handle; success clears the handle's last error.
@@ -72,7 +82,7 @@ pub(crate) unsafe fn changing<H: Handle>(
     let result = contained(|| {
         // SAFETY: the caller guarantees that `handle` is NULL, or live and used by this thread alone.
         let handle = unsafe { handle.as_mut() }.ok_or_else(|| Failure::null(H::NAME))?;
-        let (status, value) = handle.parts_mut();
+        let Held { status, value } = handle.held_mut();
         if status.is_unusable() {
             return Err(Failure::unusable(H::NAME));
         }
@@ -81,7 +91,25 @@ pub(crate) unsafe fn changing<H: Handle>(
         Ok(())
     });
     // SAFETY: the caller guarantees that `handle` is NULL or live; the body's exclusive borrow has ended.
-    ended(result, unsafe { handle.as_ref() }.map(H::status))
+    ended(result, unsafe { handle.as_ref() }.map(|handle| &handle.held().status))
+}
+
+/// Makes a value, and hands a new handle of it to C. `name` is the name of `out` in messages.
+///
+/// # Safety
+/// `out` is NULL or valid for one write.
+pub(crate) unsafe fn making<H: Handle>(
+    out: *mut *mut H,
+    name: &str,
+    make: impl FnOnce() -> Result<H::Value, Failure>,
+) -> entire_result {
+    guard(|| {
+        check_pointer(out, name)?;
+        reserve::check()?;
+        let value = make()?;
+        // SAFETY: the caller guarantees that `out` is NULL or valid for one write.
+        unsafe { write(out, give(value), name) }
+    })
 }
 
 /// Frees a handle; NULL does nothing.
@@ -112,7 +140,7 @@ pub(crate) unsafe fn last_error_of<H: Handle>(
         // SAFETY: the caller guarantees that `handle` is NULL or live.
         let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
         // SAFETY: the caller guarantees that `buffer` and `length` are NULL or valid for writing.
-        unsafe { write_text(&handle.status().text(), buffer, capacity, length) }
+        unsafe { write_text(&handle.held().status.text(), buffer, capacity, length) }
     })
 }
 
@@ -211,13 +239,10 @@ fn keep_panics_quiet() {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::handle::{give, handle};
+    use crate::handle::handle;
     use std::ffi::CStr;
 
-    struct entire_probe {
-        status: Status,
-        value: u32,
-    }
+    struct entire_probe(Held<u32>);
     handle!(entire_probe, u32);
 
     fn last_error() -> String {

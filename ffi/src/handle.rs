@@ -48,25 +48,29 @@ impl Status {
     }
 }
 
+/// Content of a handle.
+pub(crate) struct Held<T> {
+    pub(crate) status: Status,
+    pub(crate) value: T,
+}
+
 /// A type of handle, which C holds by pointer.
 pub(crate) trait Handle: Sized {
     /// Type of the value that the handle holds.
     type Value;
     /// Name of the handle's type in error messages.
     const NAME: &'static str;
-    /// Makes a handle from its state and its value.
-    fn assemble(status: Status, value: Self::Value) -> Self;
-    /// The handle's error state.
-    fn status(&self) -> &Status;
-    /// The handle's value.
-    fn value(&self) -> &Self::Value;
-    /// The handle's error state, and its value for writing.
-    fn parts_mut(&mut self) -> (&Status, &mut Self::Value);
+    /// Makes a handle from its content.
+    fn new(held: Held<Self::Value>) -> Self;
+    /// The handle's content.
+    fn held(&self) -> &Held<Self::Value>;
+    /// The handle's content, for writing.
+    fn held_mut(&mut self) -> &mut Held<Self::Value>;
 }
 
 /// Hands a new handle to C.
 pub(crate) fn give<H: Handle>(value: H::Value) -> *mut H {
-    Arc::into_raw(Arc::new(H::assemble(Status::default(), value))).cast_mut()
+    Arc::into_raw(Arc::new(H::new(Held { status: Status::default(), value }))).cast_mut()
 }
 
 /// Ends the reference that [`give`] handed to C.
@@ -86,33 +90,30 @@ pub(crate) unsafe fn release<H: Handle>(handle: *mut H) {
 pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a H::Value, Failure> {
     // SAFETY: the caller guarantees that `handle` is NULL, or live and not being changed.
     let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
-    if handle.status().is_unusable() {
+    let Held { status, value } = handle.held();
+    if status.is_unusable() {
         return Err(Failure::unusable(H::NAME));
     }
-    Ok(handle.value())
+    Ok(value)
 }
 
-/// Implements [`Handle`] for a type with the fields `status` and `value`.
+/// Implements [`Handle`] for a type whose only field is a [`Held`].
 macro_rules! handle {
     ($noun:ident, $value:ty) => {
         impl crate::handle::Handle for $noun {
             type Value = $value;
             const NAME: &'static str = stringify!($noun);
 
-            fn assemble(status: crate::handle::Status, value: $value) -> Self {
-                Self { status, value }
+            fn new(held: crate::handle::Held<$value>) -> Self {
+                Self(held)
             }
 
-            fn status(&self) -> &crate::handle::Status {
-                &self.status
+            fn held(&self) -> &crate::handle::Held<$value> {
+                &self.0
             }
 
-            fn value(&self) -> &$value {
-                &self.value
-            }
-
-            fn parts_mut(&mut self) -> (&crate::handle::Status, &mut $value) {
-                (&self.status, &mut self.value)
+            fn held_mut(&mut self) -> &mut crate::handle::Held<$value> {
+                &mut self.0
             }
         }
     };

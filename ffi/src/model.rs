@@ -4,8 +4,8 @@ use crate::abi::{
     ByValue, by_value, check_output, check_pointer, slice, slice_mut, text, write, write_struct,
 };
 use crate::frame::entire_shading;
-use crate::guard::{Outcome, freeing, guard, last_error_of, reading};
-use crate::handle::{Status, borrow, give, handle};
+use crate::guard::{Outcome, entry, freeing, last_error_of, making, reading};
+use crate::handle::{Held, borrow, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
 use crate::reserve;
@@ -89,10 +89,7 @@ by_value!(entire_input_group { name: std::ptr::null(), offset: 0, size: 0 });
 const ROWS_AT_ONCE: usize = 192;
 
 /// A model file in memory. Immutable: any number of threads and sessions may use one model at the same time.
-pub struct entire_model {
-    status: Status,
-    value: Loaded,
-}
+pub struct entire_model(Held<Loaded>);
 
 pub(crate) struct Loaded {
     model: Model,
@@ -247,14 +244,10 @@ pub unsafe extern "C" fn entire_model_open(
     path: *const c_char,
     model: *mut *mut entire_model,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `path` and `model` are NULL or valid.
-    guard(|| unsafe {
-        check_pointer(model, "model (output)")?;
-        reserve::check()?;
+    entry!(making(model, "model (output)", || {
         let path = text(path, "path")?;
-        let bytes = read(Path::new(path), "check the path of the model file")?;
-        give_model(&bytes, path, model)
-    })
+        load(&read(Path::new(path), "check the path of the model file")?, path)
+    }))
 }
 
 /// Reads the model of this machine for a shading mode, which `entire calibrate` stored in the user's data
@@ -271,18 +264,15 @@ pub unsafe extern "C" fn entire_model_open_machine(
     shading: entire_shading,
     model: *mut *mut entire_model,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or valid.
-    guard(|| unsafe {
-        check_pointer(model, "model (output)")?;
-        reserve::check()?;
+    entry!(making(model, "model (output)", || {
         let mode = crate::frame::shading(shading)?;
         let Some(folder) = data_folder() else {
             refuse!(ENTIRE_IO, "no home folder was found to look for the machine's model; set XDG_DATA_HOME");
         };
         let path = folder.join("entire").join(format!("machine-{mode}.safetensors"));
         let bytes = read(&path, &format!("make it with `entire calibrate --shade {mode}`"))?;
-        give_model(&bytes, &path.to_string_lossy(), model)
-    })
+        load(&bytes, &path.to_string_lossy())
+    }))
 }
 
 /// The user's data folder, as `entire calibrate` finds it.
@@ -331,28 +321,21 @@ pub unsafe extern "C" fn entire_model_from_bytes(
     byte_count: usize,
     model: *mut *mut entire_model,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `bytes` and `model` are NULL or valid.
-    guard(|| unsafe {
-        check_pointer(model, "model (output)")?;
-        reserve::check()?;
+    entry!(making(model, "model (output)", || {
         at_most("byte_count", byte_count, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")?;
-        give_model(slice(bytes, byte_count, "bytes")?, "model in memory", model)
-    })
+        load(slice(bytes, byte_count, "bytes")?, "model in memory")
+    }))
 }
 
-/// Writes a new handle of the model to `out`. `name` is the model's name in messages.
-///
-/// # Safety
-/// `out` is NULL or valid for one write.
-pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome {
+/// Reads a model from the bytes of a file. `name` is the model's name in messages.
+pub(crate) fn load(bytes: &[u8], name: &str) -> Result<Loaded, Failure> {
     let model = Model::from_bytes(bytes).map_err(|e| Failure::from(e).within(name))?;
     let loaded = Loaded::new(model, bytes)?;
     if sink::enabled(sink::ENTIRE_LOG_INFO) {
         let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
         sink::emit(sink::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
     }
-    // SAFETY: the caller guarantees that `out` is NULL or valid for one write.
-    unsafe { write(out, give(loaded), "model (output)") }
+    Ok(loaded)
 }
 
 /// Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
@@ -362,27 +345,24 @@ pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_
 /// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *const c_char) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
-    unsafe {
-        reading(model, |loaded| {
-            reserve::check()?;
-            let path = text(path, "path")?;
-            let io = |e: std::io::Error| {
-                Failure::new(ENTIRE_IO, format!("{path}: {e}; name a file in a folder that can be written"))
-            };
-            // Threads, processes and machines that save to one path each write a file of their own.
-            let random = || RandomState::new().hash_one(0);
-            let names = (0..SAVE_NAMES).map(|_| format!("{path}.{:016x}.part", random()));
-            let (mut file, beside) = create_first(names).map_err(io)?;
-            let written = file.write_all(&loaded.bytes).and_then(|()| file.sync_all());
-            drop(file);
-            written.and_then(|()| std::fs::rename(&beside, path)).map_err(|e| {
-                // A partial file is useless; a failure to remove it is ignored.
-                let _ = std::fs::remove_file(&beside);
-                io(e)
-            })
+    entry!(reading(model, |loaded| {
+        reserve::check()?;
+        let path = text(path, "path")?;
+        let io = |e: std::io::Error| {
+            Failure::new(ENTIRE_IO, format!("{path}: {e}; name a file in a folder that can be written"))
+        };
+        // Threads, processes and machines that save to one path each write a file of their own.
+        let random = || RandomState::new().hash_one(0);
+        let names = (0..SAVE_NAMES).map(|_| format!("{path}.{:016x}.part", random()));
+        let (mut file, beside) = create_first(names).map_err(io)?;
+        let written = file.write_all(&loaded.bytes).and_then(|()| file.sync_all());
+        drop(file);
+        written.and_then(|()| std::fs::rename(&beside, path)).map_err(|e| {
+            // A partial file is useless; a failure to remove it is ignored.
+            let _ = std::fs::remove_file(&beside);
+            io(e)
         })
-    }
+    }))
 }
 
 /// Creates a file under the first name that is free, and returns the file and its name. A link counts as a
@@ -406,27 +386,24 @@ pub unsafe extern "C" fn entire_model_describe(
     model: *const entire_model,
     info: *mut entire_model_info,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
-    unsafe {
-        reading(model, |loaded| {
-            check_output(info)?;
-            let model = &loaded.model;
-            let out = entire_model_info {
-                input_count: loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs()),
-                group_count: model.inputs.len(),
-                feature_count: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.feature_len()),
-                encoder_edge: model.volumenet.as_ref().map_or(0, |parts| parts.input),
-                scene_feature_count: model.scene_features.len(),
-                target: match model.prednet.as_ref().map(|net| net.target) {
-                    None => ENTIRE_TARGET_NONE,
-                    Some(Target::Seconds) => ENTIRE_TARGET_SECONDS,
-                    Some(Target::LogSeconds) => ENTIRE_TARGET_LOG_SECONDS,
-                },
-                ..ByValue::defaults()
-            };
-            write_struct(info, &out)
-        })
-    }
+    entry!(reading(model, |loaded| {
+        check_output(info)?;
+        let model = &loaded.model;
+        let out = entire_model_info {
+            input_count: loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs()),
+            group_count: model.inputs.len(),
+            feature_count: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.feature_len()),
+            encoder_edge: model.volumenet.as_ref().map_or(0, |parts| parts.input),
+            scene_feature_count: model.scene_features.len(),
+            target: match model.prednet.as_ref().map(|net| net.target) {
+                None => ENTIRE_TARGET_NONE,
+                Some(Target::Seconds) => ENTIRE_TARGET_SECONDS,
+                Some(Target::LogSeconds) => ENTIRE_TARGET_LOG_SECONDS,
+            },
+            ..ByValue::defaults()
+        };
+        write_struct(info, &out)
+    }))
 }
 
 /// Reads the name, size and place of the model's input group `index`; set group->struct_size first.
@@ -438,27 +415,24 @@ pub unsafe extern "C" fn entire_model_input_group(
     index: usize,
     group: *mut entire_input_group,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
-    unsafe {
-        reading(model, |loaded| {
-            check_output(group)?;
-            let groups = &loaded.model.inputs;
-            let (Some(found), Some(name)) = (groups.get(index), loaded.groups.get(index)) else {
-                refuse!(
-                    ENTIRE_INVALID_ARGUMENT,
-                    "input group {index} does not exist; the model has {} (numbered from 0)",
-                    groups.len()
-                );
-            };
-            let out = entire_input_group {
-                name: name.as_ptr(),
-                offset: groups[..index].iter().map(|g| g.size).sum(),
-                size: found.size,
-                ..ByValue::defaults()
-            };
-            write_struct(group, &out)
-        })
-    }
+    entry!(reading(model, |loaded| {
+        check_output(group)?;
+        let groups = &loaded.model.inputs;
+        let (Some(found), Some(name)) = (groups.get(index), loaded.groups.get(index)) else {
+            refuse!(
+                ENTIRE_INVALID_ARGUMENT,
+                "input group {index} does not exist; the model has {} (numbered from 0)",
+                groups.len()
+            );
+        };
+        let out = entire_input_group {
+            name: name.as_ptr(),
+            offset: groups[..index].iter().map(|g| g.size).sum(),
+            size: found.size,
+            ..ByValue::defaults()
+        };
+        write_struct(group, &out)
+    }))
 }
 
 /// The name of the model's scene feature `index`, NULL if there is no such feature. Valid as long as the
@@ -469,13 +443,10 @@ pub unsafe extern "C" fn entire_model_scene_feature(
     index: usize,
 ) -> *const c_char {
     let mut found = std::ptr::null();
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that no thread is changing.
-    unsafe {
-        reading(model, |loaded| {
-            found = loaded.scene_features.get(index).map_or(std::ptr::null(), |name| name.as_ptr());
-            Ok(())
-        });
-    }
+    entry!(reading(model, |loaded| {
+        found = loaded.scene_features.get(index).map_or(std::ptr::null(), |name| name.as_ptr());
+        Ok(())
+    }));
     found
 }
 
@@ -487,14 +458,11 @@ pub unsafe extern "C" fn entire_model_metadata(
     key: *const c_char,
 ) -> *const c_char {
     let mut found = std::ptr::null();
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
-    unsafe {
-        reading(model, |loaded| {
-            let key = text(key, "key")?;
-            found = loaded.metadata.get(key).map_or(std::ptr::null(), |value| value.as_ptr());
-            Ok(())
-        });
-    }
+    entry!(reading(model, |loaded| {
+        let key = text(key, "key")?;
+        found = loaded.metadata.get(key).map_or(std::ptr::null(), |value| value.as_ptr());
+        Ok(())
+    }));
     found
 }
 
@@ -513,19 +481,16 @@ pub unsafe extern "C" fn entire_model_encode(
     capacity: usize,
     feature_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
-    unsafe {
-        reading(model, |loaded| {
-            check_pointer(feature_count, "feature_count (output)")?;
-            let volume = borrow(volume)?;
-            let count = loaded.volumenet()?.0.feature_len();
-            if capacity < count {
-                refuse!(ENTIRE_SIZE_MISMATCH, "features holds {capacity} floats; the model writes {count}");
-            }
-            loaded.encode(volume, slice_mut(features, count, "features")?)?;
-            write(feature_count, count, "feature_count (output)")
-        })
-    }
+    entry!(reading(model, |loaded| {
+        check_pointer(feature_count, "feature_count (output)")?;
+        let volume = borrow(volume)?;
+        let count = loaded.volumenet()?.0.feature_len();
+        if capacity < count {
+            refuse!(ENTIRE_SIZE_MISMATCH, "features holds {capacity} floats; the model writes {count}");
+        }
+        loaded.encode(volume, slice_mut(features, count, "features")?)?;
+        write(feature_count, count, "feature_count (output)")
+    }))
 }
 
 /// Predicts one frame's time from the model's inputs in the file's order. Only the network is evaluated,
@@ -543,17 +508,14 @@ pub unsafe extern "C" fn entire_model_predict(
     input_count: usize,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
-    unsafe {
-        reading(model, |loaded| {
-            check_pointer(seconds, "seconds (output)")?;
-            let inputs = slice(inputs, input_count, "inputs")?;
-            let (net, pool) = loaded.prednet()?;
-            check_inputs(inputs, net.inputs(), 1)?;
-            let predicted = pool.with(|| net.scratch(1), |scratch| net.predict(inputs, scratch))?;
-            write(seconds, frame_time(predicted)?, "seconds (output)")
-        })
-    }
+    entry!(reading(model, |loaded| {
+        check_pointer(seconds, "seconds (output)")?;
+        let inputs = slice(inputs, input_count, "inputs")?;
+        let (net, pool) = loaded.prednet()?;
+        check_inputs(inputs, net.inputs(), 1)?;
+        let predicted = pool.with(|| net.scratch(1), |scratch| net.predict(inputs, scratch))?;
+        write(seconds, frame_time(predicted)?, "seconds (output)")
+    }))
 }
 
 /// Predicts many frames at once: `inputs` holds `rows` rows of `input_count` numbers, `seconds` receives
@@ -569,36 +531,33 @@ pub unsafe extern "C" fn entire_model_predict_batch(
     input_count: usize,
     seconds: *mut f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `model`.
-    unsafe {
-        reading(model, |loaded| {
-            let (net, _) = loaded.prednet()?;
-            let Some(count) = rows.checked_mul(input_count) else {
-                refuse!(
-                    ENTIRE_SIZE_MISMATCH,
-                    "{rows} rows of {input_count} inputs are more than memory can hold; check the counts"
-                );
-            };
-            let inputs = slice(inputs, count, "inputs")?;
-            let seconds = slice_mut(seconds, rows, "seconds (output)")?;
-            if rows == 0 {
-                return Ok(());
-            }
-            check_inputs(inputs, net.inputs(), rows)?;
-            let scratch = || net.scratch(ROWS_AT_ONCE);
-            // Predictions are written to separate memory first, so that a failed call leaves the caller's
-            // array unchanged.
-            let mut predicted = collected(std::iter::repeat_n(0.0f32, rows))?;
-            loaded.rows.with(scratch, |scratch| {
-                net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))
-            })??;
-            for (row, answer) in predicted.iter_mut().enumerate() {
-                *answer = frame_time(*answer).map_err(|e| e.within(format_args!("row {row}")))?;
-            }
-            seconds.copy_from_slice(&predicted);
-            Ok(())
-        })
-    }
+    entry!(reading(model, |loaded| {
+        let (net, _) = loaded.prednet()?;
+        let Some(count) = rows.checked_mul(input_count) else {
+            refuse!(
+                ENTIRE_SIZE_MISMATCH,
+                "{rows} rows of {input_count} inputs are more than memory can hold; check the counts"
+            );
+        };
+        let inputs = slice(inputs, count, "inputs")?;
+        let seconds = slice_mut(seconds, rows, "seconds (output)")?;
+        if rows == 0 {
+            return Ok(());
+        }
+        check_inputs(inputs, net.inputs(), rows)?;
+        let scratch = || net.scratch(ROWS_AT_ONCE);
+        // Predictions are written to separate memory first, so that a failed call leaves the caller's
+        // array unchanged.
+        let mut predicted = collected(std::iter::repeat_n(0.0f32, rows))?;
+        loaded.rows.with(scratch, |scratch| {
+            net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))
+        })??;
+        for (row, answer) in predicted.iter_mut().enumerate() {
+            *answer = frame_time(*answer).map_err(|e| e.within(format_args!("row {row}")))?;
+        }
+        seconds.copy_from_slice(&predicted);
+        Ok(())
+    }))
 }
 
 fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
@@ -631,14 +590,12 @@ pub unsafe extern "C" fn entire_model_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs.
-    unsafe { last_error_of(model, buffer, capacity, length) }
+    entry!(last_error_of(model, buffer, capacity, length))
 }
 
 /// Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a
 /// model may be freed before the sessions that use it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_free(model: *mut entire_model) {
-    // SAFETY: by the pointer rules in lib.rs, `model` is NULL or a live handle that nothing else uses.
-    unsafe { freeing(model) }
+    entry!(freeing(model))
 }

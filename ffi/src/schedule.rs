@@ -1,7 +1,7 @@
 //! Assignment of tasks to the nodes of a render farm.
 
 use crate::abi::{check_pointer, slice, slice_mut, write};
-use crate::guard::guard;
+use crate::guard::{entry, guard};
 use crate::limits::{ENTIRE_MAX_NODES, ENTIRE_MAX_TASKS, ENTIRE_MAX_TASKS_TIMES_NODES, at_most};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
@@ -25,8 +25,7 @@ pub unsafe extern "C" fn entire_schedule(
     node_of_task: *mut usize,
     makespan: *mut f64,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs.
-    guard(|| unsafe {
+    entry!(guard(|| {
         reserve::check()?;
         check_counts(task_count, node_count)?;
         let times = slice(seconds, task_count, "seconds")?;
@@ -48,7 +47,7 @@ pub unsafe extern "C" fn entire_schedule(
             write(makespan, longest, "makespan (output)")?;
         }
         Ok(())
-    })
+    }))
 }
 
 fn check_counts(tasks: usize, nodes: usize) -> Result<(), Failure> {

@@ -1,10 +1,9 @@
 //! `entire_transfer_function`: Gaussian lobes, VTK's nodes, or a table.
 
-use crate::abi::{check_pointer, slice, slice_mut, write};
-use crate::guard::{changing, freeing, guard, last_error_of, reading};
-use crate::handle::{Status, give, handle};
+use crate::abi::{slice, slice_mut};
+use crate::guard::{changing, entry, freeing, last_error_of, making, reading};
+use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_TRANSFER_POINTS, at_most};
-use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, collected, refuse};
 use entire_core::scene::{GaussianLobe, Node, Nodes, TABLE_LEN, TransferFunction, TransferTable};
@@ -63,10 +62,7 @@ const _: () = assert!(ENTIRE_TABLE_ENTRIES == TABLE_LEN);
 
 /// Colors and opacities over normalized scalar values. Immutable except for its unit distance. Sessions copy
 /// the data that they need.
-pub struct entire_transfer_function {
-    status: Status,
-    value: Transfer,
-}
+pub struct entire_transfer_function(Held<Transfer>);
 
 #[derive(Clone, Copy)]
 pub(crate) enum UnitDistance {
@@ -86,22 +82,12 @@ fn at_most_points(what: &str, found: usize) -> Result<(), Failure> {
     at_most(what, found, ENTIRE_MAX_TRANSFER_POINTS, "ENTIRE_MAX_TRANSFER_POINTS")
 }
 
-/// # Safety
-/// `out` is NULL or valid for one write.
-unsafe fn create(
-    out: *mut *mut entire_transfer_function,
-    function: impl FnOnce() -> Result<TransferFunction, Failure>,
-) -> entire_result {
-    guard(|| {
-        check_pointer(out, "transfer_function (output)")?;
-        reserve::check()?;
-        let function = function()?;
-        let table = function.to_table()?;
-        let unit = UnitDistance::ReferenceSteps(1.0);
-        let made = give(Transfer { function, table, unit });
-        // SAFETY: the caller guarantees that `out` is NULL or valid for one write.
-        unsafe { write(out, made, "transfer_function (output)") }
-    })
+/// Name of the output of the functions that make a transfer function, in messages.
+const OUTPUT: &str = "transfer_function (output)";
+
+fn transfer(function: TransferFunction) -> Result<Transfer, Failure> {
+    let table = function.to_table()?;
+    Ok(Transfer { function, table, unit: UnitDistance::ReferenceSteps(1.0) })
 }
 
 /// Makes a transfer function of Gaussian opacity lobes; with no lobes it is transparent everywhere. Colors
@@ -117,16 +103,12 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     lobe_count: usize,
     transfer_function: *mut *mut entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `lobes` and `transfer_function` are NULL or valid.
-    unsafe {
-        create(transfer_function, || {
-            at_most_points("lobe_count", lobe_count)?;
-            let lobes = slice(lobes, lobe_count, "lobes")?;
-            let lobes =
-                lobes.iter().map(|l| GaussianLobe { center: l.center, width: l.width, height: l.height });
-            Ok(TransferFunction::Gaussian(collected(lobes)?))
-        })
-    }
+    entry!(making(transfer_function, OUTPUT, || {
+        at_most_points("lobe_count", lobe_count)?;
+        let lobes = slice(lobes, lobe_count, "lobes")?;
+        let lobes = lobes.iter().map(|l| GaussianLobe { center: l.center, width: l.width, height: l.height });
+        transfer(TransferFunction::Gaussian(collected(lobes)?))
+    }))
 }
 
 /// Makes a transfer function of opacity and color nodes as in VTK and ParaView. Its values equal those of
@@ -150,27 +132,24 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     clamping: u32,
     transfer_function: *mut *mut entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid.
-    unsafe {
-        create(transfer_function, || {
-            at_most_points("opacity_count", opacity_count)?;
-            at_most_points("color_count", color_count)?;
-            let opacity = slice(opacity, opacity_count, "opacity")?.iter().map(|n| Node {
-                position: n.position,
-                value: n.opacity,
-                midpoint: n.midpoint,
-                sharpness: n.sharpness,
-            });
-            let color = slice(color, color_count, "color")?.iter().map(|n| Node {
-                position: n.position,
-                value: n.color,
-                midpoint: n.midpoint,
-                sharpness: n.sharpness,
-            });
-            let (opacity, color) = (collected(opacity)?, collected(color)?);
-            Ok(TransferFunction::Nodes(Nodes { opacity, color, range: (low, high), clamp: clamping != 0 }))
-        })
-    }
+    entry!(making(transfer_function, OUTPUT, || {
+        at_most_points("opacity_count", opacity_count)?;
+        at_most_points("color_count", color_count)?;
+        let opacity = slice(opacity, opacity_count, "opacity")?.iter().map(|n| Node {
+            position: n.position,
+            value: n.opacity,
+            midpoint: n.midpoint,
+            sharpness: n.sharpness,
+        });
+        let color = slice(color, color_count, "color")?.iter().map(|n| Node {
+            position: n.position,
+            value: n.color,
+            midpoint: n.midpoint,
+            sharpness: n.sharpness,
+        });
+        let (opacity, color) = (collected(opacity)?, collected(color)?);
+        transfer(TransferFunction::Nodes(Nodes { opacity, color, range: (low, high), clamp: clamping != 0 }))
+    }))
 }
 
 /// Makes a transfer function from a table: `entries` entries of red, green, blue and opacity in [0, 1], not
@@ -185,15 +164,12 @@ pub unsafe extern "C" fn entire_transfer_function_from_table(
     entries: usize,
     transfer_function: *mut *mut entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, both pointers are NULL or valid; four floats have the alignment
-    // of one.
-    unsafe {
-        create(transfer_function, || {
-            at_most_points("entries", entries)?;
-            let rgba = slice(rgba.cast::<[f32; 4]>(), entries, "rgba")?;
-            Ok(TransferFunction::uniform(rgba)?)
-        })
-    }
+    entry!(making(transfer_function, OUTPUT, || {
+        at_most_points("entries", entries)?;
+        // Four floats have the alignment of one.
+        let rgba = slice(rgba.cast::<[f32; 4]>(), entries, "rgba")?;
+        transfer(TransferFunction::uniform(rgba)?)
+    }))
 }
 
 /// Sets the distance along the ray over which the opacities hold, positive, in the given unit.
@@ -206,23 +182,20 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     distance: f32,
     unit: entire_unit,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `transfer_function`.
-    unsafe {
-        changing(transfer_function, |transfer| {
-            // This only checks the distance; entire_session_set_transfer_function applies it.
-            transfer.table.clone().with_unit_distance(distance)?;
-            transfer.unit = match unit {
-                ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),
-                ENTIRE_UNIT_WORLD => UnitDistance::World(distance),
-                other => refuse!(
-                    ENTIRE_INVALID_ARGUMENT,
-                    "unit is {other}; it must be ENTIRE_UNIT_REFERENCE_STEP (1) \
-                     or ENTIRE_UNIT_WORLD (2)"
-                ),
-            };
-            Ok(())
-        })
-    }
+    entry!(changing(transfer_function, |transfer| {
+        // This only checks the distance; entire_session_set_transfer_function applies it.
+        transfer.table.clone().with_unit_distance(distance)?;
+        transfer.unit = match unit {
+            ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),
+            ENTIRE_UNIT_WORLD => UnitDistance::World(distance),
+            other => refuse!(
+                ENTIRE_INVALID_ARGUMENT,
+                "unit is {other}; it must be ENTIRE_UNIT_REFERENCE_STEP (1) \
+                 or ENTIRE_UNIT_WORLD (2)"
+            ),
+        };
+        Ok(())
+    }))
 }
 
 /// Copies the table that predictions use: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over one unit
@@ -235,17 +208,14 @@ pub unsafe extern "C" fn entire_transfer_function_table(
     rgba: *mut f32,
     capacity: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `transfer_function`.
-    unsafe {
-        reading(transfer_function, |transfer| {
-            let table = transfer.table.rgba().as_flattened();
-            if capacity < table.len() {
-                refuse!(ENTIRE_SIZE_MISMATCH, "rgba holds {capacity} floats; the table has {}", table.len());
-            }
-            slice_mut(rgba, table.len(), "rgba")?.copy_from_slice(table);
-            Ok(())
-        })
-    }
+    entry!(reading(transfer_function, |transfer| {
+        let table = transfer.table.rgba().as_flattened();
+        if capacity < table.len() {
+            refuse!(ENTIRE_SIZE_MISMATCH, "rgba holds {capacity} floats; the table has {}", table.len());
+        }
+        slice_mut(rgba, table.len(), "rgba")?.copy_from_slice(table);
+        Ok(())
+    }))
 }
 
 /// Copies the text of the transfer function's last failure, like entire_session_last_error.
@@ -256,13 +226,11 @@ pub unsafe extern "C" fn entire_transfer_function_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs.
-    unsafe { last_error_of(transfer_function, buffer, capacity, length) }
+    entry!(last_error_of(transfer_function, buffer, capacity, length))
 }
 
 /// Frees a transfer function; NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_free(transfer_function: *mut entire_transfer_function) {
-    // SAFETY: by the pointer rules in lib.rs; nothing else uses `transfer_function`.
-    unsafe { freeing(transfer_function) }
+    entry!(freeing(transfer_function))
 }

@@ -5,13 +5,10 @@ mod update;
 #[cfg(test)]
 pub(crate) use update::*;
 
-use crate::abi::{
-    ByValue, by_value, check_output, check_pointer, init_struct, read_struct, slice, write, write_struct,
-};
-use crate::guard::{Outcome, changing, freeing, guard, last_error_of, reading};
-use crate::handle::{Status, give, handle};
+use crate::abi::{ByValue, by_value, check_output, init_struct, read_struct, slice, write_struct};
+use crate::guard::{Outcome, changing, entry, freeing, guard, last_error_of, making, reading};
+use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
-use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied, refuse};
 use crate::sink;
@@ -172,10 +169,7 @@ by_value!(entire_volume_info {
 
 /// Voxels, or bounds of bricks. Immutable except for its precomputed features and its time steps; may be used
 /// by any number of sessions.
-pub struct entire_volume {
-    status: Status,
-    value: Volume,
-}
+pub struct entire_volume(Held<Volume>);
 
 #[derive(Default)]
 pub(crate) struct Volume {
@@ -260,8 +254,7 @@ pub unsafe extern "C" fn entire_volume_desc_init(
     desc: *mut entire_volume_desc,
     struct_size: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `desc` is NULL or valid for writing `struct_size` bytes.
-    guard(|| unsafe { init_struct(desc, struct_size) })
+    entry!(guard(|| init_struct(desc, struct_size)))
 }
 
 /// Fills a brick description with its defaults; `struct_size` is sizeof(entire_brick_desc).
@@ -270,8 +263,7 @@ pub unsafe extern "C" fn entire_brick_desc_init(
     desc: *mut entire_brick_desc,
     struct_size: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `desc` is NULL or valid for writing `struct_size` bytes.
-    guard(|| unsafe { init_struct(desc, struct_size) })
+    entry!(guard(|| init_struct(desc, struct_size)))
 }
 
 /// Makes a volume of voxels. NaN and negative infinity count as the low end of the range, positive infinity
@@ -288,17 +280,12 @@ pub unsafe extern "C" fn entire_volume_new(
     desc: *const entire_volume_desc,
     volume: *mut *mut entire_volume,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `desc` and `volume` are NULL or valid, and `desc.voxels` is
-    // valid for `voxel_count` elements; borrowed voxels stay valid until the volume is freed.
-    guard(|| unsafe {
-        check_pointer(volume, "volume (output)")?;
-        reserve::check()?;
+    entry!(making(volume, "volume (output)", || {
         let desc = read_struct(desc)?;
         let voxels = take_voxels(&desc)?;
         log_volume(voxels.view());
-        let made = Volume { voxels: Some(voxels), scalar_type: desc.scalar_type, ..Volume::default() };
-        write(volume, give(made), "volume (output)")
-    })
+        Ok(Volume { voxels: Some(voxels), scalar_type: desc.scalar_type, ..Volume::default() })
+    }))
 }
 
 fn log_volume(view: &VolumeView<'_>) {
@@ -440,11 +427,7 @@ pub unsafe extern "C" fn entire_volume_from_bricks(
     desc: *const entire_brick_desc,
     volume: *mut *mut entire_volume,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `desc` and `volume` are NULL or valid, and `desc.bounds` is
-    // valid for two floats per brick.
-    guard(|| unsafe {
-        check_pointer(volume, "volume (output)")?;
-        reserve::check()?;
+    entry!(making(volume, "volume (output)", || {
         let desc = read_struct(desc)?;
         check_dims(desc.dims, None)?;
         at_most("brick_count", desc.brick_count, ENTIRE_MAX_BRICKS, "ENTIRE_MAX_BRICKS")?;
@@ -457,9 +440,8 @@ pub unsafe extern "C" fn entire_volume_from_bricks(
         };
         let bounds = slice(desc.bounds.cast::<[f32; 2]>(), desc.brick_count, "entire_brick_desc.bounds")?;
         let summary = VolumeSummary::from_bricks(desc.dims, desc.spacing, kept_as, desc.brick_edge, bounds)?;
-        let made = Volume { summary: summary.into(), scalar_type: desc.scalar_type, ..Volume::default() };
-        write(volume, give(made), "volume (output)")
-    })
+        Ok(Volume { summary: summary.into(), scalar_type: desc.scalar_type, ..Volume::default() })
+    }))
 }
 
 /// Sets precomputed volume features, from entire_model_encode with the same model in this or an earlier run;
@@ -473,19 +455,16 @@ pub unsafe extern "C" fn entire_volume_set_features(
     features: *const f32,
     feature_count: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `volume`.
-    unsafe {
-        changing(volume, |volume| {
-            at_most("feature_count", feature_count, ENTIRE_MAX_FEATURES, "ENTIRE_MAX_FEATURES")?;
-            let features = slice(features, feature_count, "features")?;
-            if let Some(i) = features.iter().position(|f| !f.is_finite()) {
-                refuse!(ENTIRE_INVALID_ARGUMENT, "feature {i} is {}; all must be finite", features[i]);
-            }
-            let kept = copied(features)?;
-            volume.features = (!kept.is_empty()).then_some(kept);
-            Ok(())
-        })
-    }
+    entry!(changing(volume, |volume| {
+        at_most("feature_count", feature_count, ENTIRE_MAX_FEATURES, "ENTIRE_MAX_FEATURES")?;
+        let features = slice(features, feature_count, "features")?;
+        if let Some(i) = features.iter().position(|f| !f.is_finite()) {
+            refuse!(ENTIRE_INVALID_ARGUMENT, "feature {i} is {}; all must be finite", features[i]);
+        }
+        let kept = copied(features)?;
+        volume.features = (!kept.is_empty()).then_some(kept);
+        Ok(())
+    }))
 }
 
 /// Reads the properties of a volume; set info->struct_size first.
@@ -496,8 +475,7 @@ pub unsafe extern "C" fn entire_volume_describe(
     volume: *const entire_volume,
     info: *mut entire_volume_info,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `volume`.
-    unsafe { reading(volume, |volume| describe(volume, info)) }
+    entry!(reading(volume, |volume| describe(volume, info)))
 }
 
 /// # Safety
@@ -532,13 +510,11 @@ pub unsafe extern "C" fn entire_volume_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs.
-    unsafe { last_error_of(volume, buffer, capacity, length) }
+    entry!(last_error_of(volume, buffer, capacity, length))
 }
 
 /// Frees a volume; NULL does nothing. Sessions that were given the volume keep the data that they need.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_free(volume: *mut entire_volume) {
-    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that nothing else uses.
-    unsafe { freeing(volume) }
+    entry!(freeing(volume))
 }

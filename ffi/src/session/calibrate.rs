@@ -2,10 +2,10 @@
 
 use super::entire_session;
 use super::options::hybrid_options;
-use crate::abi::{ByValue, by_value, check_output, check_pointer, write_struct};
-use crate::guard::{changing, reading};
-use crate::handle::borrow;
-use crate::model::{entire_model, give_model, share};
+use crate::abi::{ByValue, by_value, check_output, check_pointer, write, write_struct};
+use crate::guard::{changing, entry, reading};
+use crate::handle::{borrow, give};
+use crate::model::{entire_model, load, share};
 use crate::reserve;
 use crate::result::entire_result;
 use entire_steer::calibrate::{HeldOut, Picture};
@@ -83,14 +83,11 @@ pub unsafe extern "C" fn entire_session_record(
     prior: *const entire_model,
     frame_count: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            reserve::check()?;
-            let prior = if prior.is_null() { None } else { Some(borrow(prior)?.file()?) };
-            Ok(state.session.record(prior.as_ref(), frame_count)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        reserve::check()?;
+        let prior = if prior.is_null() { None } else { Some(borrow(prior)?.file()?) };
+        Ok(state.session.record(prior.as_ref(), frame_count)?)
+    }))
 }
 
 /// Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
@@ -108,31 +105,28 @@ pub unsafe extern "C" fn entire_session_calibrate(
     model: *mut *mut entire_model,
     report: *mut entire_calibration_report,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
-    unsafe {
-        reading(session, |state| {
-            check_pointer(model, "model (output)")?;
-            if !report.is_null() {
-                check_output(report)?;
-            }
-            reserve::check()?;
-            let made = state.session.calibrate()?;
-            give_model(&made.file.to_bytes()?, "calibrated model", model)?;
-            if !report.is_null() {
-                let out = entire_calibration_report {
-                    frames: made.frames,
-                    median_error: made.median_error,
-                    rmse_over_sd: made.rmse_over_sd,
-                    upper_factor: f64::from(made.upper.factor()),
-                    held_out: made.held_out as u32,
-                    scenes: made.quality.map_or(0, |q| u32::try_from(q.scenes).unwrap_or(u32::MAX)),
-                    ..ByValue::defaults()
-                };
-                write_struct(report, &out)?;
-            }
-            Ok(())
-        })
-    }
+    entry!(reading(session, |state| {
+        check_pointer(model, "model (output)")?;
+        if !report.is_null() {
+            check_output(report)?;
+        }
+        reserve::check()?;
+        let made = state.session.calibrate()?;
+        write(model, give(load(&made.file.to_bytes()?, "calibrated model")?), "model (output)")?;
+        if !report.is_null() {
+            let out = entire_calibration_report {
+                frames: made.frames,
+                median_error: made.median_error,
+                rmse_over_sd: made.rmse_over_sd,
+                upper_factor: f64::from(made.upper.factor()),
+                held_out: made.held_out as u32,
+                scenes: made.quality.map_or(0, |q| u32::try_from(q.scenes).unwrap_or(u32::MAX)),
+                ..ByValue::defaults()
+            };
+            write_struct(report, &out)?;
+        }
+        Ok(())
+    }))
 }
 
 /// Records the error of a picture against the same view at full quality, for entire_session_calibrate. The
@@ -159,13 +153,10 @@ pub unsafe extern "C" fn entire_session_record_picture(
     error: f64,
 ) -> entire_result {
     let picture = Picture { scene, step, distance: image_sample_distance, seconds, error };
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe {
-        changing(session, |state| {
-            reserve::check()?;
-            Ok(state.session.record_picture(picture)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        reserve::check()?;
+        Ok(state.session.record_picture(picture)?)
+    }))
 }
 
 /// Number of frames kept since entire_session_record; 0 before it.
@@ -176,12 +167,9 @@ pub unsafe extern "C" fn entire_session_recorded_count(
     session: *const entire_session,
     frame_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
-    unsafe {
-        reading(session, |state| {
-            crate::abi::write(frame_count, state.session.recorded().unwrap_or(0), "frame_count (output)")
-        })
-    }
+    entry!(reading(session, |state| {
+        write(frame_count, state.session.recorded().unwrap_or(0), "frame_count (output)")
+    }))
 }
 
 /// Replaces the session's model, keeping the options that the session was made with. Observations are
@@ -197,14 +185,11 @@ pub unsafe extern "C" fn entire_session_set_model(
     session: *mut entire_session,
     model: *const entire_model,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            reserve::check()?;
-            let predictor = borrow(model)?.predictor()?;
-            state.session.set_predictor(predictor, hybrid_options(&state.options)?);
-            state.model = Some(share(model));
-            Ok(())
-        })
-    }
+    entry!(changing(session, |state| {
+        reserve::check()?;
+        let predictor = borrow(model)?.predictor()?;
+        state.session.set_predictor(predictor, hybrid_options(&state.options)?);
+        state.model = Some(share(model));
+        Ok(())
+    }))
 }

@@ -10,11 +10,10 @@ mod state;
 #[cfg(test)]
 pub(crate) use {calibrate::*, observe::*, options::*, plan::*, settings::*, state::*};
 
-use crate::abi::{ByValue, check_pointer, read_struct, write};
-use crate::guard::{freeing, guard, last_error_of};
-use crate::handle::{Status, borrow, give, handle};
+use crate::abi::{ByValue, read_struct};
+use crate::guard::{entry, freeing, last_error_of, making};
+use crate::handle::{Held, borrow, handle};
 use crate::model::{entire_model, share};
-use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, refuse};
 use entire_steer::control::{Session, StepLimits};
@@ -25,10 +24,7 @@ use std::ffi::c_char;
 use std::sync::Arc;
 
 /// Predicts and steers one render loop. For one thread at a time; make one session for every loop.
-pub struct entire_session {
-    status: Status,
-    value: Loop,
-}
+pub struct entire_session(Held<Loop>);
 
 pub(crate) struct Loop {
     session: Session,
@@ -61,10 +57,7 @@ pub unsafe extern "C" fn entire_session_new(
     options: *const entire_session_options,
     session: *mut *mut entire_session,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, every pointer is NULL or valid.
-    guard(|| unsafe {
-        check_pointer(session, "session (output)")?;
-        reserve::check()?;
+    entry!(making(session, "session (output)", || {
         let options = if options.is_null() { ByValue::defaults() } else { read_struct(options)? };
         if options.reserved != 0 {
             refuse!(
@@ -83,8 +76,8 @@ pub unsafe extern "C" fn entire_session_new(
             made = made.with_probe(side, tolerance)?;
         }
         made.set_limits(limits)?;
-        write(session, give(Loop { session: made, model, volume: None, options }), "session (output)")
-    })
+        Ok(Loop { session: made, model, volume: None, options })
+    }))
 }
 
 /// Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its
@@ -100,23 +93,20 @@ pub unsafe extern "C" fn entire_session_last_error(
     capacity: usize,
     length: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs.
-    unsafe { last_error_of(session, buffer, capacity, length) }
+    entry!(last_error_of(session, buffer, capacity, length))
 }
 
 /// Frees a session; NULL does nothing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_free(session: *mut entire_session) {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that nothing else uses.
-    unsafe { freeing(session) }
+    entry!(freeing(session))
 }
 
 /// Panics on purpose, for the test of the panic boundary.
 #[cfg(feature = "test-panic")]
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_test_panic(session: *mut entire_session) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe { crate::guard::changing(session, |state| panic!("deliberate, with radius {:?}", state.radius())) }
+    entry!(crate::guard::changing(session, |state| panic!("deliberate, with radius {:?}", state.radius())))
 }
 
 fn check_flags(what: &str, found: u32, known: u32) -> Result<(), Failure> {

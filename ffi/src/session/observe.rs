@@ -2,7 +2,7 @@
 
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
-use crate::guard::changing;
+use crate::guard::{changing, entry};
 use crate::result::Failure;
 use crate::result::entire_result;
 use entire_steer::control::{ObserveFlags, Verdict};
@@ -43,27 +43,24 @@ pub unsafe extern "C" fn entire_session_observe(
     flags: u32,
     verdict: *mut entire_verdict,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            check_flags("flags", flags, ENTIRE_OBSERVE_UNUSUAL | ENTIRE_OBSERVE_CANCELLED)?;
-            if !verdict.is_null() {
-                check_pointer(verdict, "verdict (output)")?;
-            }
-            let noted = ObserveFlags {
-                unusual: flags & ENTIRE_OBSERVE_UNUSUAL != 0,
-                cancelled: flags & ENTIRE_OBSERVE_CANCELLED != 0,
-            };
-            let found = state
-                .session
-                .observe(plan_id, seconds, noted)
-                .map_err(|e| Failure::from(e).within(format_args!("{seconds} s for plan {plan_id}")))?;
-            if !verdict.is_null() {
-                write(verdict, found as u32, "verdict (output)")?;
-            }
-            Ok(())
-        })
-    }
+    entry!(changing(session, |state| {
+        check_flags("flags", flags, ENTIRE_OBSERVE_UNUSUAL | ENTIRE_OBSERVE_CANCELLED)?;
+        if !verdict.is_null() {
+            check_pointer(verdict, "verdict (output)")?;
+        }
+        let noted = ObserveFlags {
+            unusual: flags & ENTIRE_OBSERVE_UNUSUAL != 0,
+            cancelled: flags & ENTIRE_OBSERVE_CANCELLED != 0,
+        };
+        let found = state
+            .session
+            .observe(plan_id, seconds, noted)
+            .map_err(|e| Failure::from(e).within(format_args!("{seconds} s for plan {plan_id}")))?;
+        if !verdict.is_null() {
+            write(verdict, found as u32, "verdict (output)")?;
+        }
+        Ok(())
+    }))
 }
 
 /// Forgets every observation and every pending plan; volume, transfer function and limits stay.
@@ -71,11 +68,8 @@ pub unsafe extern "C" fn entire_session_observe(
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_reset(session: *mut entire_session) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe {
-        changing(session, |state| {
-            state.session.reset();
-            Ok(())
-        })
-    }
+    entry!(changing(session, |state| {
+        state.session.reset();
+        Ok(())
+    }))
 }

@@ -1,7 +1,7 @@
 //! Options of a session, and their checks.
 
 use crate::abi::{by_value, init_struct};
-use crate::guard::guard;
+use crate::guard::{entry, guard};
 use crate::result::Failure;
 use crate::result::entire_result;
 use entire_steer::control::{HybridOptions, StepLimits};
@@ -80,8 +80,7 @@ pub unsafe extern "C" fn entire_session_options_init(
     options: *mut entire_session_options,
     struct_size: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `options` is NULL or valid for writing `struct_size` bytes.
-    guard(|| unsafe { init_struct(options, struct_size) })
+    entry!(guard(|| init_struct(options, struct_size)))
 }
 
 pub(super) fn hybrid_options(options: &entire_session_options) -> Result<HybridOptions, Failure> {

@@ -3,7 +3,7 @@
 use super::entire_session;
 use crate::abi::{ByValue, by_value, check_output, check_pointer, read_struct, slice, write, write_struct};
 use crate::frame::{entire_frame, entire_setting};
-use crate::guard::changing;
+use crate::guard::{changing, entry};
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, is_frame_time, no_prediction, refuse};
 use entire_steer::control::{Plan, Reason, Session};
@@ -183,27 +183,24 @@ pub unsafe extern "C" fn entire_session_predict(
     frame: *const entire_frame,
     prediction: *mut entire_prediction,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            check_output(prediction)?;
-            let frame = read_struct(frame)?.checked(state.radius())?;
-            let p = state.session.predict(&frame)?;
-            if !is_frame_time(p.seconds) {
-                return Err(no_prediction(p.seconds));
-            }
-            let upper = bound(p.upper);
-            let out = entire_prediction {
-                seconds: p.seconds,
-                upper,
-                out_of_range: p.out_of_range,
-                absent: absent(p.seconds, upper, p.out_of_range),
-                source: p.source as u32,
-                ..ByValue::defaults()
-            };
-            write_struct(prediction, &out)
-        })
-    }
+    entry!(changing(session, |state| {
+        check_output(prediction)?;
+        let frame = read_struct(frame)?.checked(state.radius())?;
+        let p = state.session.predict(&frame)?;
+        if !is_frame_time(p.seconds) {
+            return Err(no_prediction(p.seconds));
+        }
+        let upper = bound(p.upper);
+        let out = entire_prediction {
+            seconds: p.seconds,
+            upper,
+            out_of_range: p.out_of_range,
+            absent: absent(p.seconds, upper, p.out_of_range),
+            source: p.source as u32,
+            ..ByValue::defaults()
+        };
+        write_struct(prediction, &out)
+    }))
 }
 
 /// Chooses the ray step of the next frame: the finest step whose expected time is at most `target_seconds`,
@@ -222,15 +219,12 @@ pub unsafe extern "C" fn entire_session_plan(
     target_seconds: f32,
     plan: *mut entire_plan,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            check_output(plan)?;
-            let frame = read_struct(frame)?.checked(state.radius())?;
-            let made = state.session.plan(&frame, target_seconds)?;
-            write_struct(plan, &kept(&mut state.session, made)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        check_output(plan)?;
+        let frame = read_struct(frame)?.checked(state.radius())?;
+        let made = state.session.plan(&frame, target_seconds)?;
+        write_struct(plan, &kept(&mut state.session, made)?)
+    }))
 }
 
 /// Chooses one of the caller's settings, which are sorted by quality, best first. Takes the first setting
@@ -253,28 +247,25 @@ pub unsafe extern "C" fn entire_session_choose(
     index: *mut usize,
     plan: *mut entire_plan,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            check_output(plan)?;
-            check_pointer(index, "index (output)")?;
-            let frame = read_struct(frame)?.checked(state.radius())?;
-            if setting_count > ENTIRE_MAX_SETTINGS {
-                refuse!(
-                    ENTIRE_SIZE_MISMATCH,
-                    "setting_count is {setting_count}; at most {ENTIRE_MAX_SETTINGS} (ENTIRE_MAX_SETTINGS) \
-                     is accepted"
-                );
-            }
-            let given = slice(settings, setting_count, "settings")?;
-            let mut settings = [entire_steer::features::Setting::from(&frame); ENTIRE_MAX_SETTINGS];
-            for (slot, setting) in settings.iter_mut().zip(given) {
-                *slot = setting.checked()?;
-            }
-            let (chosen, made) = state.session.choose(&frame, &settings[..setting_count], target_seconds)?;
-            let made = kept(&mut state.session, made)?;
-            write(index, chosen, "index (output)")?;
-            write_struct(plan, &made)
-        })
-    }
+    entry!(changing(session, |state| {
+        check_output(plan)?;
+        check_pointer(index, "index (output)")?;
+        let frame = read_struct(frame)?.checked(state.radius())?;
+        if setting_count > ENTIRE_MAX_SETTINGS {
+            refuse!(
+                ENTIRE_SIZE_MISMATCH,
+                "setting_count is {setting_count}; at most {ENTIRE_MAX_SETTINGS} (ENTIRE_MAX_SETTINGS) \
+                 is accepted"
+            );
+        }
+        let given = slice(settings, setting_count, "settings")?;
+        let mut settings = [entire_steer::features::Setting::from(&frame); ENTIRE_MAX_SETTINGS];
+        for (slot, setting) in settings.iter_mut().zip(given) {
+            *slot = setting.checked()?;
+        }
+        let (chosen, made) = state.session.choose(&frame, &settings[..setting_count], target_seconds)?;
+        let made = kept(&mut state.session, made)?;
+        write(index, chosen, "index (output)")?;
+        write_struct(plan, &made)
+    }))
 }

@@ -2,7 +2,7 @@
 
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
-use crate::guard::{changing, reading};
+use crate::guard::{changing, entry, reading};
 use crate::handle::{Handle, borrow};
 use crate::reserve;
 use crate::result::entire_result;
@@ -37,22 +37,19 @@ pub unsafe extern "C" fn entire_session_set_volume(
     session: *mut entire_session,
     volume: *const entire_volume,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            reserve::check()?;
-            let volume = borrow(volume)?;
-            let summary = volume.summary()?;
-            let features = match &state.model {
-                Some(model) => model.value().features_of(volume)?,
-                None => None,
-            };
-            let kept = summary.try_clone()?;
-            state.volume = Some((kept.shape().spacing, kept.shape().bounding_radius));
-            state.session.set_volume(kept, features);
-            Ok(())
-        })
-    }
+    entry!(changing(session, |state| {
+        reserve::check()?;
+        let volume = borrow(volume)?;
+        let summary = volume.summary()?;
+        let features = match &state.model {
+            Some(model) => model.held().value.features_of(volume)?,
+            None => None,
+        };
+        let kept = summary.try_clone()?;
+        state.volume = Some((kept.shape().spacing, kept.shape().bounding_radius));
+        state.session.set_volume(kept, features);
+        Ok(())
+    }))
 }
 
 /// Sets the next time step of the session's volume, after entire_volume_update. The transfer function and the
@@ -69,18 +66,15 @@ pub unsafe extern "C" fn entire_session_set_time_step(
     session: *mut entire_session,
     volume: *const entire_volume,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            reserve::check()?;
-            let volume = borrow(volume)?;
-            let features = match &state.model {
-                Some(model) if volume.features.is_some() => model.value().features_of(volume)?,
-                _ => None,
-            };
-            Ok(state.session.set_time_step(volume.summary()?.try_clone()?, features)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        reserve::check()?;
+        let volume = borrow(volume)?;
+        let features = match &state.model {
+            Some(model) if volume.features.is_some() => model.held().value.features_of(volume)?,
+            _ => None,
+        };
+        Ok(state.session.set_time_step(volume.summary()?.try_clone()?, features)?)
+    }))
 }
 
 /// Sets the transfer function. The volume must be set before it.
@@ -92,27 +86,24 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
     session: *mut entire_session,
     transfer_function: *const entire_transfer_function,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            reserve::check()?;
-            let transfer = borrow(transfer_function)?;
-            let table = transfer.table.clone();
-            let table = match (transfer.unit, state.volume) {
-                (UnitDistance::ReferenceSteps(distance), _) => table.with_unit_distance(distance)?,
-                (UnitDistance::World(distance), Some((spacing, _))) => {
-                    table.with_unit_distance(distance / spacing.min_element())?
-                }
-                // Without a volume, set_transfer below fails.
-                (UnitDistance::World(_), None) => table,
-            };
-            let lobes = match &transfer.function {
-                TransferFunction::Gaussian(lobes) => Some(lobes.as_slice()),
-                _ => None,
-            };
-            Ok(state.session.set_transfer(&table, lobes)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        reserve::check()?;
+        let transfer = borrow(transfer_function)?;
+        let table = transfer.table.clone();
+        let table = match (transfer.unit, state.volume) {
+            (UnitDistance::ReferenceSteps(distance), _) => table.with_unit_distance(distance)?,
+            (UnitDistance::World(distance), Some((spacing, _))) => {
+                table.with_unit_distance(distance / spacing.min_element())?
+            }
+            // Without a volume, set_transfer below fails.
+            (UnitDistance::World(_), None) => table,
+        };
+        let lobes = match &transfer.function {
+            TransferFunction::Gaussian(lobes) => Some(lobes.as_slice()),
+            _ => None,
+        };
+        Ok(state.session.set_transfer(&table, lobes)?)
+    }))
 }
 
 /// Sets the steps that may be chosen, in multiples of the reference step.
@@ -125,12 +116,9 @@ pub unsafe extern "C" fn entire_session_set_limits(
     finest_step: f32,
     coarsest_step: f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe {
-        changing(session, |state| {
-            Ok(state.session.set_limits(StepLimits { finest: finest_step, coarsest: coarsest_step })?)
-        })
-    }
+    entry!(changing(session, |state| {
+        Ok(state.session.set_limits(StepLimits { finest: finest_step, coarsest: coarsest_step })?)
+    }))
 }
 
 /// Allows plans to coarsen the image: neighboring rays are up to `max_image_sample_distance` pixels apart
@@ -149,12 +137,9 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
     max_image_sample_distance: f32,
     step_alone: f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe {
-        changing(session, |state| {
-            Ok(state.session.set_max_image_sample_distance(max_image_sample_distance, step_alone)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        Ok(state.session.set_max_image_sample_distance(max_image_sample_distance, step_alone)?)
+    }))
 }
 
 /// Sets the quality law of this renderer (picture error as a function of ray step and image size), so that
@@ -176,10 +161,9 @@ pub unsafe extern "C" fn entire_session_set_quality(
     ray_share: f32,
 ) -> entire_result {
     let known = Quality { image_weight, step_exponent, image_exponent, ray_share };
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe {
-        changing(session, |state| Ok(state.session.set_quality((image_weight != 0.0).then_some(known))?))
-    }
+    entry!(changing(session, |state| Ok(state
+        .session
+        .set_quality((image_weight != 0.0).then_some(known))?)))
 }
 
 /// The quality law that plans use: the numbers of entire_session_set_quality, else those of the model
@@ -195,28 +179,25 @@ pub unsafe extern "C" fn entire_session_quality(
     image_exponent: *mut f32,
     ray_share: *mut f32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
-    unsafe {
-        reading(session, |state| {
-            let known = state
-                .session
-                .quality()
-                .map_or([0.0; 4], |q| [q.image_weight, q.step_exponent, q.image_exponent, q.ray_share]);
-            let outputs = [
-                (image_weight, "image_weight (output)"),
-                (step_exponent, "step_exponent (output)"),
-                (image_exponent, "image_exponent (output)"),
-                (ray_share, "ray_share (output)"),
-            ];
-            for (output, name) in outputs {
-                check_pointer(output, name)?;
-            }
-            for ((output, name), value) in outputs.into_iter().zip(known) {
-                write(output, value, name)?;
-            }
-            Ok(())
-        })
-    }
+    entry!(reading(session, |state| {
+        let known = state
+            .session
+            .quality()
+            .map_or([0.0; 4], |q| [q.image_weight, q.step_exponent, q.image_exponent, q.ray_share]);
+        let outputs = [
+            (image_weight, "image_weight (output)"),
+            (step_exponent, "step_exponent (output)"),
+            (image_exponent, "image_exponent (output)"),
+            (ray_share, "ray_share (output)"),
+        ];
+        for (output, name) in outputs {
+            check_pointer(output, name)?;
+        }
+        for ((output, name), value) in outputs.into_iter().zip(known) {
+            write(output, value, name)?;
+        }
+        Ok(())
+    }))
 }
 
 /// Switches steering off (0: every plan returns the frame's own step; for screenshots and still renders) or
@@ -228,13 +209,10 @@ pub unsafe extern "C" fn entire_session_set_enabled(
     session: *mut entire_session,
     enabled: u32,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe {
-        changing(session, |state| {
-            state.session.set_enabled(enabled != 0);
-            Ok(())
-        })
-    }
+    entry!(changing(session, |state| {
+        state.session.set_enabled(enabled != 0);
+        Ok(())
+    }))
 }
 
 /// Announces that the next frame differs abruptly from the previous one in a way that the session cannot
@@ -250,20 +228,17 @@ pub unsafe extern "C" fn entire_session_mark(session: *mut entire_session, chang
         | ENTIRE_CHANGE_SIZE
         | ENTIRE_CHANGE_MODE
         | ENTIRE_CHANGE_CAMERA;
-    // SAFETY: by the pointer rules in lib.rs, `session` is NULL or a live handle that only this thread uses.
-    unsafe {
-        changing(session, |state| {
-            check_flags("changes", changes, KNOWN)?;
-            let has = |flag| changes & flag != 0;
-            state.session.mark(Changes {
-                first: has(ENTIRE_CHANGE_FIRST),
-                transfer: has(ENTIRE_CHANGE_TRANSFER_FUNCTION),
-                volume: has(ENTIRE_CHANGE_VOLUME),
-                size: has(ENTIRE_CHANGE_SIZE),
-                mode: has(ENTIRE_CHANGE_MODE),
-                camera: has(ENTIRE_CHANGE_CAMERA),
-            });
-            Ok(())
-        })
-    }
+    entry!(changing(session, |state| {
+        check_flags("changes", changes, KNOWN)?;
+        let has = |flag| changes & flag != 0;
+        state.session.mark(Changes {
+            first: has(ENTIRE_CHANGE_FIRST),
+            transfer: has(ENTIRE_CHANGE_TRANSFER_FUNCTION),
+            volume: has(ENTIRE_CHANGE_VOLUME),
+            size: has(ENTIRE_CHANGE_SIZE),
+            mode: has(ENTIRE_CHANGE_MODE),
+            camera: has(ENTIRE_CHANGE_CAMERA),
+        });
+        Ok(())
+    }))
 }

@@ -2,7 +2,7 @@
 
 use super::entire_session;
 use crate::abi::{check_pointer, slice, text, write};
-use crate::guard::{changing, reading};
+use crate::guard::{changing, entry, reading};
 use crate::limits::{ENTIRE_MAX_STATE_BYTES, at_most};
 use crate::result::entire_result::{self, *};
 use crate::result::refuse;
@@ -26,13 +26,10 @@ pub unsafe extern "C" fn entire_session_set_timing_source(
     renderer: *const c_char,
     clock: *const c_char,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            let (renderer, clock) = (text(renderer, "renderer")?, text(clock, "clock")?);
-            Ok(state.session.set_timing_source(renderer, clock)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        let (renderer, clock) = (text(renderer, "renderer")?, text(clock, "clock")?);
+        Ok(state.session.set_timing_source(renderer, clock)?)
+    }))
 }
 
 /// Clock of a time: one of the `ENTIRE_CLOCK_*` numbers.
@@ -67,15 +64,12 @@ pub unsafe extern "C" fn entire_session_clocks(
     model: *mut entire_clock,
     own: *mut entire_clock,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
-    unsafe {
-        reading(session, |state| {
-            check_pointer(own, "own (output)")?;
-            let [frames, predicted] = state.session.clocks();
-            write(model, number_of(predicted), "model (output)")?;
-            write(own, number_of(frames), "own (output)")
-        })
-    }
+    entry!(reading(session, |state| {
+        check_pointer(own, "own (output)")?;
+        let [frames, predicted] = state.session.clocks();
+        write(model, number_of(predicted), "model (output)")?;
+        write(own, number_of(frames), "own (output)")
+    }))
 }
 
 /// Saves the learned correction, for entire_session_load_state in a later run: `byte_count` receives its
@@ -91,22 +85,19 @@ pub unsafe extern "C" fn entire_session_save_state(
     capacity: usize,
     byte_count: *mut usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; no thread changes `session`.
-    unsafe {
-        reading(session, |state| {
-            check_pointer(byte_count, "byte_count (output)")?;
-            let bytes = state.session.save_state();
-            let size = bytes.len();
-            if capacity > 0 {
-                check_pointer(buffer, "buffer")?;
-                if capacity < size {
-                    refuse!(ENTIRE_SIZE_MISMATCH, "buffer holds {capacity} bytes; the state has {size}");
-                }
-                std::ptr::copy_nonoverlapping(bytes.as_ptr(), buffer, size);
+    entry!(reading(session, |state| {
+        check_pointer(byte_count, "byte_count (output)")?;
+        let bytes = state.session.save_state();
+        let size = bytes.len();
+        if capacity > 0 {
+            check_pointer(buffer, "buffer")?;
+            if capacity < size {
+                refuse!(ENTIRE_SIZE_MISMATCH, "buffer holds {capacity} bytes; the state has {size}");
             }
-            write(byte_count, bytes.len(), "byte_count (output)")
-        })
-    }
+            std::ptr::copy_nonoverlapping(bytes.as_ptr(), buffer, size);
+        }
+        write(byte_count, bytes.len(), "byte_count (output)")
+    }))
 }
 
 /// Loads the state that an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
@@ -120,11 +111,8 @@ pub unsafe extern "C" fn entire_session_load_state(
     bytes: *const u8,
     byte_count: usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs; only this thread uses `session`.
-    unsafe {
-        changing(session, |state| {
-            at_most("byte_count", byte_count, ENTIRE_MAX_STATE_BYTES, "ENTIRE_MAX_STATE_BYTES")?;
-            Ok(state.session.load_state(slice(bytes, byte_count, "bytes")?)?)
-        })
-    }
+    entry!(changing(session, |state| {
+        at_most("byte_count", byte_count, ENTIRE_MAX_STATE_BYTES, "ENTIRE_MAX_STATE_BYTES")?;
+        Ok(state.session.load_state(slice(bytes, byte_count, "bytes")?)?)
+    }))
 }

@@ -2,7 +2,7 @@
 
 use super::{Volume, entire_volume, entire_volume_desc, log_volume, take_voxels, warn_of_non_finite};
 use crate::abi::{read_struct, slice};
-use crate::guard::{Outcome, changing};
+use crate::guard::{Outcome, changing, entry};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::refuse;
@@ -32,10 +32,7 @@ pub unsafe extern "C" fn entire_volume_update(
     volume: *mut entire_volume,
     desc: *const entire_volume_desc,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that only this thread uses,
-    // and `desc` is NULL or valid. `desc.voxels` is valid for `voxel_count` elements; borrowed voxels stay
-    // valid until the next time step or until the volume is freed.
-    unsafe { changing(volume, |volume| update(volume, desc, None)) }
+    entry!(changing(volume, |volume| update(volume, desc, None)))
 }
 
 /// Like entire_volume_update, for changes inside a known box of voxels, which starts at voxel `first` (three
@@ -50,15 +47,11 @@ pub unsafe extern "C" fn entire_volume_update_box(
     first: *const usize,
     size: *const usize,
 ) -> entire_result {
-    // SAFETY: by the pointer rules in lib.rs, `volume` is NULL or a live handle that only this thread uses,
-    // and `desc` and its voxels are NULL or valid. `first` and `size` are NULL or valid for three numbers.
-    unsafe {
-        changing(volume, |volume| {
-            let (first, size) = (slice(first, 3, "first")?, slice(size, 3, "size")?);
-            let changed = std::array::from_fn(|a| first[a]..first[a].saturating_add(size[a]));
-            update(volume, desc, Some(changed))
-        })
-    }
+    entry!(changing(volume, |volume| {
+        let (first, size) = (slice(first, 3, "first")?, slice(size, 3, "size")?);
+        let changed = std::array::from_fn(|a| first[a]..first[a].saturating_add(size[a]));
+        update(volume, desc, Some(changed))
+    }))
 }
 
 /// # Safety
