@@ -3,10 +3,10 @@
 
 use crate::abi::{check_pointer, write, write_text};
 use crate::handle::{Handle, Held, Status, borrow, give, release};
+use crate::log;
 use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
-use crate::sink;
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::ffi::c_char;
@@ -175,7 +175,7 @@ fn failed(failure: Failure, status: Option<&Status>) -> entire_result {
     }
     // A panic while the failure is logged and copied must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
-        sink::emit(sink::ENTIRE_LOG_ERROR, &failure.message);
+        log::emit(log::ENTIRE_LOG_ERROR, &failure.message);
         let _ = TEXT.try_with(|slot| keep(&failure.message, &mut slot.borrow_mut()));
         let _ = FAILED.try_with(|failed| failed.set(true));
     }));

@@ -37,8 +37,6 @@ mod limits;
 
 mod guard;
 
-mod sink;
-
 mod log;
 
 mod pool;

@@ -7,11 +7,11 @@ use crate::frame::entire_shading;
 use crate::guard::{Outcome, entry, freeing, last_error_of, making, reading};
 use crate::handle::{Held, borrow, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
+use crate::log;
 use crate::pool::Pool;
 use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, collected, copied, frame_time, refuse};
-use crate::sink;
 use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Executor, Level};
 use entire_core::model::{GroupKind, Model, ModelFile};
@@ -208,7 +208,7 @@ impl Loaded {
 /// Returns a text of the model for C, or the failure if there is no memory for it.
 fn kept_text(text: &str) -> Result<CString, Failure> {
     if text.contains('\0') {
-        return Ok(sink::c_text(text));
+        return Ok(log::c_text(text));
     }
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(text.len() + 1)?;
@@ -222,7 +222,7 @@ fn level() -> &'static (Level, CString) {
     static FOUND: OnceLock<(Level, CString)> = OnceLock::new();
     FOUND.get_or_init(|| {
         let level = Level::detect();
-        (level, sink::c_text(&level.to_string()))
+        (level, log::c_text(&level.to_string()))
     })
 }
 
@@ -331,9 +331,9 @@ pub unsafe extern "C" fn entire_model_from_bytes(
 pub(crate) fn load(bytes: &[u8], name: &str) -> Result<Loaded, Failure> {
     let model = Model::from_bytes(bytes).map_err(|e| Failure::from(e).within(name))?;
     let loaded = Loaded::new(model, bytes)?;
-    if sink::enabled(sink::ENTIRE_LOG_INFO) {
+    if log::enabled(log::ENTIRE_LOG_INFO) {
         let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
-        sink::emit(sink::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
+        log::emit(log::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
     }
     Ok(loaded)
 }

@@ -3,13 +3,10 @@
 use std::ffi::{CStr, c_char};
 
 const fn decimal(text: &str) -> u32 {
-    let bytes = text.as_bytes();
-    let (mut value, mut i) = (0, 0);
-    while i < bytes.len() {
-        value = value * 10 + (bytes[i] - b'0') as u32;
-        i += 1;
+    match u32::from_str_radix(text, 10) {
+        Ok(value) => value,
+        Err(_) => panic!("a part of the package version is no number"),
     }
-    value
 }
 
 const MAJOR: u32 = decimal(env!("CARGO_PKG_VERSION_MAJOR"));

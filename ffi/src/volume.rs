@@ -9,9 +9,9 @@ use crate::abi::{ByValue, by_value, check_output, init_struct, read_struct, slic
 use crate::guard::{Outcome, changing, entry, freeing, guard, last_error_of, making, reading};
 use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
+use crate::log;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied, refuse};
-use crate::sink;
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
 use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::any::Any;
@@ -240,8 +240,8 @@ impl Volume {
 
 fn warn_of_non_finite(summary: &VolumeSummary) {
     if summary.non_finite_share() > 0.0 {
-        sink::emit(
-            sink::ENTIRE_LOG_WARNING,
+        log::emit(
+            log::ENTIRE_LOG_WARNING,
             "the volume has voxels that are NaN or infinite; NaN counts as the low end of the range, \
              infinities as its ends",
         );
@@ -289,11 +289,11 @@ pub unsafe extern "C" fn entire_volume_new(
 }
 
 fn log_volume(view: &VolumeView<'_>) {
-    if sink::enabled(sink::ENTIRE_LOG_INFO) {
+    if log::enabled(log::ENTIRE_LOG_INFO) {
         let ([x, y, z], (low, high)) = (view.shape().dims, view.range());
         let name = view.scalars().scalar_type().to_string();
-        sink::emit(
-            sink::ENTIRE_LOG_INFO,
+        log::emit(
+            log::ENTIRE_LOG_INFO,
             &format!("volume of {x} x {y} x {z} {name} voxels, range {low} to {high}"),
         );
     }
