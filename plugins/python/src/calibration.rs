@@ -71,7 +71,6 @@ impl Calibration {
     #[pyo3(signature = (volume, camera, tf, size, seconds, *, step = 1.0, shading = "none",
         skipping = "blocks",
         termination = 0.99))]
-    #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn add(
         &self,
         py: Python<'_>,

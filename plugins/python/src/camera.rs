@@ -265,7 +265,6 @@ impl Camera {
     ///     For a matrix that is singular or shears the volume.
     #[staticmethod]
     #[pyo3(signature = (volume, to_eye, to_world, direction, center, fov, parallel_scale = None))]
-    #[allow(clippy::too_many_arguments, reason = "a scene has that many parts; Python names them")]
     fn scene(
         volume: &Volume,
         to_eye: [f64; 16],

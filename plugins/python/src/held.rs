@@ -35,7 +35,6 @@ pub(crate) struct Held {
 impl Held {
     #[new]
     #[pyo3(signature = (volume, to_world, direction, center, *, step, shading, skipping, termination))]
-    #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn new(
         volume: &Volume,
         to_world: [f64; 16],

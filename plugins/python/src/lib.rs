@@ -4,6 +4,7 @@
 //! owners of borrowed memory alive, and lets other Python threads run while voxels are scanned, volumes are
 //! encoded or thousands of views are predicted. This module starts no thread, so that a process may fork and
 //! an interpreter may end at any time.
+#![allow(clippy::too_many_arguments, reason = "Python names the arguments")]
 
 mod budget;
 mod calibration;

@@ -64,7 +64,6 @@ impl Session {
     #[new]
     #[pyo3(signature = (volume = None, *, model = None, tolerance = 0.1, miss_rate = 0.05,
         trust_limit = 2.0, damping = true, ignore_load = false, probe_side = None))]
-    #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn new(
         py: Python<'_>,
         volume: Option<&Volume>,
@@ -278,7 +277,6 @@ impl Session {
     ///     For a size, step, target or termination out of range.
     #[pyo3(signature = (camera, tf, size, target, *, step = 1.0, shading = "none", skipping = "blocks",
         termination = 0.99))]
-    #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn plan(
         &self,
         py: Python<'_>,
@@ -336,7 +334,6 @@ impl Session {
     ///     As :meth:`plan` and :meth:`Camera.scene`.
     #[pyo3(signature = (held, to_eye, fov, parallel_scale, size, target, step = None, enabled = true,
         due = None, seconds = f64::NAN, cancelled = false))]
-    #[allow(clippy::too_many_arguments, reason = "one call where every call costs microseconds")]
     fn steer(
         &self,
         py: Python<'_>,
@@ -392,7 +389,6 @@ impl Session {
     ///     If `settings` is empty or a setting is out of range; otherwise as :meth:`plan`.
     #[pyo3(signature = (camera, tf, size, target, settings, *, shading = "none", skipping = "blocks",
         termination = 0.99))]
-    #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn choose(
         &self,
         py: Python<'_>,
@@ -472,7 +468,6 @@ impl Session {
     /// Prediction
     #[pyo3(signature = (camera, tf, size, *, step = 1.0, shading = "none", skipping = "blocks",
         termination = 0.99))]
-    #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn predict(
         &self,
         py: Python<'_>,
@@ -507,7 +502,6 @@ impl Session {
     #[pyo3(signature = (cameras, tf, size, *, step = 1.0, shading = "none", skipping = "blocks",
         termination = 0.99,
         fov = 45.0))]
-    #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn predict_many<'py>(
         &self,
         py: Python<'py>,
