@@ -3,20 +3,12 @@
 
 use entire_core::model::{GroupKind, InputGroup, Key, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
-
-fn noise() -> impl FnMut() -> f32 {
-    let mut state = 0x2545_f491_4f6c_dd1du64;
-    move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 40) as f32 / (1 << 23) as f32 - 1.0
-    }
-}
+use entire_tests::mutants::Random;
 
 /// Returns a small model with both networks; most widths are no multiple of a vector length.
 fn model() -> Vec<u8> {
-    let mut next = noise();
+    let mut random = Random::new(0x2545_f491_4f6c_dd1d);
+    let mut next = || random.uniform();
     let widths = [19, 70, 33, 1];
     let layers = widths
         .windows(2)
@@ -79,15 +71,8 @@ fn the_freestanding_program_gives_the_bits_of_the_hosted_build() {
     std::fs::write(&path, &bytes).unwrap();
     let target = folder.join("freestanding");
     let built = std::process::Command::new(env!("CARGO"))
-        .args([
-            "build",
-            "--quiet",
-            "--package",
-            "entire-freestanding",
-            "--profile",
-            "freestanding",
-            "--target-dir",
-        ])
+        .args(["build", "--quiet", "--package", "entire-freestanding", "--profile", "freestanding"])
+        .arg("--target-dir")
         .arg(&target)
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/freestanding"))
         .env("ENTIRE_FREESTANDING_MODEL", &path)

@@ -6,7 +6,7 @@ use entire_core::kernels::Executor;
 use entire_core::model::{InputGroup, Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, PredNet, PredNetParts, Target};
 use entire_steer::predict::check_predictions;
-use entire_tests::mutants::predict;
+use entire_tests::mutants::{Random, predict};
 use std::path::Path;
 
 fn model(first: f32, last: [f32; 4], target: Target) -> Model {
@@ -94,13 +94,8 @@ fn shipped_models_give_times_for_ten_thousand_random_inputs() {
         let model = Model::from_bytes(&std::fs::read(&path).expect("a file")).expect("a shipped model");
         let Some(parts) = model.prednet.as_ref() else { continue };
         let net = PredNet::new(parts).expect("a network");
-        let mut state = 88_172_645_463_325_252u64;
-        let mut uniform = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 40) as f32 / (1u32 << 24) as f32 * 2.0 - 1.0
-        };
+        let mut random = Random::new(88_172_645_463_325_252);
+        let mut uniform = || random.uniform();
         // Up to three standard deviations from the training mean of each input.
         let inputs: Vec<f32> = match &parts.input {
             Some(norm) => (0..ROWS)

@@ -2,6 +2,7 @@
 //! in `data/`.
 
 use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
+use entire_io::metrics::median;
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Volume;
 use entire_steer::features::{FrameFeatures, SceneQuantity, Setting, TransferSummary, VolumeSummary};
@@ -42,19 +43,10 @@ fn shipped() -> Vec<PathBuf> {
     found
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
-}
-
 #[test]
 fn estimated_work_is_the_counted_work() {
-    let distribution = SceneDistribution {
-        min_size: 32,
-        max_size: 72,
-        steps: vec![1.0, 2.0, 4.0],
-        ..SceneDistribution::default()
-    };
+    let steps = vec![1.0, 2.0, 4.0];
+    let distribution = SceneDistribution { max_size: 72, steps, ..SceneDistribution::default() };
     for (shading, skipping, parallel) in [
         (Shading::None, Skipping::None, false),
         (Shading::Local, Skipping::Blocks, false),
@@ -116,7 +108,7 @@ fn estimated_work_is_the_counted_work() {
             // Skips of shadow rays are estimated roughly: they cost little compared with the rays' samples.
             let rough = *name == "skips" && shading.scatters();
             if errors.len() >= 6 && !rough {
-                let m = median(errors);
+                let m = median(errors).expect("errors");
                 let tolerance = if shading.scatters() { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
                 assert!(
                     m < tolerance,
