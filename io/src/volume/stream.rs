@@ -54,13 +54,15 @@ pub trait Watcher: Send + Sync {
 
 struct Watched<R> {
     inner: R,
-    watcher: Arc<dyn Watcher>,
+    watcher: Option<Arc<dyn Watcher>>,
 }
 
 impl<R: Read> Read for Watched<R> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
         let count = self.inner.read(out)?;
-        self.watcher.advance(count as u64)?;
+        if let Some(watcher) = &self.watcher {
+            watcher.advance(count as u64)?;
+        }
         Ok(count)
     }
 }
@@ -96,16 +98,12 @@ impl<'a> Stream<'a> {
         let metadata = file.metadata().with_context(|| format!("{shown}"))?;
         check_regular(path, &metadata)?;
         let length = metadata.len();
-        let file = file.take(length);
-        let reader: Box<dyn BufRead> = match watcher {
-            None => Box::new(BufReader::with_capacity(1 << 16, file)),
-            Some(watcher) => {
-                watcher.expect(length);
-                let watched = Watched { inner: file, watcher: Arc::clone(watcher) };
-                Box::new(BufReader::with_capacity(1 << 16, watched))
-            }
-        };
-        Ok(Stream { reader, remaining: Remaining::Exact(length), read: 0, label: String::new() })
+        if let Some(watcher) = watcher {
+            watcher.expect(length);
+        }
+        let watched = Watched { inner: file.take(length), watcher: watcher.cloned() };
+        let reader = BufReader::with_capacity(1 << 16, watched);
+        Ok(Stream::new(reader, Remaining::Exact(length), String::new()))
     }
 
     pub(crate) fn from_bytes(bytes: &'a [u8]) -> Self {
