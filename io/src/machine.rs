@@ -14,16 +14,8 @@ pub fn version() -> String {
 /// Returns the current date and time, UTC, ISO 8601 to the second.
 pub fn now() -> String {
     let now = time::OffsetDateTime::now_utc();
-    let (date, clock) = (now.date(), now.time());
-    format!(
-        "{:04}-{:02}-{:02}T{:02}:{:02}:{:02}Z",
-        date.year(),
-        u8::from(date.month()),
-        date.day(),
-        clock.hour(),
-        clock.minute(),
-        clock.second()
-    )
+    let (date, (hour, minute, second)) = (now.date(), now.time().as_hms());
+    format!("{date}T{hour:02}:{minute:02}:{second:02}Z")
 }
 
 /// Returns the load averages over 1, 5 and 15 minutes; `None` where the system does not report them.
