@@ -41,11 +41,6 @@ fn schema_of(count: usize) -> u64 {
     fnv1a(format!("{VERSION} {}", names.join(",")).as_bytes())
 }
 
-/// Hash of [`VERSION`] and the names of all quantities.
-fn schema() -> u64 {
-    schema_of(SceneQuantity::ALL.len())
-}
-
 /// True if features with this schema hash have the same meaning in this version. New quantities are added at
 /// the end, so an older table stays valid; quantities that it lacks are computed from the volumes.
 fn is_understood(schema: u64) -> bool {
@@ -96,12 +91,11 @@ impl FeatureTable {
     /// # Errors
     /// When the values are not one row per number, or a number appears twice.
     pub fn new(columns: Vec<String>, numbers: &[u64], values: Vec<f32>, table: u64) -> Result<Self> {
+        let (found, width, frames) = (values.len(), columns.len(), numbers.len());
         ensure!(
-            values.len() == columns.len() * numbers.len(),
-            "the feature table has {} values; {} frames with {} columns need one value per frame and column",
-            values.len(),
-            numbers.len(),
-            columns.len()
+            found == width * frames,
+            "the feature table has {found} values; {frames} frames with {width} columns need one value per \
+             frame and column"
         );
         let mut at = HashMap::new();
         for (i, &n) in numbers.iter().enumerate() {
@@ -113,7 +107,14 @@ impl FeatureTable {
             .chain(numbers.iter().flat_map(|n| n.to_le_bytes()))
             .chain(values.iter().flat_map(|v| v.to_le_bytes()))
             .collect();
-        Ok(Self { schema: schema(), table, hash: fnv1a(&bytes), columns, at, values })
+        Ok(Self {
+            schema: schema_of(SceneQuantity::ALL.len()),
+            table,
+            hash: fnv1a(&bytes),
+            columns,
+            at,
+            values,
+        })
     }
 
     /// Hash of columns, frames and values.
@@ -283,7 +284,7 @@ mod tests {
         assert_eq!(back.row(7), Some(&[64.0f32, 1.5e-9][..]));
         assert_eq!(back.row(3), Some(&[32.0f32, -2.25][..]));
         assert_eq!((back.row(4), back.column("x"), back.column("y")), (None, Some(1), None));
-        assert_eq!((back.schema, back.table), (schema(), 0xfeed));
+        assert_eq!((back.schema, back.table), (schema_of(SceneQuantity::ALL.len()), 0xfeed));
     }
 
     #[test]

@@ -318,13 +318,11 @@ impl PathFile {
             "the first keyframe must be at frame 0 and give both camera and transfer"
         );
         for (i, pair) in self.keyframes.windows(2).enumerate() {
+            let (number, frame, before) = (i + 1, pair[1].frame, pair[0].frame);
             ensure!(
-                pair[0].frame < pair[1].frame,
-                "keyframe {} is at frame {}, after a keyframe at frame {}; order them by frame, one per \
-                 frame",
-                i + 1,
-                pair[1].frame,
-                pair[0].frame
+                before < frame,
+                "keyframe {number} is at frame {frame}, after a keyframe at frame {before}; order them by \
+                 frame, one per frame"
             );
         }
         let (mut cameras, mut transfers) = (Vec::new(), Vec::new());

@@ -125,22 +125,21 @@ pub enum Format {
 }
 
 impl Format {
-    const ALL: [Self; 6] = [Self::Nrrd, Self::MetaImage, Self::VtkImage, Self::Nifti, Self::Json, Self::Raw];
-
-    const fn endings(self) -> &'static [&'static str] {
-        match self {
-            Self::Nrrd => &[".nrrd", ".nhdr"],
-            Self::MetaImage => &[".mhd", ".mha"],
-            Self::VtkImage => &[".vti"],
-            Self::Nifti => &[".nii", ".nii.gz"],
-            Self::Json => &[".json"],
-            Self::Raw => &[".raw", ".raw.gz"],
-        }
-    }
+    /// The endings of the names of each format's files.
+    const ENDINGS: [(Self, &[&str]); 6] = [
+        (Self::Nrrd, &[".nrrd", ".nhdr"]),
+        (Self::MetaImage, &[".mhd", ".mha"]),
+        (Self::VtkImage, &[".vti"]),
+        (Self::Nifti, &[".nii", ".nii.gz"]),
+        (Self::Json, &[".json"]),
+        (Self::Raw, &[".raw", ".raw.gz"]),
+    ];
 
     pub(crate) fn of_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
-        Self::ALL.into_iter().find(|format| format.endings().iter().any(|ending| name.ends_with(ending)))
+        let found =
+            Self::ENDINGS.into_iter().find(|(_, all)| all.iter().any(|ending| name.ends_with(ending)));
+        found.map(|(format, _)| format)
     }
 
     /// Returns the format of a file, from its first bytes (512 are enough).
@@ -187,16 +186,12 @@ impl Volume {
         spacing: [f32; 3],
         name: impl Into<String>,
     ) -> Result<Self> {
-        let view =
-            VolumeView::with(data.scalars(), dims, VolumeOptions { spacing, ..VolumeOptions::default() })?;
+        let options = VolumeOptions { spacing, ..VolumeOptions::default() };
+        let view = VolumeView::with(data.scalars(), dims, options)?;
+        let ([x, y, z], voxels, there) = (dims, view.shape().voxels, data.len());
         ensure!(
-            view.shape().voxels == data.len() as u64,
-            "volume of {} x {} x {} has {} voxels, the data has {}; check the sizes",
-            dims[0],
-            dims[1],
-            dims[2],
-            view.shape().voxels,
-            data.len()
+            voxels == there as u64,
+            "volume of {x} x {y} x {z} has {voxels} voxels, the data has {there}; check the sizes"
         );
         let range = view.range();
         let (name, source) = (name.into(), PathBuf::new());
@@ -233,8 +228,8 @@ impl Volume {
             known => known,
         };
         let format = format.with_context(|| {
-            let known: Vec<&str> = Format::ALL.iter().flat_map(|format| format.endings()).copied().collect();
-            format!("{shown}: not a volume format that is read here; accepted are {}", known.join(", "))
+            let known = Format::ENDINGS.map(|(_, all)| all.join(", ")).join(", ");
+            format!("{shown}: not a volume format that is read here; accepted are {known}")
         })?;
         let folder = Folder::new(path.parent().unwrap_or(Path::new("")), watcher);
         let mut volume =
@@ -343,10 +338,7 @@ pub(crate) fn strip_ending<'a>(name: &'a str, ending: &str) -> Option<&'a str> {
 /// Returns a file name without its ending; `.nii.gz` and the like count as one ending.
 fn stem(name: &str) -> &str {
     let name = strip_ending(name, ".gz").filter(|rest| !rest.is_empty()).unwrap_or(name);
-    match name.rfind('.') {
-        Some(dot) if dot > 0 => &name[..dot],
-        _ => name,
-    }
+    Path::new(name).file_stem().and_then(|stem| stem.to_str()).unwrap_or(name)
 }
 
 /// Checks three sizes from a header.
@@ -357,16 +349,12 @@ pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
     for (size, axis) in sizes.iter().zip(["x", "y", "z"]) {
         ensure!(*size > 0, "size along {axis} is 0; every axis needs at least one voxel");
     }
-    let voxels = sizes[0].checked_mul(sizes[1]).and_then(|p| p.checked_mul(sizes[2]));
-    match voxels {
-        Some(voxels) if voxels <= (isize::MAX as u64) / 8 => Ok(sizes.map(|s| s as usize)),
-        _ => bail!(
-            "{} x {} x {} voxels are more than can be addressed; check the sizes in the header",
-            sizes[0],
-            sizes[1],
-            sizes[2]
-        ),
-    }
+    let [x, y, z] = sizes;
+    ensure!(
+        x.checked_mul(y).and_then(|p| p.checked_mul(z)).is_some_and(|n| n <= (isize::MAX as u64) / 8),
+        "{x} x {y} x {z} voxels are more than can be addressed; check the sizes in the header"
+    );
+    Ok(sizes.map(|s| s as usize))
 }
 
 /// Reduces sizes and spacings to three axes. Fewer than three axes are refused; surplus axes must have one
@@ -384,18 +372,19 @@ pub(crate) fn three_axes<T: Copy>(
         "the data has {} axes; a volume needs three (give a single slice a third axis of size 1)",
         sizes.len()
     );
+    let is_spatial = |a: usize| spatial.get(a).copied().unwrap_or(true);
     let mut keep: Vec<usize> = (0..sizes.len()).collect();
     // Axes of one element carry no data: those without a direction in space are dropped first, then the last
     // ones.
     while keep.len() > 3 {
         let dropped = keep
             .iter()
-            .rposition(|&a| sizes[a] == 1 && !spatial.get(a).copied().unwrap_or(true))
+            .rposition(|&a| sizes[a] == 1 && !is_spatial(a))
             .or_else(|| keep.iter().rposition(|&a| sizes[a] == 1));
         let Some(at) = dropped else { return Err(not_a_volume(sizes, spatial)) };
         keep.remove(at);
     }
-    if keep.iter().any(|&a| sizes[a] != 1 && !spatial.get(a).copied().unwrap_or(true)) {
+    if keep.iter().any(|&a| sizes[a] != 1 && !is_spatial(a)) {
         return Err(not_a_volume(sizes, spatial));
     }
     Ok(([0, 1, 2].map(|i| sizes[keep[i]]), [0, 1, 2].map(|i| values[keep[i]])))
