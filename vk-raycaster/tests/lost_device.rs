@@ -6,8 +6,8 @@
 mod common;
 
 use ash::vk;
-use common::{field_bytes, frame, medium};
-use entire_core::scene::{Frame, Scalars, Shading, VolumeView};
+use common::{frame, medium, set_field};
+use entire_core::scene::{Frame, Shading};
 use entire_vk_raycaster::{Image, Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::cell::{Cell, RefCell};
@@ -217,10 +217,7 @@ fn small_frame() -> Frame {
 
 /// Uses a renderer in every way: sets volume and transfer function, draws a frame twice. Returns the picture.
 fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
-    let dims = [9, 8, 7];
-    let voxels = field_bytes(dims);
-    gpu.set_volume(&VolumeView::new(Scalars::U8(&voxels), dims).expect("a volume"))?;
-    gpu.set_transfer(&medium())?;
+    set_field(gpu, [9, 8, 7], &medium())?;
     let [first, second] = [gpu.render(&small_frame())?, gpu.render(&small_frame())?];
     assert_eq!(first.image, second.image);
     Ok(second.image)
@@ -320,16 +317,11 @@ fn a_device_that_answers_again_renders_again() -> Outcome {
 fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
     let options = VulkanOptions { longest_wait: Some(Duration::from_nanos(1)), ..VulkanOptions::from_env()? };
     let mut gpu = VulkanRaycaster::new(options)?;
-    let dims = [48; 3];
-    let voxels = field_bytes(dims);
-    let view = VolumeView::new(Scalars::U8(&voxels), dims)?;
     // A small copy may finish before it is waited for; the frame does not.
     let large =
         Frame { step: 0.25, shading: Shading::Scatter, ..frame(20.0, 35.0, 2.5, 512, 512) }.checked()?;
-    let error = gpu
-        .set_volume(&view)
-        .and_then(|_| gpu.set_transfer(&medium()))
-        .and_then(|_| gpu.render(&large))
+    let error = set_field(&mut gpu, [48; 3], &medium())
+        .and_then(|()| gpu.render(&large))
         .expect_err("nothing is done within a nanosecond");
     assert!(error.to_string().contains("counts as hanging"), "{error}");
     drop(gpu);
@@ -343,10 +335,7 @@ fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
 fn slow_frames_halve_the_tiles_once_each() -> Outcome {
     set(Fault::Slow);
     let mut gpu = open_with(VulkanOptions { tile: Some(256), ..options()? })?;
-    let dims = [9, 8, 7];
-    let voxels = field_bytes(dims);
-    gpu.set_volume(&VolumeView::new(Scalars::U8(&voxels), dims)?)?;
-    gpu.set_transfer(&medium())?;
+    set_field(&mut gpu, [9, 8, 7], &medium())?;
     let wide = frame(20.0, 35.0, 2.5, 1024, 4);
     gpu.render(&small_frame())?;
     for edge in [256, 128, 64, 64] {

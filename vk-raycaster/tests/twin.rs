@@ -2,9 +2,11 @@
 
 mod common;
 
-use common::{camera, constant, field_bytes, field_voxels, frame, medium, opaque, parallel, transparent};
+use common::{
+    bytes, camera, constant, field_bytes, field_voxels, frame, medium, opaque, parallel, transparent,
+};
 use entire_core::scene::{
-    Camera, Frame, Scalars, Shading, Skipping, TABLE_LEN, TransferTable, VolumeOptions, VolumeView,
+    Frame, Scalars, Shading, Skipping, TABLE_LEN, TransferTable, VolumeOptions, VolumeView,
 };
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 
@@ -15,8 +17,14 @@ fn twin(view: &VolumeView<'_>, table: &TransferTable) -> CpuRaycaster {
     r
 }
 
-fn bytes(data: &[u8], dims: [usize; 3]) -> VolumeView<'_> {
-    VolumeView::new(Scalars::U8(data), dims).unwrap()
+/// A renderer of the bytes of [`common::field`].
+fn field_twin(dims: [usize; 3], table: &TransferTable) -> CpuRaycaster {
+    twin(&bytes(&field_bytes(dims), dims), table)
+}
+
+/// A renderer of a cube of `n`³ equal voxels.
+fn cube_twin(n: usize, value: u8, table: &TransferTable) -> CpuRaycaster {
+    twin(&bytes(&vec![value; n * n * n], [n; 3]), table)
 }
 
 /// A volume whose scalars `low` to `high` map to [0, 1].
@@ -42,9 +50,8 @@ fn central_ray(dz: f32) -> Frame {
 #[test]
 fn homogeneous_slab_absorbs_by_its_thickness() {
     for n in [1usize, 5, 64] {
-        let data = vec![100u8; n * n * n];
         for alpha in [0.001f32, 0.05, 0.5] {
-            let r = twin(&bytes(&data, [n, n, n]), &constant(alpha));
+            let r = cube_twin(n, 100, &constant(alpha));
             for step in [0.5, 1.0, 3.0] {
                 let (p, counts) = r.render_linear(&Frame { step, ..central_ray(3.0) }).unwrap();
                 // Samples lie in the middle of their steps; a last step of less than a half has no sample.
@@ -65,8 +72,7 @@ fn parallel_rays_take_the_samples_of_their_chords() {
     // Along an axis, every ray crosses the whole box: it takes n / step samples at any distance. The rays
     // fill the pixels that the box's face covers.
     let (n, alpha) = (32usize, 0.05f32);
-    let data = vec![100u8; n * n * n];
-    let r = twin(&bytes(&data, [n; 3]), &constant(alpha));
+    let r = cube_twin(n, 100, &constant(alpha));
     let half = 1.0 / 3f32.sqrt();
     for (rx, ry) in [(0.0, 0.0), (0.0, 180.0), (0.0, -90.0), (90.0, 0.0)] {
         for dz in [0.7, 3.0, 1e5] {
@@ -104,9 +110,7 @@ fn parallel_rays_take_the_samples_of_their_chords() {
 
 #[test]
 fn parallel_rays_draw_the_limit_of_a_narrow_lens_far_away() {
-    let dims = [40, 32, 36];
-    let data = field_bytes(dims);
-    let r = twin(&bytes(&data, dims), &medium());
+    let r = field_twin([40, 32, 36], &medium());
     for shading in Shading::ALL {
         let p = parallel((25.0, 40.0, 500.0), 0.9, 60, 48);
         let p = Frame { shading, ..p };
@@ -129,9 +133,8 @@ fn parallel_rays_draw_the_limit_of_a_narrow_lens_far_away() {
 
 #[test]
 fn unit_distance_scales_the_optical_depth() {
-    let data = vec![7u8; 32 * 32 * 32];
     let table = constant(0.4).with_unit_distance(8.0).unwrap();
-    let (p, _) = twin(&bytes(&data, [32; 3]), &table).render_linear(&central_ray(3.0)).unwrap();
+    let (p, _) = cube_twin(32, 7, &table).render_linear(&central_ray(3.0)).unwrap();
     assert!((p[0][3] - (1.0 - 0.6f32.powf(4.0))).abs() < 1e-5, "{}", p[0][3]);
 }
 
@@ -256,9 +259,7 @@ fn distance_map_takes_fewer_jumps_through_sparse_volumes() {
 
 #[test]
 fn early_termination_saves_samples_and_little_light() {
-    let dims = [48; 3];
-    let data = field_bytes(dims);
-    let r = twin(&bytes(&data, dims), &opaque());
+    let r = field_twin([48; 3], &opaque());
     let f = frame(0.0, 30.0, 3.0, 64, 64);
     let (stopped, few) = r.render_linear(&f).unwrap();
     let (full, many) = r.render_linear(&Frame { termination: 1.0, ..f }).unwrap();
@@ -268,8 +269,7 @@ fn early_termination_saves_samples_and_little_light() {
 
 #[test]
 fn transparent_tables_give_black_and_opaque_ones_stop_at_the_first_sample() {
-    let data = vec![50u8; 20 * 20 * 20];
-    let r = twin(&bytes(&data, [20; 3]), &constant(0.0));
+    let r = cube_twin(20, 50, &constant(0.0));
     let f = frame(10.0, 10.0, 3.0, 16, 16);
     let (p, counts) = r.render_linear(&f).unwrap();
     assert!(p.iter().all(|p| *p == [0.0; 4]));
@@ -277,7 +277,7 @@ fn transparent_tables_give_black_and_opaque_ones_stop_at_the_first_sample() {
     let (_, counts) = r.render_linear(&Frame { skipping: Skipping::None, ..f }).unwrap();
     assert!(counts.samples > 10 * counts.rays / 2);
 
-    let r = twin(&bytes(&data, [20; 3]), &constant(1.0));
+    let r = cube_twin(20, 50, &constant(1.0));
     let (p, counts) = r.render_linear(&f).unwrap();
     // Grazing rays may hit the box with less than half a step inside it.
     assert!(counts.samples <= counts.rays && counts.samples + 3 >= counts.rays);
@@ -302,10 +302,8 @@ fn camera_inside_sees_only_what_lies_ahead() {
 
 #[test]
 fn rays_that_miss_cost_nothing() {
-    let data = vec![255u8; 8];
-    let r = twin(&bytes(&data, [2; 3]), &constant(1.0));
-    let away = Camera::from_arcball(entire_core::scene::Arcball { rx: 0.0, ry: 0.0, dz: 1000.0 }).unwrap();
-    let (p, counts) = r.render_linear(&Frame::new(away, 4, 4).unwrap()).unwrap();
+    let r = cube_twin(2, 255, &constant(1.0));
+    let (p, counts) = r.render_linear(&frame(0.0, 0.0, 1000.0, 4, 4)).unwrap();
     assert_eq!(counts, WorkCounts::default());
     assert!(p.iter().all(|p| *p == [0.0; 4]));
 }
@@ -360,9 +358,7 @@ fn scalar_types_agree() {
 
 #[test]
 fn lighting_dims_edges_and_scattering_casts_shadows() {
-    let dims = [48; 3];
-    let data = field_bytes(dims);
-    let r = twin(&bytes(&data, dims), &opaque());
+    let r = field_twin([48; 3], &opaque());
     let f = frame(0.0, 20.0, 3.0, 48, 48);
     let sum = |s| {
         let (p, c) = r.render_linear(&Frame { shading: s, ..f }).unwrap();
@@ -385,9 +381,8 @@ fn lighting_dims_edges_and_scattering_casts_shadows() {
 fn shadow_of_a_slab_has_its_closed_form() {
     // A homogeneous medium: the shadow of a sample follows from the length of its shadow ray.
     let n = 16usize;
-    let data = vec![9u8; n * n * n];
     let alpha = 0.02f32;
-    let r = twin(&bytes(&data, [n; 3]), &constant(alpha));
+    let r = cube_twin(n, 9, &constant(alpha));
     let f = Frame { shading: Shading::Scatter, ..central_ray(3.0) };
     let (p, counts) = r.render_linear(&f).unwrap();
     // The sum over the samples, each with its own shadow length, in float64.
@@ -415,9 +410,7 @@ fn shadow_of_a_slab_has_its_closed_form() {
 
 #[test]
 fn jitter_moves_samples_within_a_step() {
-    let dims = [40; 3];
-    let data = field_bytes(dims);
-    let r = twin(&bytes(&data, dims), &medium());
+    let r = field_twin([40; 3], &medium());
     let f = frame(5.0, 15.0, 3.0, 40, 40);
     let (plain, _) = r.render_linear(&f).unwrap();
     let (a, _) = r.render_linear(&Frame { jitter: true, ..f }).unwrap();

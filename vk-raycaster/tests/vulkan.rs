@@ -3,7 +3,10 @@
 
 mod common;
 
-use common::{camera, constant, field_bytes, field_voxels, frame, medium, opaque, parallel, transparent};
+use common::{
+    bytes, camera, constant, field_bytes, field_voxels, frame, medium, opaque, parallel, set_field,
+    transparent,
+};
 use entire_core::scene::{
     Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeOptions, VolumeView,
 };
@@ -230,7 +233,7 @@ fn odd_volumes() -> Outcome {
 fn homogeneous_slab() -> Outcome {
     let mut gpu = open(VulkanOptions::default())?;
     let data = vec![100u8; 32 * 32 * 32];
-    gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [32; 3]).unwrap())?;
+    gpu.set_volume(&bytes(&data, [32; 3]))?;
     for alpha in [0.001f32, 0.02, 0.3] {
         gpu.set_transfer(&constant(alpha))?;
         for step in [0.5, 1.0, 2.0] {
@@ -248,7 +251,7 @@ fn skipping_changes_nothing() -> Outcome {
     let mut gpu = open_validated(None, None)?;
     let dims = [45, 37, 61];
     let data = field_bytes(dims);
-    gpu.set_volume(&VolumeView::new(Scalars::U8(&data), dims).unwrap())?;
+    gpu.set_volume(&bytes(&data, dims))?;
     for table in [transparent(), medium(), opaque()] {
         gpu.set_transfer(&table)?;
         let f = frame(25.0, -50.0, 2.5, 64, 48);
@@ -294,9 +297,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
 /// causes no validation message.
 fn regions_are_parts_of_the_whole() -> Outcome {
     let mut gpu = open_validated(None, None)?;
-    let data = field_bytes([40; 3]);
-    gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap())?;
-    gpu.set_transfer(&medium())?;
+    set_field(&mut gpu, [40; 3], &medium())?;
     let f = Frame { jitter: true, shading: Shading::Local, ..frame(25.0, 70.0, 2.2, 75, 61) };
     let whole = gpu.render(&f)?;
     let mut picture = Picture::new(&gpu.shared_device(), 80, 64)?;
@@ -330,12 +331,9 @@ fn regions_are_parts_of_the_whole() -> Outcome {
 fn raycasters_share_a_device() -> Outcome {
     let gpu = open_validated(None, None)?;
     let device = gpu.shared_device();
-    let data = field_bytes([40; 3]);
-    let view = VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap();
     let draw = |table: &TransferTable| -> entire_vk_raycaster::Result<Vec<_>> {
         let mut own = VulkanRaycaster::on_device(&device, VulkanOptions::default())?;
-        own.set_volume(&view)?;
-        own.set_transfer(table)?;
+        set_field(&mut own, [40; 3], table)?;
         (0..6u8).map(|i| Ok(own.render(&frame(10.0, 30.0 * f32::from(i), 2.5, 60, 50))?.image)).collect()
     };
     let tables = [medium(), opaque()];
@@ -389,7 +387,7 @@ fn counting_changes_no_picture() -> Outcome {
 fn long_rays_are_cast_in_windows() -> Outcome {
     let mut both = Both::new(open_validated(None, None)?);
     let data = field_bytes([64; 3]);
-    both.set_volume(&VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap())?;
+    both.set_volume(&bytes(&data, [64; 3]))?;
     both.set_transfer(&transparent().with_unit_distance(4.0).unwrap())?;
     for skipping in Skipping::ALL {
         let f = Frame { step: 0.125, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 5, 4) };
@@ -402,15 +400,11 @@ fn long_rays_are_cast_in_windows() -> Outcome {
 }
 
 fn tiles_join_without_seams() -> Outcome {
-    let dims = [40; 3];
-    let data = field_bytes(dims);
-    let view = VolumeView::new(Scalars::U8(&data), dims).unwrap();
     let f = Frame { jitter: true, ..frame(10.0, 60.0, 2.0, 150, 91) };
     let mut images = vec![];
     for tile in [None, Some(64), Some(24)] {
         let mut gpu = open(VulkanOptions { tile, validation: false, ..Default::default() })?;
-        gpu.set_volume(&view)?;
-        gpu.set_transfer(&medium())?;
+        set_field(&mut gpu, [40; 3], &medium())?;
         images.push(gpu.render(&f)?.image);
     }
     assert!(images.windows(2).all(|w| w[0] == w[1]), "tiled images differ");
@@ -420,7 +414,7 @@ fn tiles_join_without_seams() -> Outcome {
 fn times_are_plausible() -> Outcome {
     let mut gpu = open(VulkanOptions::default())?;
     let data = field_bytes([64; 3]);
-    let p = gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap())?;
+    let p = gpu.set_volume(&bytes(&data, [64; 3]))?;
     let told = p.upload.is_some() && p.block_map.is_some() && p.occupancy.is_none() && p.wall > 0.0;
     assert!(told, "{p:?}");
     let p = gpu.set_transfer(&medium())?;
@@ -438,7 +432,7 @@ fn volume_and_table_may_change_between_frames() -> Outcome {
     assert!(both.gpu.render(&f).is_err_and(|e| e.to_string().contains("no volume")));
     for (dims, table) in [([20; 3], medium()), ([20; 3], opaque()), ([31, 9, 14], transparent())] {
         let data = field_bytes(dims);
-        both.set_volume(&VolumeView::new(Scalars::U8(&data), dims).unwrap())?;
+        both.set_volume(&bytes(&data, dims))?;
         both.set_transfer(&table)?;
         for step in [1.0, 2.0, 1.0] {
             both.draw(&format!("{dims:?} step {step}"), &Frame { step, ..f }, f64::INFINITY)?;

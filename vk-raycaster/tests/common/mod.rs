@@ -1,7 +1,10 @@
 //! Volumes, transfer functions and frames of the tests.
 #![allow(dead_code, reason = "every test binary uses a part of this")]
 
-use entire_core::scene::{Arcball, Camera, ControlPoint, Frame, TransferFunction, TransferTable};
+use entire_core::scene::{
+    Arcball, Camera, ControlPoint, Frame, Scalars, TransferFunction, TransferTable, VolumeView,
+};
+use entire_vk_raycaster::{Renderer, Result};
 
 /// A camera on the arcball with a field of view of 30 degrees.
 pub(crate) fn camera(rx: f32, ry: f32, dz: f32) -> Camera {
@@ -49,6 +52,17 @@ pub(crate) fn field_voxels(dims: [usize; 3]) -> Vec<f32> {
 
 pub(crate) fn field_bytes(dims: [usize; 3]) -> Vec<u8> {
     field_voxels(dims).iter().map(|v| (v * 255.0).round() as u8).collect()
+}
+
+/// A volume of bytes.
+pub(crate) fn bytes(data: &[u8], dims: [usize; 3]) -> VolumeView<'_> {
+    VolumeView::new(Scalars::U8(data), dims).unwrap()
+}
+
+/// Sets a volume of the bytes of [`field`], and a transfer function.
+pub(crate) fn set_field(renderer: &mut dyn Renderer, dims: [usize; 3], table: &TransferTable) -> Result<()> {
+    renderer.set_volume(&bytes(&field_bytes(dims), dims))?;
+    renderer.set_transfer(table).map(drop)
 }
 
 fn points(list: &[(f32, [f32; 3], f32)]) -> TransferTable {
