@@ -6,7 +6,7 @@ mod update;
 pub(crate) use update::*;
 
 use crate::abi::{ByValue, by_value, check_output, init_struct, read_struct, slice, write_struct};
-use crate::guard::{Outcome, changing, entry, freeing, guard, last_error_of, making, reading};
+use crate::guard::{changing, entry, freeing, guard, last_error_of, making, reading};
 use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
 use crate::log;
@@ -475,31 +475,25 @@ pub unsafe extern "C" fn entire_volume_describe(
     volume: *const entire_volume,
     info: *mut entire_volume_info,
 ) -> entire_result {
-    entry!(reading(volume, |volume| describe(volume, info)))
-}
-
-/// # Safety
-/// As [`write_struct`].
-unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
-    // SAFETY: the caller guarantees that `info` is NULL or valid for the bytes that its `struct_size` states.
-    unsafe { check_output(info)? };
-    let feature_count = volume.features.as_ref().map_or(0, |f| f.len() as u32);
-    let mut out =
-        entire_volume_info { scalar_type: volume.scalar_type, feature_count, ..ByValue::defaults() };
-    let mut shape = volume.summary.get().map(VolumeSummary::shape);
-    if let Some(voxels) = &volume.voxels {
-        shape = Some(voxels.shape);
-        out.range = voxels.range.into();
-        out.has_voxels = 1;
-    }
-    if let Some(shape) = shape {
-        out.dims = shape.dims;
-        out.spacing = shape.spacing.to_array();
-        out.bounding_radius = shape.bounding_radius;
-        out.reference_step = shape.spacing.min_element();
-    }
-    // SAFETY: the caller guarantees that `info` is NULL or valid for the bytes that its `struct_size` states.
-    unsafe { write_struct(info, &out) }
+    entry!(reading(volume, |volume| {
+        check_output(info)?;
+        let feature_count = volume.features.as_ref().map_or(0, |f| f.len() as u32);
+        let mut out =
+            entire_volume_info { scalar_type: volume.scalar_type, feature_count, ..ByValue::defaults() };
+        let mut shape = volume.summary.get().map(VolumeSummary::shape);
+        if let Some(voxels) = &volume.voxels {
+            shape = Some(voxels.shape);
+            out.range = voxels.range.into();
+            out.has_voxels = 1;
+        }
+        if let Some(shape) = shape {
+            out.dims = shape.dims;
+            out.spacing = shape.spacing.to_array();
+            out.bounding_radius = shape.bounding_radius;
+            out.reference_step = shape.spacing.min_element();
+        }
+        write_struct(info, &out)
+    }))
 }
 
 /// Copies the text of the volume's last failure, like entire_session_last_error.
