@@ -54,16 +54,12 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     let ([x, y, z], spacing) = three_axes(&sizes, &spacing, &[])?;
     let dims = checked_dims([x, y, z])?;
     let mut notes = Vec::new();
-    let data = match &header.several {
-        Some(several) => several
-            .read(&sizes, companions, |stream, each| voxels(stream, &header, 0, element, each, &mut notes))?,
-        None => {
-            let (stream, begin) = match header.data_file.as_str() {
-                "LOCAL" | "Local" | "local" => (stream, header.length),
-                name => (companions.open(name)?, 0),
-            };
-            voxels(stream, &header, begin, element, dims, &mut notes)?
-        }
+    let mut read =
+        |stream: Stream<'_>, begin, dims| voxels(stream, &header, begin, element, dims, &mut notes);
+    let data = match (&header.several, header.data_file.as_str()) {
+        (Some(several), _) => several.read(&sizes, companions, |stream, each| read(stream, 0, each))?,
+        (None, "LOCAL" | "Local" | "local") => read(stream, header.length, dims)?,
+        (None, name) => read(companions.open(name)?, 0, dims)?,
     };
     Ok(Parts { data, dims, spacing, name: None, notes })
 }

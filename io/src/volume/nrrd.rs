@@ -100,17 +100,11 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
             element.bytes()
         ),
     };
-    let data = match &header.several {
-        Some(several) => several.read(&file_sizes, companions, |stream, each| {
-            voxels(stream, &header, element, endian, each, &mut notes)
-        })?,
-        None => {
-            let stream = match &header.data_file {
-                None => stream,
-                Some(name) => companions.open(name)?,
-            };
-            voxels(stream, &header, element, endian, dims, &mut notes)?
-        }
+    let mut read = |stream: Stream<'_>, dims| voxels(stream, &header, element, endian, dims, &mut notes);
+    let data = match (&header.several, &header.data_file) {
+        (Some(several), _) => several.read(&file_sizes, companions, read)?,
+        (None, Some(name)) => read(companions.open(name)?, dims)?,
+        (None, None) => read(stream, dims)?,
     };
     Ok(Parts { data, dims, spacing, name: None, notes })
 }

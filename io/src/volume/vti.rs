@@ -288,11 +288,7 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
     if let Some(name) = name {
         return match all().find(|(_, array, _)| array.name.as_deref() == Some(name)) {
             Some((_, array, cells)) if array.components == 1 => Ok((array, cells)),
-            Some((_, array, _)) => bail!(
-                "array {name:?} has {} components per voxel, but only 1 is accepted; save one component, or \
-                 the magnitude",
-                array.components
-            ),
+            Some((_, array, _)) => Err(several_components(array)),
             None => bail!("array {name:?} is not in the file; the file has {}", names(&|_, _| true)),
         };
     }
@@ -326,15 +322,18 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
         return Ok((array, cells));
     }
     match all().find(|(_, array, _)| array.components != 1).or_else(|| all().next()) {
-        Some((_, array, _)) if array.components != 1 => bail!(
-            "array {:?} has {} components per voxel, but only 1 is accepted; save one component, or the \
-             magnitude",
-            shown(array),
-            array.components
-        ),
+        Some((_, array, _)) if array.components != 1 => Err(several_components(array)),
         Some(_) => bail!("the file has no array of numbers except VTK's own ({})", names(&|_, _| true)),
         None => bail!("the file has no point or cell data array"),
     }
+}
+
+fn several_components(array: &Array) -> anyhow::Error {
+    anyhow!(
+        "array {:?} has {} components per voxel, but only 1 is accepted; save one component, or the magnitude",
+        shown(array),
+        array.components
+    )
 }
 
 fn parse(bytes: &[u8]) -> Result<File> {
