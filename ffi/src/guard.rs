@@ -43,7 +43,7 @@ pub extern "C" fn entire_last_error() -> *const c_char {
     }
 }
 
-/// Runs the body of an entry point: an expression whose unsafe calls require only the pointer rules in lib.rs.
+/// Runs the body of an entry point: an expression that requires only the pointer rules in lib.rs.
 macro_rules! entry {
     ($call:expr) => {
         // SAFETY: by the pointer rules in lib.rs, which the callers of all entry points guarantee.
