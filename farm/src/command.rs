@@ -1,7 +1,7 @@
 //! Command lines with placeholders, and their process groups. Arguments are passed to the program directly,
 //! without a shell, so names and paths need no quoting.
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use std::ffi::OsStr;
 use std::process::{Child, Command};
 
@@ -9,20 +9,27 @@ use std::process::{Child, Command};
 const NAMES: &str = "volume volume_name time rx_deg ry_deg dz_radii fov_y_deg transfer transfer_name width \
                      height step out task";
 
-/// Part of an argument: text, or the name of a placeholder.
-enum Part<'a> {
-    Text(&'a str),
-    Name(&'a str),
+/// Checks the placeholders of an argument.
+///
+/// # Errors
+/// When a placeholder is unknown, or a brace is neither doubled nor part of a placeholder.
+pub(crate) fn check(argument: &str) -> Result<()> {
+    fill(argument, |name| NAMES.split(' ').any(|known| known == name).then_some("")).map(|_| ())
 }
 
-fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
-    let mut out = Vec::new();
+/// Returns an argument with its placeholders replaced by the texts that `value` returns for their names.
+/// Inserted text is not expanded again.
+///
+/// # Errors
+/// When a placeholder has no value, or a brace is neither doubled nor part of a placeholder.
+pub(crate) fn fill<'v>(argument: &str, value: impl Fn(&str) -> Option<&'v str>) -> Result<String> {
+    let mut out = String::new();
     let mut rest = argument;
     while let Some(at) = rest.find(['{', '}']) {
-        out.push(Part::Text(&rest[..at]));
+        out += &rest[..at];
         let (brace, after) = (rest.as_bytes()[at] as char, &rest[at + 1..]);
         if after.starts_with(brace) {
-            out.push(Part::Text(&after[..1]));
+            out.push(brace);
             rest = &after[1..];
             continue;
         }
@@ -30,45 +37,14 @@ fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
         let Some(end) = end else {
             bail!("the argument {argument:?} has a single {brace:?}; write {{{{ or }}}} for a brace itself")
         };
-        out.push(Part::Name(&after[..end]));
+        let name = &after[..end];
+        out += value(name).with_context(|| {
+            let known = NAMES.replace(' ', "}, {");
+            format!("the argument {argument:?} holds {{{name}}}; accepted are {{{known}}}")
+        })?;
         rest = &after[end + 1..];
     }
-    out.push(Part::Text(rest));
-    Ok(out)
-}
-
-/// Checks the placeholders of an argument.
-///
-/// # Errors
-/// When a placeholder is unknown, or a brace is neither doubled nor part of a placeholder.
-pub(crate) fn check(argument: &str) -> Result<()> {
-    for part in parts(argument)? {
-        if let Part::Name(name) = part
-            && !NAMES.split(' ').any(|known| known == name)
-        {
-            let known = NAMES.replace(' ', "}, {");
-            bail!("the argument {argument:?} holds {{{name}}}; accepted are {{{known}}}");
-        }
-    }
-    Ok(())
-}
-
-/// Returns an argument with its placeholders replaced by `values` (name and text). Inserted text is not expanded again.
-///
-/// # Errors
-/// When a placeholder has no value, or a brace is neither doubled nor part of a placeholder.
-pub(crate) fn fill(argument: &str, values: &[(&str, String)]) -> Result<String> {
-    let mut out = String::new();
-    for part in parts(argument)? {
-        match part {
-            Part::Text(text) => out.push_str(text),
-            Part::Name(name) => match values.iter().find(|(n, _)| *n == name) {
-                Some((_, value)) => out.push_str(value),
-                None => bail!("the argument {argument:?} holds {{{name}}}, which has no value here"),
-            },
-        }
-    }
-    Ok(out)
+    Ok(out + rest)
 }
 
 /// Returns a word quoted for a POSIX shell, for the scripts of batch systems and for commands to paste.
@@ -114,10 +90,10 @@ mod tests {
 
     #[test]
     fn placeholders_are_filled_once_and_mistakes_are_named() {
-        let values: [(&str, String); 2] = [("out", "a {task} b.png".into()), ("task", "7".into())];
-        assert_eq!(fill("--out={out}", &values).unwrap(), "--out=a {task} b.png");
-        assert_eq!(fill("{{{task}}}", &values).unwrap(), "{7}");
-        assert_eq!(fill("plain", &values).unwrap(), "plain");
+        let value = |name: &str| Some(if name == "out" { "a {task} b.png" } else { "7" });
+        assert_eq!(fill("--out={out}", value).unwrap(), "--out=a {task} b.png");
+        assert_eq!(fill("{{{task}}}", value).unwrap(), "{7}");
+        assert_eq!(fill("plain", value).unwrap(), "plain");
         for (text, word) in [("{oot}", "{oot}"), ("{out", "single"), ("a}b", "single"), ("{a{b}", "single")] {
             let said = format!("{:#}", check(text).unwrap_err());
             assert!(said.contains(word), "{text}: {said}");

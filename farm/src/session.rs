@@ -16,7 +16,8 @@ use std::time::{Duration, Instant};
 /// Time limit for the last lines of a program that has closed its input.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
-#[derive(Clone, Debug, Deserialize)]
+/// Answer of a renderer to a task.
+#[derive(Clone, Debug, Default, Deserialize)]
 pub(super) struct Reply {
     pub(super) task: String,
     /// Seconds of the frame, if the renderer measures them.

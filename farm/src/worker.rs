@@ -5,7 +5,7 @@ use super::command::{fill, kill, leader};
 use super::engine::utf8;
 use super::job::{Draw, Renderer, draw_settings, frame};
 use super::record::{Answer, BundleOrder, Line, Order, run_number, unix_now};
-use super::session::Session;
+use super::session::{Reply, Session};
 use super::spool::tail;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::Arcball;
@@ -53,14 +53,6 @@ struct Own {
     draw: Draw,
     held: Option<(PathBuf, Reading)>,
     transfer: Option<entire_io::path::Transfer>,
-}
-
-/// Times of an image, seconds.
-struct Painted {
-    load_s: f64,
-    render_s: Option<f64>,
-    /// Seconds of an earlier attempt at the task, which failed; 0 without such an attempt.
-    lost_s: f64,
 }
 
 /// State of a worker.
@@ -175,9 +167,9 @@ impl Worker {
         };
         match self.paint(order) {
             Ok((painted, bytes, crc32)) => {
-                answer.load_s = painted.load_s;
-                answer.render_s = painted.render_s;
-                let lost_s = painted.load_s + painted.lost_s;
+                answer.load_s = painted.load_s.unwrap_or(0.0);
+                answer.render_s = painted.seconds;
+                let lost_s = answer.load_s + painted.lost_s;
                 answer.seconds = (clock.elapsed().as_secs_f64() - lost_s).max(1e-9);
                 (answer.bytes, answer.crc32) = (bytes, crc32);
             }
@@ -191,7 +183,7 @@ impl Worker {
         answer
     }
 
-    fn paint(&mut self, order: &Order) -> Result<(Painted, u64, u32)> {
+    fn paint(&mut self, order: &Order) -> Result<(Reply, u64, u32)> {
         let out = self.output.join(&order.image);
         make_folder_of(&out)?;
         // A folder for this image only: a program that is still writing after it was killed cannot overwrite
@@ -199,27 +191,20 @@ impl Worker {
         let parts = self.state.join("parts");
         let folder = tempfile::Builder::new().prefix("p").tempdir_in(&parts);
         let folder = folder.with_context(|| format!("cannot make a folder in {}", parts.display()))?;
-        let (painted, png) = match &mut self.painter {
-            Painter::Own(own) => own.paint(order)?,
-            program => {
-                let part = folder.path().join(format!("{}.png", order.task));
-                let log = self.state.join("logs").join(format!("{}.log", order.task));
-                let painted = match program {
-                    Painter::Program(command, limit) => run(command, *limit, order, &part, &log)?,
-                    Painter::Stays(session) => {
-                        let found = session.ask(order, &part, &log)?;
-                        let load_s = found.load_s.unwrap_or(0.0);
-                        Painted { load_s, render_s: found.seconds, lost_s: found.lost_s }
-                    }
-                    Painter::Own(_) => unreachable!("the raycaster is handled above"),
-                };
-                let png = std::fs::read(&part).with_context(|| {
-                    format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
-                })?;
-                let _ = std::fs::remove_file(&log);
-                (painted, png)
-            }
+        let part = folder.path().join(format!("{}.png", order.task));
+        let log = self.state.join("logs").join(format!("{}.log", order.task));
+        let (painted, drawn) = match &mut self.painter {
+            Painter::Own(own) => own.paint(order).map(|(painted, png)| (painted, Some(png)))?,
+            Painter::Program(command, limit) => (run(command, *limit, order, &part, &log)?, None),
+            Painter::Stays(session) => (session.ask(order, &part, &log)?, None),
         };
+        let png = match drawn {
+            Some(png) => png,
+            None => std::fs::read(&part).with_context(|| {
+                format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
+            })?,
+        };
+        let _ = std::fs::remove_file(&log);
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
             bail!(
@@ -236,11 +221,11 @@ impl Worker {
 }
 
 impl Own {
-    fn paint(&mut self, order: &Order) -> Result<(Painted, Vec<u8>)> {
+    fn paint(&mut self, order: &Order) -> Result<(Reply, Vec<u8>)> {
         let [rx, ry, dz] = order.camera;
         let frame = frame(Arcball { rx, ry, dz }, order.fov_y_deg, order.size, order.step, self.draw)?;
         let clock = Instant::now();
-        let mut load_s = 0.0;
+        let mut load_s = None;
         if self.held.as_ref().is_none_or(|(path, how)| *path != order.volume || *how != order.reading) {
             self.held = None;
             let volume = open_volume(&order.volume, &order.reading)?;
@@ -249,7 +234,7 @@ impl Own {
                 .with_context(|| format!("{}", order.volume.display()))?;
             self.held = Some((order.volume.clone(), order.reading.clone()));
             self.transfer = None;
-            load_s = clock.elapsed().as_secs_f64();
+            load_s = Some(clock.elapsed().as_secs_f64());
         }
         if self.transfer.as_ref() != Some(&order.transfer) {
             self.transfer = None;
@@ -258,7 +243,7 @@ impl Own {
         }
         let rendered = self.renderer.render(&frame)?;
         let png = encode_png(&rendered.image)?;
-        Ok((Painted { load_s, render_s: Some(rendered.time.seconds()), lost_s: 0.0 }, png))
+        Ok((Reply { load_s, seconds: Some(rendered.time.seconds()), ..Reply::default() }, png))
     }
 }
 
@@ -281,15 +266,10 @@ fn placeholders(order: &Order, out: &Path) -> Result<Vec<(&'static str, String)>
     ])
 }
 
-fn run(
-    command: &[String],
-    limit: Option<Duration>,
-    order: &Order,
-    out: &Path,
-    log: &Path,
-) -> Result<Painted> {
+fn run(command: &[String], limit: Option<Duration>, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
     let values = placeholders(order, out)?;
-    let words = command.iter().map(|a| fill(a, &values)).collect::<Result<Vec<_>>>()?;
+    let value = |name: &str| values.iter().find(|(n, _)| *n == name).map(|(_, text)| text.as_str());
+    let words = command.iter().map(|a| fill(a, value)).collect::<Result<Vec<_>>>()?;
     let (program, arguments) = words.split_first().context("the command is empty")?;
     let file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;
     let mut child = leader(program)
@@ -310,7 +290,7 @@ fn run(
         },
     };
     ensure!(status.success(), "{program:?} ended with {status}: {}", tail(log));
-    Ok(Painted { load_s: 0.0, render_s: None, lost_s: 0.0 })
+    Ok(Reply::default())
 }
 
 fn check_png(bytes: &[u8], size: [u32; 2]) -> Result<()> {
