@@ -1,7 +1,7 @@
 //! The driver: sends bundles, records their results, and predicts the end of the job.
 
 use super::database::{Database, Options, planner};
-use super::engine::{self, Bundle, Engine, Event, STILLBORN};
+use super::engine::{self, Bundle, Engine, Event, STILLBORN, Traits};
 use super::job::Job;
 use super::planner::{Planner, Setting, State};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, unix_now};
@@ -107,15 +107,16 @@ pub fn run(
 ) -> Result<Summary> {
     let job = database.job;
     let engine = start(database.run)?;
-    if !engine.bound() {
+    let Traits { name, slots, bound, limit, .. } = engine.traits();
+    if !bound {
         // Workers of the previous run may have finished images while `start` cleared their queue.
         database.take_over()?;
     }
     let setting = Setting {
-        slots: engine.slots(),
-        bound: engine.bound(),
+        slots,
+        bound,
         overhead: options.overhead,
-        limit: engine.limit(),
+        limit,
         order: options.order,
         learn: !options.uniform,
     };
@@ -126,12 +127,12 @@ pub fn run(
     for (&task, answer) in &database.done {
         let next = nodes.len();
         let node = *nodes.entry(answer.node.clone()).or_insert(next);
-        planner.done_before(task, if setting.bound { 0 } else { node }, answer.seconds);
+        planner.done_before(task, if bound { 0 } else { node }, answer.seconds);
     }
     for task in database.quarantined.keys() {
         planner.quarantine(None, *task);
     }
-    if setting.bound {
+    if bound {
         nodes.clear();
     }
     queue(&mut planner, job, options.preview);
@@ -139,8 +140,8 @@ pub fn run(
         format: JOURNAL_FORMAT.into(),
         job: job.name.clone(),
         date: machine::now(),
-        engine: engine.name().into(),
-        slots: engine.slots(),
+        engine: name.into(),
+        slots,
         at: unix_now(),
     });
     database.journal.flush()?;
@@ -313,13 +314,14 @@ impl Drive<'_, '_> {
             return Ok(false);
         }
         let now = unix_now();
+        let Traits { slots, bound, limit, waiting, .. } = self.engine.traits();
         let mut bundles = Vec::new();
-        if self.engine.bound() {
+        if bound {
             for slot in self.planner.free_slots() {
                 bundles.extend(self.planner.next(Some(slot), now));
             }
         } else {
-            while self.planner.running() < self.engine.slots() + self.engine.waiting() {
+            while self.planner.running() < slots + waiting {
                 let Some(sent) = self.planner.next(None, now) else { break };
                 bundles.push(sent);
             }
@@ -327,12 +329,12 @@ impl Drive<'_, '_> {
         if bundles.is_empty() {
             return Ok(false);
         }
-        let (limit, blind) = (self.engine.limit(), self.planner.is_blind());
+        let blind = self.planner.is_blind();
         let mut ready = Vec::new();
         for sent in bundles {
             let retries = sent.tasks.iter().filter_map(|t| self.losses.get(t)).max().copied().unwrap_or(0);
             let mut upper_s = f64::INFINITY;
-            if !self.engine.bound() {
+            if !bound {
                 let loading = 2.0 * self.planner.loads.seconds(sent.volume, false);
                 upper_s = self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead;
                 upper_s *= f64::from(1u32 << retries.min(6));
@@ -492,7 +494,7 @@ impl Drive<'_, '_> {
         if !self.at.contains_key(&bundle) && !why.is_empty() {
             self.stillborn += 1;
             ensure!(
-                self.stillborn <= STILLBORN * self.engine.slots(),
+                self.stillborn <= STILLBORN * self.engine.traits().slots,
                 "{} bundles in a row ended before a worker began a task; the last one: {why}",
                 self.stillborn
             );
@@ -523,11 +525,11 @@ impl Drive<'_, '_> {
     /// Measures the overhead of bundles that are not bound to slots: idle seconds of slots / number of ended
     /// bundles. [`Planner::ended`] measures the overhead of bound bundles.
     fn measure_overhead(&mut self, now: f64) {
-        let Some(first) = self.first.filter(|_| !self.engine.bound()) else { return };
+        let Traits { slots, bound, .. } = self.engine.traits();
+        let Some(first) = self.first.filter(|_| !bound) else { return };
         if self.planner.pending() == 0 {
             self.idle_from.get_or_insert(now);
         }
-        let slots = self.engine.slots();
         if self.idle_from.is_some() || self.over < 2 * slots {
             return;
         }

@@ -1,5 +1,5 @@
 use super::*;
-use crate::engine::Places;
+use crate::engine::{Places, Traits};
 use crate::predict;
 use std::path::PathBuf;
 
@@ -38,12 +38,8 @@ impl Fake {
 }
 
 impl Engine for Fake {
-    fn name(&self) -> &'static str {
-        "fake"
-    }
-
-    fn slots(&self) -> usize {
-        1
+    fn traits(&self) -> Traits {
+        Traits { name: "fake", slots: 1, ..Traits::default() }
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {

@@ -1,6 +1,6 @@
 //! HyperQueue, through its Python package: a small driver script, run with the user's Python.
 
-use super::{Bundle, Engine, Event, Places};
+use super::{Bundle, Engine, Event, Places, Traits};
 use crate::command::leader;
 use crate::session::forward;
 use crate::spool::{Spool, tail};
@@ -126,20 +126,10 @@ impl HyperQueue {
 }
 
 impl Engine for HyperQueue {
-    fn name(&self) -> &'static str {
-        "hyperqueue"
-    }
-
-    fn slots(&self) -> usize {
-        self.options.workers
-    }
-
-    fn limit(&self) -> Option<f64> {
-        self.options.worker_limit.map(longest_bundle)
-    }
-
-    fn waiting(&self) -> usize {
-        (self.options.workers / 4).max(1)
+    fn traits(&self) -> Traits {
+        let slots = self.options.workers;
+        let limit = self.options.worker_limit.map(longest_bundle);
+        Traits { name: "hyperqueue", slots, bound: false, limit, waiting: (slots / 4).max(1) }
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
@@ -149,7 +139,7 @@ impl Engine for HyperQueue {
             self.places.write_order(bundle, self.run)?;
             self.priority -= 1;
             // A time request has no effect on workers without a time limit.
-            let request = self.limit().map(|limit| bundle.upper_s.min(limit).max(0.0));
+            let request = self.traits().limit.map(|limit| bundle.upper_s.min(limit).max(0.0));
             all.push(json!({
                 "bundle": number,
                 "args": self.places.worker(number)?,

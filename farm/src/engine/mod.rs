@@ -54,26 +54,27 @@ pub enum Event {
     Down(String),
 }
 
+/// Properties of an engine.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Traits {
+    /// Name of the engine.
+    pub name: &'static str,
+    /// Number of bundles that run at once.
+    pub slots: usize,
+    /// True if each bundle is sent to a given slot, whose persistent worker keeps its volume.
+    pub bound: bool,
+    /// Longest time request that the engine accepts, seconds; `None` for no limit.
+    pub limit: Option<f64>,
+    /// Number of bundles that wait inside the engine, so that no slot waits for the driver. All other tasks
+    /// wait in the planner, where their order can still change.
+    pub waiting: usize,
+}
+
 /// An engine. All engines run the same worker (`entire farm-worker`), which writes images and answers into
 /// the database's folder; that folder must be reachable from every node under the same path.
 pub trait Engine {
-    /// Name of the engine.
-    fn name(&self) -> &'static str;
-    /// Number of bundles that run at once.
-    fn slots(&self) -> usize;
-    /// True if each bundle is sent to a given slot, whose persistent worker keeps its volume.
-    fn bound(&self) -> bool {
-        false
-    }
-    /// Longest time request that the engine accepts, seconds; `None` for no limit.
-    fn limit(&self) -> Option<f64> {
-        None
-    }
-    /// Number of bundles that wait inside the engine, so that no slot waits for the driver. All other tasks
-    /// wait in the planner, where their order can still change.
-    fn waiting(&self) -> usize {
-        0
-    }
+    /// Properties of the engine.
+    fn traits(&self) -> Traits;
     /// Sends bundles, the most urgent first. A bundle that the engine refuses is lost.
     ///
     /// # Errors

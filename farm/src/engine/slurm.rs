@@ -1,6 +1,6 @@
 //! Slurm, through its commands: sbatch, squeue, scontrol, scancel, sinfo.
 
-use super::{Bundle, Engine, Event, Places, utf8};
+use super::{Bundle, Engine, Event, Places, Traits, utf8};
 use crate::command::quoted;
 use crate::record::Line;
 use crate::spool::{Spool, tail};
@@ -271,20 +271,9 @@ fn alive(state: &str) -> bool {
 }
 
 impl Engine for Slurm {
-    fn name(&self) -> &'static str {
-        "slurm"
-    }
-
-    fn slots(&self) -> usize {
-        self.slots
-    }
-
-    fn limit(&self) -> Option<f64> {
-        self.limit
-    }
-
-    fn waiting(&self) -> usize {
-        self.slots
+    fn traits(&self) -> Traits {
+        let (slots, limit) = (self.slots, self.limit);
+        Traits { name: "slurm", slots, bound: false, limit, waiting: slots }
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
