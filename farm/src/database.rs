@@ -24,11 +24,8 @@ pub struct Options {
     pub verify: bool,
     /// True to render first every eighth view at the smallest size and the coarsest step.
     pub preview: bool,
-    /// Order in which tasks are sent.
+    /// Order in which tasks are sent; `Uniform` treats all tasks as equally long in the whole run.
     pub order: crate::dispatch::Order,
-    /// True to treat all tasks as equally long in the whole run, for a comparison with runs that predict
-    /// times.
-    pub uniform: bool,
     /// Initial estimate of a bundle's overhead, seconds.
     pub overhead: f64,
 }

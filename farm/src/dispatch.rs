@@ -79,13 +79,15 @@ pub(crate) struct Dispatcher {
 }
 
 /// Order in which tasks are sent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Order {
-    /// Longest first by expected seconds.
+    /// Longest expected time first.
     #[default]
-    LongestFirst,
+    Longest,
     /// In the order of the job.
     Arrival,
+    /// In the order of the job, with all tasks taken as equally long, as by a scheduler without predictions.
+    Uniform,
 }
 
 impl Dispatcher {
@@ -107,7 +109,7 @@ impl Dispatcher {
             sent: vec![0; volumes],
             loading: false,
             looked: 0,
-            arrival: order == Order::Arrival,
+            arrival: order != Order::Longest,
             rng: ChaCha8Rng::seed_from_u64(11),
         }
     }

@@ -7,7 +7,7 @@ fn ask<'a>(held: Option<usize>, load: &'a dyn Fn(usize) -> f64, slots: usize) ->
 /// A dispatcher in whose queue all tasks wait; the longest is sent first.
 fn queued(seconds: Vec<f32>, volume: Vec<u32>, volumes: usize) -> Dispatcher {
     let tasks = 0..seconds.len() as u32;
-    let mut d = Dispatcher::new(seconds, volume, volumes, Order::LongestFirst);
+    let mut d = Dispatcher::new(seconds, volume, volumes, Order::Longest);
     d.add(tasks);
     d
 }
@@ -108,7 +108,7 @@ fn orders_are_those_of_a_plain_search() {
     let seconds =
         |round: u32| (0..n).map(|t| 0.5 + ((t * 7919 + round * 31) % 97) as f32 / 8.0).collect::<Vec<_>>();
     let volume: Vec<u32> = (0..n).map(|t| t * 31 % 11).collect();
-    let mut d = Dispatcher::new(seconds(0), volume.clone(), 11, Order::LongestFirst);
+    let mut d = Dispatcher::new(seconds(0), volume.clone(), 11, Order::Longest);
     let mut waits = vec![true; n as usize];
     d.add(0..n);
     let mut known = seconds(0);

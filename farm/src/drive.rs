@@ -1,6 +1,7 @@
 //! The driver: sends bundles, records their results, and predicts the end of the job.
 
 use super::database::{Database, Options, planner};
+use super::dispatch::Order;
 use super::engine::{self, Bundle, Engine, Event, STILLBORN, Traits};
 use super::job::Job;
 use super::planner::{Planner, Setting, State};
@@ -118,9 +119,9 @@ pub fn run(
         overhead: options.overhead,
         limit,
         order: options.order,
-        learn: !options.uniform,
+        learn: options.order != Order::Uniform,
     };
-    let base = if options.uniform { vec![0.0; base.len()] } else { base };
+    let base = if setting.learn { base } else { vec![0.0; base.len()] };
     let mut planner = planner(job, base, setting);
     planner.number_from(database.run << 32);
     let mut nodes = HashMap::new();

@@ -149,7 +149,7 @@ fn a_plan_for_another_farm_has_no_task_that_was_given_up() {
     let mut database = Database::open(&job, &Options::default()).unwrap();
     let summary = run_on(&mut database, 1).unwrap();
     assert_eq!((summary.done, summary.quarantined.len()), (1, 1));
-    let order = crate::dispatch::Order::LongestFirst;
+    let order = Order::Longest;
     let setting = Setting { slots: 1, bound: true, overhead: 0.01, limit: None, order, learn: true };
     let plan = database.plan(predict::base(&job).unwrap(), setting);
     assert!((0..2).all(|task| plan.state(task) != State::Idle));

@@ -44,7 +44,7 @@ impl Planner {
         let mut tasks: Vec<u32> = self.stages.iter().flatten().copied().collect();
         tasks.extend(self.dispatcher.waiting());
         let all = tasks.len();
-        if self.setting.order == Order::Arrival {
+        if self.setting.order != Order::Longest {
             tasks.sort_unstable();
         } else {
             // Longest first, then by number. The bits of positive floats are ordered like the floats.

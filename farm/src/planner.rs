@@ -247,7 +247,7 @@ impl Planner {
         self.refresh();
         self.next_stage();
         let early = (self.done as f64) < EXPLORED.0 * self.wanted as f64;
-        let explores = early && self.setting.learn && self.setting.order == Order::LongestFirst;
+        let explores = early && self.setting.learn && self.setting.order == Order::Longest;
         let (learner, loads, slots) = (&self.learner, &self.loads, &self.slots);
         let of_slot = slot.map(|s| &slots[s]);
         let load = |v: usize| loads.seconds(v, of_slot.is_some_and(|s| s.loaded.contains(&(v as u32))));

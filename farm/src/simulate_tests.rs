@@ -16,8 +16,7 @@ fn planner(base: &[f64], volume: &[usize], loads: Vec<f64>, slots: usize, learn:
 
 fn planner_of(shape: Shape, loads: Vec<f64>, slots: usize, learn: bool) -> Planner {
     let tasks = (0..shape.len() as u32).collect();
-    let setting =
-        Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn };
+    let setting = Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::Longest, learn };
     let mut p = Planner::new(shape, Loads::known(loads), setting);
     p.add_stage(tasks);
     p

@@ -28,18 +28,6 @@ pub(crate) enum EngineOption {
     Slurm,
 }
 
-/// Order in which tasks are sent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub(crate) enum OrderOption {
-    /// Longest expected time first.
-    #[default]
-    Longest,
-    /// In the order of the job.
-    Arrival,
-    /// In the order of the job, with all tasks taken as equally long, as by a scheduler without predictions.
-    Uniform,
-}
-
 /// Render an image database on a farm and predict when it is complete.
 ///
 /// The job file (TOML) names volumes, cameras, transfer functions, sizes, steps and the renderer; see the
@@ -91,7 +79,7 @@ pub(crate) struct Options {
     pub(crate) price: Option<f64>,
     /// Order in which tasks are sent.
     #[arg(long, value_enum, default_value_t)]
-    pub(crate) order: OrderOption,
+    pub(crate) order: Order,
     /// Overhead per bundle, seconds; default: the engine's usual overhead.
     #[arg(long, value_name = "SECONDS")]
     pub(crate) overhead: Option<f64>,
@@ -178,8 +166,7 @@ pub(crate) fn run(options: &Options, program: &[OsString]) -> Result<()> {
         retry_quarantined: options.retry_quarantined,
         verify: options.verify,
         preview: options.preview,
-        order: order(options.order),
-        uniform: options.order == OrderOption::Uniform,
+        order: options.order,
         overhead: setting(options, 1).overhead,
     };
     let mut database = Database::open(&job, &driving)?;
@@ -264,13 +251,6 @@ pub(crate) fn work(options: &WorkerOptions) -> Result<()> {
     }
 }
 
-fn order(option: OrderOption) -> Order {
-    match option {
-        OrderOption::Longest => Order::LongestFirst,
-        OrderOption::Arrival | OrderOption::Uniform => Order::Arrival,
-    }
-}
-
 fn slots(options: &Options) -> usize {
     options.slots.unwrap_or_else(machine::cores)
 }
@@ -310,7 +290,7 @@ fn setting(options: &Options, slots: usize) -> Setting {
             EngineOption::Slurm => Slurm::OVERHEAD,
         }),
         limit: options.time_limit,
-        order: order(options.order),
+        order: options.order,
         learn: true,
     }
 }

@@ -147,7 +147,7 @@ pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
         bound: false,
         overhead: options.overhead.unwrap_or(options.latency + options.dispatch),
         limit: None,
-        order: if plain { Order::Arrival } else { Order::LongestFirst },
+        order: if plain { Order::Arrival } else { Order::Longest },
         learn: !options.uniform,
     };
     let mut planner = studies::plan(&base, &volume, Loads::known(load.clone()), setting);

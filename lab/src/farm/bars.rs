@@ -40,7 +40,7 @@ pub(crate) fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Settin
 
 /// Settings of a planner: longest first, each bundle sent to a slot that keeps its volume, no overhead.
 pub(crate) fn setting(slots: usize) -> Setting {
-    Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
+    Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::Longest, learn: true }
 }
 
 /// A farm of equal slots. Task i draws volume `volume[i]` and takes `seconds[i]`; loading volume v takes
