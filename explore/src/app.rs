@@ -256,17 +256,7 @@ impl App {
     /// function.
     fn job(&self, path: PathBuf, index: usize) -> Job {
         let (shading, skipping) = (self.state.shading, self.state.skipping);
-        Job {
-            path,
-            index,
-            opened: false,
-            source: None,
-            range: None,
-            crop: None,
-            curve: None,
-            shading,
-            skipping,
-        }
+        Job { path, index, shading, skipping, ..Job::default() }
     }
 
     /// Starts a load; a running load is canceled.

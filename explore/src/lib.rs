@@ -32,4 +32,3 @@ mod work_map;
 pub use app::run;
 pub use host::{Host, Options, Progress, Steering, VolumeSource};
 pub use recording::{RecordedFrame, Recording};
-pub use transfer::RecordedTransfer;

@@ -23,7 +23,7 @@ use winit::event_loop::EventLoopProxy;
 pub(crate) struct Wake;
 
 /// A volume to load.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(crate) struct Job {
     pub(crate) path: PathBuf,
     /// Index in a time series.

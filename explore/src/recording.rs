@@ -1,9 +1,9 @@
 //! Recording of the user's views and transfer functions, frame by frame, as a path.
 
 use crate::camera::Viewpoint;
-use crate::transfer::{Curve, RecordedTransfer};
+use crate::transfer::Curve;
 use anyhow::{Result, bail};
-use entire_core::scene::Arcball;
+use entire_core::scene::{Arcball, TransferFunction};
 
 /// Maximum number of frames of a recording.
 const MOST_FRAMES: usize = 1_000_000;
@@ -18,8 +18,8 @@ pub struct RecordedFrame {
     pub parallel_scale: Option<f32>,
     /// True if the camera jumped between the previous frame and this one.
     pub camera_switched: bool,
-    /// The transfer function, if it differs from that of the previous frame.
-    pub transfer: Option<RecordedTransfer>,
+    /// The transfer function (lobes or points), if it differs from that of the previous frame.
+    pub transfer: Option<TransferFunction>,
     /// True if the transfer function was replaced at once, not dragged.
     pub transfer_switched: bool,
 }

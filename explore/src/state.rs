@@ -89,7 +89,7 @@ pub(crate) enum Handle {
 }
 
 /// Contents of the text fields.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Texts {
     pub(crate) open: String,
     pub(crate) transfer: String,
@@ -97,6 +97,7 @@ pub(crate) struct Texts {
     pub(crate) recording: String,
 }
 
+#[derive(Default)]
 pub(crate) struct State {
     pub(crate) steer: Steer,
     pub(crate) view: Viewpoint,
@@ -158,52 +159,24 @@ impl State {
         let ramp = Opacity::Points(vec![[0.0, 0.0], [1.0, 0.1]]);
         Self {
             steer,
-            view: Viewpoint::default(),
             edited: Edited::new(Curve { opacity: ramp, colors: COLOR_RAMP.to_vec() }),
             shading: options.shading,
             skipping: options.skipping,
             termination: options.termination,
             fine: true,
-            selected: None,
-            dragged: None,
-            path: None,
-            facts: None,
-            histogram: None,
-            bricks: String::new(),
-            device: String::new(),
-            predictor: String::new(),
-            calibration: String::new(),
-            crop: None,
-            crop_draft: [[0, 0]; 3],
             series: options.volumes.clone(),
-            index: 0,
-            playing: false,
             hold: 0.5,
-            fly: false,
             show_box: true,
             show_axes: true,
-            show_probe: false,
-            show_work: false,
-            work: None,
-            probe: None,
-            recorder: None,
             recent: Recent::load(),
-            loading: None,
-            screenshot_share: None,
             screenshot_size: [1280, 720],
-            rest: None,
-            said: None,
-            quit: false,
-            changed: Changed::default(),
-            commands: Vec::new(),
             texts: Texts {
                 open: String::new(),
                 transfer: "transfer.json".into(),
                 screenshot: "screenshot.png".into(),
                 recording: "path.json".into(),
             },
-            picture: None,
-            viewport: [0, 0],
+            ..Self::default()
         }
     }
 

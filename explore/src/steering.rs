@@ -72,6 +72,7 @@ struct Known {
 }
 
 /// The render loops of all controllers. One of them steers.
+#[derive(Default)]
 pub(crate) struct Steer {
     /// Name and title of each controller.
     pub(crate) controllers: Vec<(&'static str, &'static str)>,
@@ -115,14 +116,7 @@ impl Steer {
             target,
             coarsest: 16.0,
             distance: 8.0,
-            history: VecDeque::with_capacity(REMEMBERED),
-            full: None,
-            loops: HashMap::new(),
-            known: None,
-            volume: 0,
-            transfer: 0,
-            changes: Changes::default(),
-            other: VecDeque::with_capacity(OTHER_WORK),
+            ..Self::default()
         }
     }
 

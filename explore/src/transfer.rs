@@ -5,15 +5,6 @@ use anyhow::Result;
 use entire_core::GaussianLobe;
 use entire_core::scene::{COLOR_RAMP, ControlPoint, TABLE_LEN, TransferFunction, TransferTable};
 
-/// A transfer function as recordings store it.
-#[derive(Clone, Debug, PartialEq)]
-pub enum RecordedTransfer {
-    /// Gaussian lobes in the color ramp of the core.
-    Lobes(Vec<GaussianLobe>),
-    /// Control points, ascending.
-    Points(Vec<ControlPoint>),
-}
-
 /// A point of the opacity curve: normalized scalar and opacity of one reference step.
 pub(crate) type OpacityPoint = [f32; 2];
 
@@ -29,8 +20,14 @@ pub(crate) enum Opacity {
     Lobes(Vec<GaussianLobe>),
 }
 
+impl Default for Opacity {
+    fn default() -> Self {
+        Self::Points(Vec::new())
+    }
+}
+
 /// An opacity curve and a color map.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Curve {
     pub(crate) opacity: Opacity,
     pub(crate) colors: Vec<ColorPoint>,
@@ -147,9 +144,9 @@ impl Curve {
 
     /// Returns the transfer function for recordings: lobes if the curve consists of lobes in the core's color
     /// ramp, else a point for each entry of the table.
-    pub(crate) fn recorded(&self) -> Result<RecordedTransfer> {
+    pub(crate) fn recorded(&self) -> Result<TransferFunction> {
         if let (Some(lobes), true) = (self.lobes(), self.has_ramp()) {
-            return Ok(RecordedTransfer::Lobes(lobes.to_vec()));
+            return Ok(TransferFunction::Gaussian(lobes.to_vec()));
         }
         let table = self.table()?;
         let points = table.rgba().iter().enumerate().map(|(i, e)| ControlPoint {
@@ -157,20 +154,7 @@ impl Curve {
             color: [e[0], e[1], e[2]],
             opacity: e[3],
         });
-        Ok(RecordedTransfer::Points(points.collect()))
-    }
-
-    #[cfg(test)]
-    fn from_recorded(transfer: &RecordedTransfer) -> Self {
-        match transfer {
-            RecordedTransfer::Lobes(lobes) => {
-                Self { opacity: Opacity::Lobes(lobes.clone()), colors: COLOR_RAMP.to_vec() }
-            }
-            RecordedTransfer::Points(points) => Self {
-                opacity: Opacity::Points(points.iter().map(|p| [p.position, p.opacity]).collect()),
-                colors: points.iter().map(|p| (p.position, p.color)).collect(),
-            },
-        }
+        Ok(TransferFunction::Points(points.collect()))
     }
 
     /// Returns the curve as points, so that it can be edited point by point. Lobes are approximated.
@@ -201,7 +185,7 @@ fn neighbors<P>(points: &[P], at: impl Fn(&P) -> f32, s: f32) -> Option<(&P, &P,
 }
 
 /// A curve with its undo history.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Edited {
     past: Vec<Curve>,
     future: Vec<Curve>,
@@ -215,7 +199,7 @@ const UNDO_STEPS: usize = 200;
 
 impl Edited {
     pub(crate) fn new(curve: Curve) -> Self {
-        Self { past: Vec::new(), future: Vec::new(), settled: curve.clone(), curve }
+        Self { settled: curve.clone(), curve, ..Self::default() }
     }
 
     /// Ends an edit (a drag, a typed value), which becomes one undo step.
@@ -282,8 +266,7 @@ mod tests {
                     let color = curve.color_at(s);
                     assert!((0..3).all(|c| (entry[c] - color[c]).abs() < 1e-5), "{name} at {s}");
                 }
-                let again = Curve::from_recorded(&curve.recorded().unwrap());
-                let again = again.table().unwrap();
+                let again = curve.recorded().unwrap().to_table().unwrap();
                 for (a, b) in table.rgba().iter().zip(again.rgba()) {
                     assert!((0..4).all(|c| (a[c] - b[c]).abs() < 1e-5), "{name}: {a:?} {b:?}");
                 }

@@ -10,10 +10,11 @@ use core::str::FromStr;
 pub const MAX_IMAGE_SIDE: u32 = 16384;
 
 /// Shading, computed at each sample. Each variant has its own cost models.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Shading {
     /// Color and opacity of the transfer function only.
+    #[default]
     None,
     /// Local lighting, with gradients by central differences (six more fetches per visible sample).
     Local,
@@ -57,12 +58,13 @@ impl FromStr for Shading {
 }
 
 /// Method of skipping empty space.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Skipping {
     /// Every sample is taken.
     None,
     /// Blocks whose min–max range is transparent under the transfer function are skipped.
+    #[default]
     Blocks,
     /// As `Blocks`, with a Chebyshev distance map: one skip crosses all blocks that the map shows to be
     /// empty.

@@ -9,8 +9,8 @@ use crate::steering::rivals::StepResponse;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_core::model::{Model, ModelFile};
-use entire_core::scene::{Arcball, Shading, VolumeView};
-use entire_explore::{Host, Progress, RecordedTransfer, Recording, Steering, VolumeSource};
+use entire_core::scene::{Arcball, Shading, TransferFunction, VolumeView};
+use entire_explore::{Host, Progress, Recording, Steering, VolumeSource};
 use entire_farm::quoted;
 use entire_io::dataset::Clock;
 use entire_io::files::{write_json, write_whole};
@@ -224,7 +224,7 @@ fn path_file(recording: &Recording) -> PathFile {
                 keys[i - 1].camera = Some(pose(i - 1));
             }
         }
-        if let Some(found) = frame.transfer.as_ref().map(transfer) {
+        if let Some(found) = frame.transfer.as_ref().and_then(transfer) {
             let dragged = held.as_ref().filter(|h| !frame.transfer_switched && alike(h, &found)).cloned();
             keys[i].switch |= i > 0 && dragged.is_none();
             if let (Some(before), true) = (dragged, i > 0) {
@@ -254,10 +254,11 @@ fn alike(a: &Transfer, b: &Transfer) -> bool {
     }
 }
 
-fn transfer(recorded: &RecordedTransfer) -> Transfer {
+fn transfer(recorded: &TransferFunction) -> Option<Transfer> {
     match recorded {
-        RecordedTransfer::Lobes(lobes) => Transfer::Lobes(lobes.clone()),
-        RecordedTransfer::Points(points) => Transfer::Points(points.clone()),
+        TransferFunction::Gaussian(lobes) => Some(Transfer::Lobes(lobes.clone())),
+        TransferFunction::Points(points) => Some(Transfer::Points(points.clone())),
+        _ => None,
     }
 }
 
@@ -274,8 +275,9 @@ mod tests {
 
     #[test]
     fn a_recording_plays_as_it_was_made() {
-        let lobes =
-            |height| Some(RecordedTransfer::Lobes(vec![GaussianLobe { center: 0.5, width: 0.01, height }]));
+        let lobes = |height| {
+            Some(TransferFunction::Gaussian(vec![GaussianLobe { center: 0.5, width: 0.01, height }]))
+        };
         let at = |ry| Arcball { rx: 10.0, ry, dz: 2.0 };
         let frame = |ry, camera_switched, transfer| RecordedFrame {
             camera: at(ry),
