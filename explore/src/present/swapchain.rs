@@ -5,6 +5,7 @@ use ash::vk;
 use entire_vk_raycaster::SharedDevice;
 
 /// Resources of one swapchain image.
+#[derive(Default)]
 struct Frame {
     view: vk::ImageView,
     framebuffer: vk::Framebuffer,
@@ -131,9 +132,8 @@ impl Swapchain {
             dst_subpass: 0,
             src_stage_mask: vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT,
             dst_stage_mask: vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT,
-            src_access_mask: vk::AccessFlags::empty(),
             dst_access_mask: vk::AccessFlags::COLOR_ATTACHMENT_WRITE,
-            dependency_flags: vk::DependencyFlags::empty(),
+            ..Default::default()
         }];
         let info = vk::RenderPassCreateInfo::default()
             .attachments(&attachments)
@@ -148,27 +148,18 @@ impl Swapchain {
             let images =
                 this.functions.get_swapchain_images(handle).map_err(failed("vkGetSwapchainImagesKHR"))?;
             for image in images {
-                let mut frame = Frame {
-                    view: vk::ImageView::null(),
-                    framebuffer: vk::Framebuffer::null(),
-                    drawn: vk::Semaphore::null(),
-                };
+                let frame = this.frames.push_mut(Frame::default());
                 let info = vk::ImageViewCreateInfo::default()
                     .image(image)
                     .view_type(vk::ImageViewType::TYPE_2D)
                     .format(format.format)
                     .subresource_range(vk::ImageSubresourceRange {
                         aspect_mask: vk::ImageAspectFlags::COLOR,
-                        base_mip_level: 0,
                         level_count: 1,
-                        base_array_layer: 0,
                         layer_count: 1,
+                        ..Default::default()
                     });
-                let view = d.create_image_view(&info, None);
-                frame.view = view.unwrap_or_default();
-                this.frames.push(frame);
-                view.map_err(failed("vkCreateImageView"))?;
-                let Some(frame) = this.frames.last_mut() else { continue };
+                frame.view = d.create_image_view(&info, None).map_err(failed("vkCreateImageView"))?;
                 let views = [frame.view];
                 let info = vk::FramebufferCreateInfo::default()
                     .render_pass(this.render_pass)
