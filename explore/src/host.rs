@@ -1,24 +1,14 @@
 //! Services that the window needs of the program that opens it.
 
-use crate::recording::Recording;
-use anyhow::{Result, bail};
+use anyhow::Result;
 use entire_core::scene::{Shading, Skipping, VolumeView};
+use entire_io::volume::{Volume, Watcher};
 use entire_steer::Session;
 use entire_vk_raycaster::Image;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-
-/// A volume in memory.
-pub trait VolumeSource: Send + Sync {
-    /// Voxels of the volume.
-    fn view(&self) -> VolumeView<'_>;
-
-    /// Notes on how the file was read, one sentence each.
-    fn notes(&self) -> &[String] {
-        &[]
-    }
-}
 
 /// A predictor that is ready for one volume.
 pub trait Steering: Send + Sync {
@@ -49,7 +39,7 @@ pub trait Host: Send + Sync {
     ///
     /// # Errors
     /// When the file cannot be read, or reading was canceled.
-    fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>>;
+    fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Volume>;
 
     /// Returns the predictor for a volume, a shading mode and the device that draws.
     ///
@@ -60,23 +50,12 @@ pub trait Host: Send + Sync {
     /// Name and title of every controller.
     fn controllers(&self) -> Vec<(&'static str, &'static str)>;
 
-    /// Writes a file completely or not at all: an existing file stays until the new one is complete.
+    /// Writes a picture as a PNG file without its opacity: its colors are blended over black. An existing file
+    /// stays until the new one is complete.
     ///
     /// # Errors
     /// When the file cannot be written; the message names the file.
-    fn write_whole(&self, file: &Path, bytes: &[u8]) -> Result<()>;
-
-    /// Writes a picture as a PNG file without its opacity: its colors are blended over black.
-    ///
-    /// # Errors
-    /// As [`Host::write_whole`].
     fn write_picture(&self, file: &Path, picture: &Image) -> Result<()>;
-
-    /// Writes a recorded session as a path file.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
-    fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()>;
 
     /// The command line that calibrates a model to this machine.
     fn calibration(&self, volume: &Path, shading: Shading) -> String;
@@ -90,31 +69,27 @@ pub struct Progress {
     cancelled: AtomicBool,
 }
 
-impl Progress {
-    /// Adds to the total number of bytes to read.
-    pub fn expect(&self, bytes: u64) {
+impl Watcher for Progress {
+    fn expect(&self, bytes: u64) {
         self.total.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Adds to the number of bytes read.
-    pub fn advance(&self, bytes: u64) {
+    fn advance(&self, bytes: u64) -> io::Result<()> {
         self.done.fetch_add(bytes, Ordering::Relaxed);
+        self.check()
     }
+}
 
+impl Progress {
     /// Requests that the reader stops.
     pub fn cancel(&self) {
         self.cancelled.store(true, Ordering::Relaxed);
     }
 
-    /// True if [`Progress::cancel`] was called.
-    pub fn is_cancelled(&self) -> bool {
-        self.cancelled.load(Ordering::Relaxed)
-    }
-
     /// Fails if the reader was asked to stop.
-    pub(crate) fn check(&self) -> Result<()> {
-        if self.is_cancelled() {
-            bail!("cancelled");
+    pub(crate) fn check(&self) -> io::Result<()> {
+        if self.cancelled.load(Ordering::Relaxed) {
+            return Err(io::Error::other("cancelled"));
         }
         Ok(())
     }

@@ -4,8 +4,8 @@
 //! frame and then observes the frame's time; a graph shows the prediction with its bound beside the measured
 //! time. The picture never leaves the device: the compute shader writes it, the interface samples it.
 //!
-//! Readers of volume files, predictors, controllers and path files come from the program that opens the
-//! window, through [`Host`].
+//! Options of reading volume files, predictors and controllers come from the program that opens the window,
+//! through [`Host`].
 #![deny(unsafe_code)]
 
 mod app;
@@ -30,5 +30,4 @@ mod ui;
 mod work_map;
 
 pub use app::run;
-pub use host::{Host, Options, Progress, Steering, VolumeSource};
-pub use recording::{RecordedFrame, Recording};
+pub use host::{Host, Options, Progress, Steering};

@@ -4,11 +4,12 @@
 
 use crate::camera::Placement;
 use crate::histogram::Histogram;
-use crate::host::{Host, Progress, Steering, VolumeSource};
-use crate::scene::{Crop, Facts, Scene, Spanned, part};
+use crate::host::{Host, Progress, Steering};
+use crate::scene::{Crop, Facts, Scene, part, spanned};
 use crate::transfer::Curve;
 use anyhow::{Context, Result};
 use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
+use entire_io::volume::Volume;
 use entire_steer::VolumeSummary;
 use entire_vk_raycaster::{Renderer, SharedDevice, VulkanOptions, VulkanRaycaster};
 use std::path::PathBuf;
@@ -31,8 +32,8 @@ pub(crate) struct Job {
     /// True if the user opened the file, so that it becomes a recent file.
     pub(crate) opened: bool,
     /// The volume, if it is in memory.
-    pub(crate) source: Option<Arc<dyn VolumeSource>>,
-    /// Range of values that maps to [0, 1]; `None` for the file's range. `source` already has this range.
+    pub(crate) source: Option<Arc<Volume>>,
+    /// Range of values that maps to [0, 1]; `None` for the file's range.
     pub(crate) range: Option<(f32, f32)>,
     pub(crate) crop: Option<Crop>,
     /// The initial transfer function; by default a preset for the volume.
@@ -124,22 +125,20 @@ struct Worker {
 impl Worker {
     fn enter(&self, stage: u32) -> Result<()> {
         self.stage.store(stage, Ordering::Relaxed);
-        self.progress.check()
+        Ok(self.progress.check()?)
     }
 
     fn load(&self, job: Job, begin: Instant) -> Result<Loaded> {
-        let whole = match (job.source, job.range) {
-            (Some(source), _) => source,
-            (None, None) => self.host.open(&job.path, &self.progress)?,
-            (None, Some(range)) => {
-                Arc::new(Spanned { whole: self.host.open(&job.path, &self.progress)?, range })
-            }
+        let whole = match job.source {
+            Some(source) => source,
+            None => Arc::new(self.host.open(&job.path, &self.progress)?),
         };
         self.enter(1)?;
-        let facts = Facts::of(&whole.view());
+        let all = spanned(&whole, job.range);
+        let facts = Facts::of(&all);
         let (view, placement) = match job.crop {
-            Some(crop) => part(&whole.view(), crop)?,
-            None => (whole.view(), Placement::WHOLE),
+            Some(crop) => part(&all, crop)?,
+            None => (all, Placement::WHOLE),
         };
         let mut raycaster = VulkanRaycaster::on_device(&self.device, self.options.clone())?;
         let drawn_by = raycaster.device();

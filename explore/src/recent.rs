@@ -1,6 +1,7 @@
 //! Recently opened volumes.
 
 use anyhow::Result;
+use entire_io::files::{make_folder_of, write_whole};
 use std::path::{Path, PathBuf};
 
 /// Maximum number of files in the list.
@@ -30,17 +31,16 @@ impl Recent {
         Self { file, paths }
     }
 
-    /// Puts a file first and stores the list by `write`. Errors are ignored, since the list is only a
-    /// convenience.
-    pub(crate) fn add(&mut self, path: &Path, write: impl FnOnce(&Path, &[u8]) -> Result<()>) {
+    /// Puts a file first and stores the list. Errors are ignored, since the list is only a convenience.
+    pub(crate) fn add(&mut self, path: &Path) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         self.paths.retain(|p| *p != path);
         self.paths.insert(0, path);
         self.paths.truncate(MOST);
         if let Some(file) = &self.file {
             let keep = || -> Result<()> {
-                std::fs::create_dir_all(file.parent().unwrap_or(Path::new(".")))?;
-                write(file, serde_json::to_string_pretty(&self.paths)?.as_bytes())
+                make_folder_of(file)?;
+                write_whole(file, serde_json::to_string_pretty(&self.paths)?.as_bytes())
             };
             let _ = keep();
         }
@@ -57,7 +57,7 @@ mod tests {
         let file = Some(folder.path().join("state/recent.json"));
         let mut recent = Recent::read(file.clone());
         for name in ["/a", "/b", "/a"] {
-            recent.add(Path::new(name), |file, text| Ok(std::fs::write(file, text)?));
+            recent.add(Path::new(name));
         }
         assert_eq!(recent.paths, [PathBuf::from("/a"), PathBuf::from("/b")]);
         assert_eq!(Recent::read(file).paths, recent.paths);

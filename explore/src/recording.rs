@@ -2,35 +2,48 @@
 
 use crate::camera::Viewpoint;
 use crate::transfer::Curve;
-use anyhow::{Result, bail};
-use entire_core::scene::{Arcball, TransferFunction};
+use anyhow::{Context, Result, bail};
+use entire_core::scene::Arcball;
+use entire_io::files::write_json;
+use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
+use std::path::Path;
 
 /// Maximum number of frames of a recording.
 const MOST_FRAMES: usize = 1_000_000;
 
 /// A frame that was drawn.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RecordedFrame {
+pub(crate) struct RecordedFrame {
     /// The pose of the eye about the volume's center.
-    pub camera: Arcball,
+    pub(crate) camera: Arcball,
     /// Half of the visible height of an orthographic view, bounding-sphere radii; `None` for a perspective
     /// view.
-    pub parallel_scale: Option<f32>,
+    pub(crate) parallel_scale: Option<f32>,
     /// True if the camera jumped between the previous frame and this one.
-    pub camera_switched: bool,
+    pub(crate) camera_switched: bool,
     /// The transfer function (lobes or points), if it differs from that of the previous frame.
-    pub transfer: Option<TransferFunction>,
+    pub(crate) transfer: Option<Transfer>,
     /// True if the transfer function was replaced at once, not dragged.
-    pub transfer_switched: bool,
+    pub(crate) transfer_switched: bool,
 }
 
 /// A recorded session.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Recording {
+pub(crate) struct Recording {
     /// Vertical field of view, degrees.
-    pub fov_y_degrees: f32,
+    pub(crate) fov_y_degrees: f32,
     /// Every frame in order; the first has a transfer function.
-    pub frames: Vec<RecordedFrame>,
+    pub(crate) frames: Vec<RecordedFrame>,
+}
+
+impl Recording {
+    /// Writes the recording as a path file.
+    pub(crate) fn write(&self, file: &Path) -> Result<()> {
+        let path = path_file(self);
+        // A recording that cannot be played is not written.
+        path.resolve().context("the recording cannot be played")?;
+        write_json(file, &path)
+    }
 }
 
 /// A recording that is in progress.
@@ -112,10 +125,100 @@ impl Recorder {
     }
 }
 
+/// Returns a recording as a path file. The frame before each change gets a keyframe with the old values, so
+/// that the values are not interpolated over earlier frames.
+fn path_file(recording: &Recording) -> PathFile {
+    let frames = &recording.frames;
+    let mut keys: Vec<Keyframe> = (0..frames.len() as u32)
+        .map(|frame| Keyframe { frame, camera: None, transfer: None, switch: false })
+        .collect();
+    let pose = |i: usize| {
+        let Arcball { rx, ry, dz } = frames[i].camera;
+        let parallel_scale = frames[i].parallel_scale;
+        CameraPose { rx_deg: rx, ry_deg: ry, dz_radii: dz, parallel_scale }
+    };
+    let mut held: Option<Transfer> = None;
+    for (i, frame) in frames.iter().enumerate() {
+        if i == 0 || pose(i) != pose(i - 1) {
+            keys[i].camera = Some(pose(i));
+            keys[i].switch |= i > 0 && frame.camera_switched;
+            if i > 0 {
+                keys[i - 1].camera = Some(pose(i - 1));
+            }
+        }
+        if let Some(found) = &frame.transfer {
+            let dragged = held.as_ref().filter(|h| !frame.transfer_switched && alike(h, found)).cloned();
+            keys[i].switch |= i > 0 && dragged.is_none();
+            if let (Some(before), true) = (dragged, i > 0) {
+                keys[i - 1].transfer = Some(before);
+            }
+            keys[i].transfer = Some(found.clone());
+            held = Some(found.clone());
+        }
+    }
+    keys.retain(|k| k.camera.is_some() || k.transfer.is_some());
+    PathFile {
+        format: PATH_FORMAT.into(),
+        name: "recorded".into(),
+        frames: frames.len() as u32,
+        fov_y_deg: recording.fov_y_degrees,
+        keyframes: keys,
+    }
+}
+
+/// True if the two transfer functions can be interpolated: both have lobes or both have points, of equal
+/// number.
+fn alike(a: &Transfer, b: &Transfer) -> bool {
+    match (a, b) {
+        (Transfer::Lobes(a), Transfer::Lobes(b)) => a.len() == b.len(),
+        (Transfer::Points(a), Transfer::Points(b)) => a.len() == b.len(),
+        _ => false,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::histogram::Histogram;
+    use entire_core::GaussianLobe;
+
+    #[test]
+    fn a_recording_plays_as_it_was_made() {
+        let lobes = |height| Some(Transfer::Lobes(vec![GaussianLobe { center: 0.5, width: 0.01, height }]));
+        let at = |ry| Arcball { rx: 10.0, ry, dz: 2.0 };
+        let frame = |ry, camera_switched, transfer| RecordedFrame {
+            camera: at(ry),
+            parallel_scale: None,
+            camera_switched,
+            transfer,
+            transfer_switched: false,
+        };
+        let recording = Recording {
+            fov_y_degrees: 40.0,
+            frames: vec![
+                frame(0.0, false, lobes(0.1)),
+                frame(0.0, false, None),
+                frame(0.0, false, None),
+                frame(4.0, false, None),
+                frame(90.0, true, None),
+                RecordedFrame { transfer_switched: true, ..frame(90.0, false, lobes(0.3)) },
+                frame(90.0, false, None),
+                frame(90.0, false, lobes(0.4)),
+                RecordedFrame { parallel_scale: Some(0.8), ..frame(90.0, true, None) },
+                RecordedFrame { parallel_scale: Some(0.7), ..frame(95.0, false, None) },
+            ],
+        };
+        let file = path_file(&recording);
+        let path = file.resolve().unwrap();
+        assert_eq!(path.fov_y_degrees, 40.0);
+        let angles: Vec<f32> = path.frames.iter().map(|f| f.camera.ry).collect();
+        assert_eq!(angles, [0.0, 0.0, 0.0, 4.0, 90.0, 90.0, 90.0, 90.0, 90.0, 95.0], "{file:?}");
+        assert_eq!(path.switches(), [4, 5, 8], "the drag is no switch");
+        let scales: Vec<_> = path.frames[7..].iter().map(|f| f.parallel_scale).collect();
+        assert_eq!(scales, [None, Some(0.8), Some(0.7)]);
+        let heights: Vec<f32> = path.frames.iter().map(|f| f.transfer.lobes().unwrap()[0].height).collect();
+        assert_eq!(heights, [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.4, 0.4, 0.4]);
+    }
 
     #[test]
     fn changes_and_jumps_are_noted_and_angles_go_on() {

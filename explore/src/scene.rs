@@ -2,9 +2,9 @@
 
 use crate::camera::Placement;
 use crate::histogram::Histogram;
-use crate::host::VolumeSource;
 use anyhow::{Result, ensure};
 use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
+use entire_io::volume::Volume;
 use entire_vk_raycaster::VulkanRaycaster;
 use glam::Vec3;
 use std::path::PathBuf;
@@ -18,7 +18,7 @@ pub(crate) struct Scene {
     pub(crate) path: PathBuf,
     /// Index in a time series.
     pub(crate) index: usize,
-    pub(crate) whole: Arc<dyn VolumeSource>,
+    pub(crate) whole: Arc<Volume>,
     /// Range of values that maps to [0, 1]; `None` for the file's range.
     pub(crate) range: Option<(f32, f32)>,
     pub(crate) crop: Option<Crop>,
@@ -66,28 +66,14 @@ impl Facts {
     }
 }
 
-/// A volume whose values are mapped to [0, 1] by `range` instead of by the volume's own range.
-pub(crate) struct Spanned {
-    pub(crate) whole: Arc<dyn VolumeSource>,
-    pub(crate) range: (f32, f32),
-}
-
-impl VolumeSource for Spanned {
-    fn view(&self) -> VolumeView<'_> {
-        let view = self.whole.view();
-        let shape = view.shape();
-        let options = VolumeOptions {
-            strides: Some(view.strides()),
-            spacing: shape.spacing.to_array(),
-            range: Some(self.range),
-        };
-        VolumeView::with(view.scalars(), shape.dims, options)
-            .expect("the same volume was checked with another range")
+/// Returns the view of a volume whose values are mapped to [0, 1] by `range`; `None` for the volume's range.
+pub(crate) fn spanned(volume: &Volume, range: Option<(f32, f32)>) -> VolumeView<'_> {
+    if range.is_none() {
+        return volume.view();
     }
-
-    fn notes(&self) -> &[String] {
-        self.whole.notes()
-    }
+    let options = VolumeOptions { range, spacing: volume.spacing(), ..VolumeOptions::default() };
+    VolumeView::with(volume.data().scalars(), volume.dims(), options)
+        .expect("the same volume was checked with another range")
 }
 
 /// Returns the view of a part of a volume, and the part's placement. The view has the value range of the

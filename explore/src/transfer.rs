@@ -4,6 +4,7 @@ use crate::histogram::Histogram;
 use anyhow::Result;
 use entire_core::GaussianLobe;
 use entire_core::scene::{COLOR_RAMP, ControlPoint, TABLE_LEN, TransferFunction, TransferTable};
+use entire_io::path::Transfer;
 
 /// A point of the opacity curve: normalized scalar and opacity of one reference step.
 pub(crate) type OpacityPoint = [f32; 2];
@@ -144,9 +145,9 @@ impl Curve {
 
     /// Returns the transfer function for recordings: lobes if the curve consists of lobes in the core's color
     /// ramp, else a point for each entry of the table.
-    pub(crate) fn recorded(&self) -> Result<TransferFunction> {
+    pub(crate) fn recorded(&self) -> Result<Transfer> {
         if let (Some(lobes), true) = (self.lobes(), self.has_ramp()) {
-            return Ok(TransferFunction::Gaussian(lobes.to_vec()));
+            return Ok(Transfer::Lobes(lobes.to_vec()));
         }
         let table = self.table()?;
         let points = table.rgba().iter().enumerate().map(|(i, e)| ControlPoint {
@@ -154,7 +155,7 @@ impl Curve {
             color: [e[0], e[1], e[2]],
             opacity: e[3],
         });
-        Ok(TransferFunction::Points(points.collect()))
+        Ok(Transfer::Points(points.collect()))
     }
 
     /// Returns the curve as points, so that it can be edited point by point. Lobes are approximated.
@@ -266,7 +267,7 @@ mod tests {
                     let color = curve.color_at(s);
                     assert!((0..3).all(|c| (entry[c] - color[c]).abs() < 1e-5), "{name} at {s}");
                 }
-                let again = curve.recorded().unwrap().to_table().unwrap();
+                let again = curve.recorded().unwrap().function().to_table().unwrap();
                 for (a, b) in table.rgba().iter().zip(again.rgba()) {
                     assert!((0..4).all(|c| (a[c] - b[c]).abs() < 1e-5), "{name}: {a:?} {b:?}");
                 }

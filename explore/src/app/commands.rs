@@ -6,7 +6,6 @@ use crate::exchange;
 use crate::loading::Job;
 use crate::recording::Recorder;
 use crate::scene::Crop;
-use crate::scene::Spanned;
 use crate::script::{Action, Script};
 use crate::state::Command;
 use crate::transfer::{Curve, Opacity};
@@ -14,8 +13,8 @@ use anyhow::{Context, Result, bail};
 use ash::vk;
 use entire_core::GaussianLobe;
 use entire_core::scene::Arcball;
+use entire_io::files::write_whole;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use winit::dpi::PhysicalSize;
 use winit::event_loop::ActiveEventLoop;
 
@@ -83,11 +82,11 @@ impl App {
         } else {
             exchange::to_own(curve)?
         };
-        self.host.write_whole(file, text.as_bytes())
+        write_whole(file, text.as_bytes())
     }
 
     fn save_recording(&mut self, file: &Path) -> Result<()> {
-        Recorder::save(&mut self.state.recorder, |recording| self.host.save_recording(file, recording))
+        Recorder::save(&mut self.state.recorder, |recording| recording.write(file))
     }
 
     pub(super) fn load(&mut self, path: PathBuf) -> Result<()> {
@@ -112,7 +111,7 @@ impl App {
         let Some(scene) = &self.scene else { return Ok(()) };
         let range = scene.facts.own_range;
         self.start(Job {
-            source: Some(Arc::new(Spanned { whole: scene.whole.clone(), range })),
+            source: Some(scene.whole.clone()),
             range: Some(range),
             crop: scene.crop,
             ..self.job(scene.path.clone(), scene.index)

@@ -142,7 +142,7 @@ impl App {
         }
         state.index = scene.index;
         if opened {
-            state.recent.add(&scene.path, |file, text| self.host.write_whole(file, text));
+            state.recent.add(&scene.path);
         }
         // If the job had a curve, the user may have edited this curve during the load, so the edited one
         // stays.

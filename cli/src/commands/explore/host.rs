@@ -1,4 +1,4 @@
-//! Services of this program to the window: readers of volumes, predictors, controllers, path files.
+//! Services of this program to the window: readers of volumes, predictors, controllers.
 
 use crate::calibrate::place::{machine_model, of_another_kind};
 use crate::steering::contenders::{ControllerKind, controller};
@@ -9,18 +9,16 @@ use crate::steering::rivals::StepResponse;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_core::model::{Model, ModelFile};
-use entire_core::scene::{Arcball, Shading, TransferFunction, VolumeView};
-use entire_explore::{Host, Progress, Recording, Steering, VolumeSource};
+use entire_core::scene::{Shading, VolumeView};
+use entire_explore::{Host, Progress, Steering};
 use entire_farm::quoted;
 use entire_io::dataset::Clock;
-use entire_io::files::{write_json, write_whole};
-use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
-use entire_io::volume::{Fill, Range, Reading, Volume, Watcher};
+use entire_io::files::write_whole;
+use entire_io::volume::{Fill, Range, Reading, Volume};
 use entire_report::encode_png;
 use entire_steer::Session;
 use entire_steer::control::Prior;
 use entire_vk_raycaster::Image;
-use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -34,36 +32,6 @@ pub(super) struct ExplorerHost {
     pub(super) model: Option<(String, Model)>,
     /// Options with which volume files are read.
     pub(super) reading: Reading,
-}
-
-/// A volume file in memory.
-struct Opened(Volume);
-
-impl VolumeSource for Opened {
-    fn view(&self) -> VolumeView<'_> {
-        self.0.view()
-    }
-
-    fn notes(&self) -> &[String] {
-        self.0.notes()
-    }
-}
-
-/// Forwards the progress of reading to the window.
-struct Follower(Arc<Progress>);
-
-impl Watcher for Follower {
-    fn expect(&self, bytes: u64) {
-        self.0.expect(bytes);
-    }
-
-    fn advance(&self, bytes: u64) -> io::Result<()> {
-        self.0.advance(bytes);
-        if self.0.is_cancelled() {
-            return Err(io::Error::other("cancelled"));
-        }
-        Ok(())
-    }
 }
 
 /// A predictor for one volume.
@@ -149,9 +117,8 @@ fn takes_no_part(path: &Path, file: &ModelFile, clock: Option<Clock>, device: &s
 }
 
 impl Host for ExplorerHost {
-    fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>> {
-        let volume = Volume::open_as(file, &self.reading, Some(Arc::new(Follower(Arc::clone(progress)))))?;
-        Ok(Arc::new(Opened(volume)))
+    fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Volume> {
+        Volume::open_as(file, &self.reading, Some(progress.clone()))
     }
 
     fn steering(&self, volume: &VolumeView<'_>, shading: Shading, device: &str) -> Result<Arc<dyn Steering>> {
@@ -171,19 +138,8 @@ impl Host for ExplorerHost {
         ControllerKind::value_variants().iter().map(|k| (k.name(), k.title())).collect()
     }
 
-    fn write_whole(&self, file: &Path, bytes: &[u8]) -> Result<()> {
-        write_whole(file, bytes)
-    }
-
     fn write_picture(&self, file: &Path, picture: &Image) -> Result<()> {
         write_whole(file, &encode_png(picture)?)
-    }
-
-    fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()> {
-        let path = path_file(recording);
-        // A recording that cannot be played is not written.
-        path.resolve().context("the recording cannot be played")?;
-        write_json(file, &path)
     }
 
     fn calibration(&self, volume: &Path, shading: Shading) -> String {
@@ -203,115 +159,14 @@ impl Host for ExplorerHost {
     }
 }
 
-/// Returns a recording as a path file. The frame before each change gets a keyframe with the old values, so
-/// that the values are not interpolated over earlier frames.
-fn path_file(recording: &Recording) -> PathFile {
-    let frames = &recording.frames;
-    let mut keys: Vec<Keyframe> = (0..frames.len() as u32)
-        .map(|frame| Keyframe { frame, camera: None, transfer: None, switch: false })
-        .collect();
-    let pose = |i: usize| {
-        let Arcball { rx, ry, dz } = frames[i].camera;
-        let parallel_scale = frames[i].parallel_scale;
-        CameraPose { rx_deg: rx, ry_deg: ry, dz_radii: dz, parallel_scale }
-    };
-    let mut held: Option<Transfer> = None;
-    for (i, frame) in frames.iter().enumerate() {
-        if i == 0 || pose(i) != pose(i - 1) {
-            keys[i].camera = Some(pose(i));
-            keys[i].switch |= i > 0 && frame.camera_switched;
-            if i > 0 {
-                keys[i - 1].camera = Some(pose(i - 1));
-            }
-        }
-        if let Some(found) = frame.transfer.as_ref().and_then(transfer) {
-            let dragged = held.as_ref().filter(|h| !frame.transfer_switched && alike(h, &found)).cloned();
-            keys[i].switch |= i > 0 && dragged.is_none();
-            if let (Some(before), true) = (dragged, i > 0) {
-                keys[i - 1].transfer = Some(before);
-            }
-            keys[i].transfer = Some(found.clone());
-            held = Some(found);
-        }
-    }
-    keys.retain(|k| k.camera.is_some() || k.transfer.is_some());
-    PathFile {
-        format: PATH_FORMAT.into(),
-        name: "recorded".into(),
-        frames: frames.len() as u32,
-        fov_y_deg: recording.fov_y_degrees,
-        keyframes: keys,
-    }
-}
-
-/// True if the two transfer functions can be interpolated: both have lobes or both have points, of equal
-/// number.
-fn alike(a: &Transfer, b: &Transfer) -> bool {
-    match (a, b) {
-        (Transfer::Lobes(a), Transfer::Lobes(b)) => a.len() == b.len(),
-        (Transfer::Points(a), Transfer::Points(b)) => a.len() == b.len(),
-        _ => false,
-    }
-}
-
-fn transfer(recorded: &TransferFunction) -> Option<Transfer> {
-    match recorded {
-        TransferFunction::Gaussian(lobes) => Some(Transfer::Lobes(lobes.clone())),
-        TransferFunction::Points(points) => Some(Transfer::Points(points.clone())),
-        _ => None,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     #[cfg(unix)]
     use clap::FromArgMatches;
-    use entire_core::GaussianLobe;
     use entire_core::model::Key;
     use entire_core::scene::Scalars;
-    use entire_explore::RecordedFrame;
     use entire_steer::predict::AnalyticModel;
-
-    #[test]
-    fn a_recording_plays_as_it_was_made() {
-        let lobes = |height| {
-            Some(TransferFunction::Gaussian(vec![GaussianLobe { center: 0.5, width: 0.01, height }]))
-        };
-        let at = |ry| Arcball { rx: 10.0, ry, dz: 2.0 };
-        let frame = |ry, camera_switched, transfer| RecordedFrame {
-            camera: at(ry),
-            parallel_scale: None,
-            camera_switched,
-            transfer,
-            transfer_switched: false,
-        };
-        let recording = Recording {
-            fov_y_degrees: 40.0,
-            frames: vec![
-                frame(0.0, false, lobes(0.1)),
-                frame(0.0, false, None),
-                frame(0.0, false, None),
-                frame(4.0, false, None),
-                frame(90.0, true, None),
-                RecordedFrame { transfer_switched: true, ..frame(90.0, false, lobes(0.3)) },
-                frame(90.0, false, None),
-                frame(90.0, false, lobes(0.4)),
-                RecordedFrame { parallel_scale: Some(0.8), ..frame(90.0, true, None) },
-                RecordedFrame { parallel_scale: Some(0.7), ..frame(95.0, false, None) },
-            ],
-        };
-        let file = path_file(&recording);
-        let path = file.resolve().unwrap();
-        assert_eq!(path.fov_y_degrees, 40.0);
-        let angles: Vec<f32> = path.frames.iter().map(|f| f.camera.ry).collect();
-        assert_eq!(angles, [0.0, 0.0, 0.0, 4.0, 90.0, 90.0, 90.0, 90.0, 90.0, 95.0], "{file:?}");
-        assert_eq!(path.switches(), [4, 5, 8], "the drag is no switch");
-        let scales: Vec<_> = path.frames[7..].iter().map(|f| f.parallel_scale).collect();
-        assert_eq!(scales, [None, Some(0.8), Some(0.7)]);
-        let heights: Vec<f32> = path.frames.iter().map(|f| f.transfer.lobes().unwrap()[0].height).collect();
-        assert_eq!(heights, [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.4, 0.4, 0.4]);
-    }
 
     #[test]
     fn a_model_of_another_clock_than_the_windows_is_told() {
