@@ -12,45 +12,26 @@ use std::path::Path;
 const MOST_FRAMES: usize = 1_000_000;
 
 /// A frame that was drawn.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct RecordedFrame {
-    /// The pose of the eye about the volume's center.
-    pub(crate) camera: Arcball,
-    /// Half of the visible height of an orthographic view, bounding-sphere radii; `None` for a perspective
-    /// view.
-    pub(crate) parallel_scale: Option<f32>,
+#[derive(Clone, Debug)]
+struct Frame {
+    camera: CameraPose,
     /// True if the camera jumped between the previous frame and this one.
-    pub(crate) camera_switched: bool,
-    /// The transfer function (lobes or points), if it differs from that of the previous frame.
-    pub(crate) transfer: Option<Transfer>,
+    camera_switched: bool,
+    /// The transfer function, if it differs from that of the previous frame.
+    transfer: Option<Transfer>,
     /// True if the transfer function was replaced at once, not dragged.
-    pub(crate) transfer_switched: bool,
-}
-
-/// A recorded session.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Recording {
-    /// Vertical field of view, degrees.
-    pub(crate) fov_y_degrees: f32,
-    /// Every frame in order; the first has a transfer function.
-    pub(crate) frames: Vec<RecordedFrame>,
-}
-
-impl Recording {
-    /// Writes the recording as a path file.
-    pub(crate) fn write(&self, file: &Path) -> Result<()> {
-        let path = path_file(self);
-        // A recording that cannot be played is not written.
-        path.resolve().context("the recording cannot be played")?;
-        write_json(file, &path)
-    }
+    transfer_switched: bool,
 }
 
 /// A recording that is in progress.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Recorder {
-    recording: Recording,
-    last: Option<(Arcball, Option<f32>, Curve)>,
+    /// Vertical field of view, degrees.
+    fov_y_degrees: f32,
+    /// Every frame in order; the first has a transfer function.
+    frames: Vec<Frame>,
+    /// The transfer function of the last frame.
+    curve: Option<Curve>,
     /// True if a frame was panned. Path files cannot contain pans.
     pub(crate) panned: bool,
 }
@@ -61,89 +42,87 @@ const JUMP: (f32, f32) = (20.0, 1.5);
 
 impl Recorder {
     pub(crate) fn new(fov_y_degrees: f32) -> Self {
-        Self { recording: Recording { fov_y_degrees, frames: Vec::new() }, last: None, panned: false }
+        Self { fov_y_degrees, ..Self::default() }
     }
 
     pub(crate) fn note(&mut self, view: &Viewpoint, curve: &Curve, replaced: bool) -> Result<()> {
-        if self.recording.frames.len() >= MOST_FRAMES {
+        if self.frames.len() >= MOST_FRAMES {
             return Ok(());
         }
         self.panned |= view.target != glam::Vec3::ZERO;
-        let mut camera = view.arcball();
+        let Arcball { rx, ry, dz } = view.arcball();
+        let parallel_scale = view.parallel_scale();
+        let mut camera = CameraPose { rx_deg: rx, ry_deg: ry, dz_radii: dz, parallel_scale };
         if !view.orthographic {
             // A path has one field of view. The recorded distance is the one at which this field of view
             // shows the volume in the same size.
-            camera.dz *= view.distance_factor(self.recording.fov_y_degrees);
+            camera.dz_radii *= view.distance_factor(self.fov_y_degrees);
         }
         let mut switched = false;
-        let parallel_scale = view.parallel_scale();
-        if let Some((before, scale, _)) = &self.last {
+        if let Some(Frame { camera: before, .. }) = self.frames.last() {
             // Angles continue beyond a full turn, so that interpolation between two frames turns the short
             // way.
-            camera.ry += 360.0 * ((before.ry - camera.ry) / 360.0).round();
-            let turned = (camera.ry - before.ry).abs().max((camera.rx - before.rx).abs());
-            let moved = match (parallel_scale, *scale) {
-                (None, None) => camera.dz / before.dz,
+            camera.ry_deg += 360.0 * ((before.ry_deg - camera.ry_deg) / 360.0).round();
+            let turned = (camera.ry_deg - before.ry_deg).abs().max((camera.rx_deg - before.rx_deg).abs());
+            let moved = match (parallel_scale, before.parallel_scale) {
+                (None, None) => camera.dz_radii / before.dz_radii,
                 (Some(now), Some(then)) => now / then,
                 // The projection was switched.
                 _ => f32::INFINITY,
             };
             switched = turned > JUMP.0 || moved.max(1.0 / moved) > JUMP.1;
         }
-        let changed = self.last.as_ref().is_none_or(|(.., before)| before != curve);
+        let changed = self.curve.as_ref() != Some(curve);
         let transfer = if changed { Some(curve.recorded()?) } else { None };
-        self.recording.frames.push(RecordedFrame {
-            camera,
-            parallel_scale,
-            camera_switched: switched,
-            transfer,
-            transfer_switched: changed && replaced,
-        });
-        self.last = Some((camera, parallel_scale, curve.clone()));
+        let transfer_switched = changed && replaced;
+        self.frames.push(Frame { camera, camera_switched: switched, transfer, transfer_switched });
+        self.curve = Some(curve.clone());
         Ok(())
     }
 
     pub(crate) fn frames(&self) -> usize {
-        self.recording.frames.len()
+        self.frames.len()
     }
 
     /// Writes a recording by `write` and ends it. If the file cannot be written, the recording continues.
     ///
     /// # Errors
     /// When no frame was recorded, or `write` fails.
-    pub(crate) fn save(
-        recorder: &mut Option<Self>,
-        write: impl FnOnce(&Recording) -> Result<()>,
-    ) -> Result<()> {
+    pub(crate) fn save(recorder: &mut Option<Self>, write: impl FnOnce(&Self) -> Result<()>) -> Result<()> {
         match recorder {
-            Some(current) if current.frames() > 0 => write(&current.recording)?,
+            Some(current) if current.frames() > 0 => write(current)?,
             Some(_) => bail!("nothing was recorded: no frame was drawn since the recording began"),
             None => bail!("nothing was recorded"),
         }
         *recorder = None;
         Ok(())
     }
+
+    /// Writes the recording as a path file.
+    ///
+    /// # Errors
+    /// When the recording cannot be played, or the file cannot be written.
+    pub(crate) fn write(&self, file: &Path) -> Result<()> {
+        let path = path_file(self);
+        path.resolve().context("the recording cannot be played")?;
+        write_json(file, &path)
+    }
 }
 
 /// Returns a recording as a path file. The frame before each change gets a keyframe with the old values, so
 /// that the values are not interpolated over earlier frames.
-fn path_file(recording: &Recording) -> PathFile {
+fn path_file(recording: &Recorder) -> PathFile {
     let frames = &recording.frames;
     let mut keys: Vec<Keyframe> = (0..frames.len() as u32)
         .map(|frame| Keyframe { frame, camera: None, transfer: None, switch: false })
         .collect();
-    let pose = |i: usize| {
-        let Arcball { rx, ry, dz } = frames[i].camera;
-        let parallel_scale = frames[i].parallel_scale;
-        CameraPose { rx_deg: rx, ry_deg: ry, dz_radii: dz, parallel_scale }
-    };
     let mut held: Option<Transfer> = None;
     for (i, frame) in frames.iter().enumerate() {
-        if i == 0 || pose(i) != pose(i - 1) {
-            keys[i].camera = Some(pose(i));
+        if i == 0 || frame.camera != frames[i - 1].camera {
+            keys[i].camera = Some(frame.camera);
             keys[i].switch |= i > 0 && frame.camera_switched;
             if i > 0 {
-                keys[i - 1].camera = Some(pose(i - 1));
+                keys[i - 1].camera = Some(frames[i - 1].camera);
             }
         }
         if let Some(found) = &frame.transfer {
@@ -185,15 +164,14 @@ mod tests {
     #[test]
     fn a_recording_plays_as_it_was_made() {
         let lobes = |height| Some(Transfer::Lobes(vec![GaussianLobe { center: 0.5, width: 0.01, height }]));
-        let at = |ry| Arcball { rx: 10.0, ry, dz: 2.0 };
-        let frame = |ry, camera_switched, transfer| RecordedFrame {
-            camera: at(ry),
-            parallel_scale: None,
+        let at = |ry_deg, parallel_scale| CameraPose { rx_deg: 10.0, ry_deg, dz_radii: 2.0, parallel_scale };
+        let frame = |ry, camera_switched, transfer| Frame {
+            camera: at(ry, None),
             camera_switched,
             transfer,
             transfer_switched: false,
         };
-        let recording = Recording {
+        let recording = Recorder {
             fov_y_degrees: 40.0,
             frames: vec![
                 frame(0.0, false, lobes(0.1)),
@@ -201,12 +179,13 @@ mod tests {
                 frame(0.0, false, None),
                 frame(4.0, false, None),
                 frame(90.0, true, None),
-                RecordedFrame { transfer_switched: true, ..frame(90.0, false, lobes(0.3)) },
+                Frame { transfer_switched: true, ..frame(90.0, false, lobes(0.3)) },
                 frame(90.0, false, None),
                 frame(90.0, false, lobes(0.4)),
-                RecordedFrame { parallel_scale: Some(0.8), ..frame(90.0, true, None) },
-                RecordedFrame { parallel_scale: Some(0.7), ..frame(95.0, false, None) },
+                Frame { camera: at(90.0, Some(0.8)), ..frame(90.0, true, None) },
+                Frame { camera: at(95.0, Some(0.7)), ..frame(95.0, false, None) },
             ],
+            ..Recorder::default()
         };
         let file = path_file(&recording);
         let path = file.resolve().unwrap();
@@ -237,13 +216,13 @@ mod tests {
         recorder.note(&view, &curve("core"), true).unwrap();
         view.zoom(0.5);
         recorder.note(&view, &curve("core"), true).unwrap();
-        let frames = recorder.recording.frames;
-        assert_eq!(frames[1].camera.ry, 365.0);
+        let frames = recorder.frames;
+        assert_eq!(frames[1].camera.ry_deg, 365.0);
         let switched: Vec<bool> = frames.iter().map(|f| f.camera_switched).collect();
         assert_eq!(switched, [false, false, true, true, false, true]);
         let edited: Vec<bool> = frames.iter().map(|f| f.transfer.is_some()).collect();
         assert_eq!(edited, [true, false, true, false, false, false]);
-        let scales: Vec<Option<f32>> = frames.iter().map(|f| f.parallel_scale).collect();
+        let scales: Vec<Option<f32>> = frames.iter().map(|f| f.camera.parallel_scale).collect();
         assert_eq!(scales[..3], [None; 3]);
         assert!((scales[4].unwrap() / scales[3].unwrap() - 0.9).abs() < 1e-5);
     }
@@ -256,10 +235,10 @@ mod tests {
         recorder.note(&view, &curve, true).unwrap();
         view.set_fov(90.0);
         recorder.note(&view, &curve, true).unwrap();
-        let [before, after] = [0, 1].map(|i| &recorder.recording.frames[i]);
-        assert_eq!(before.camera.dz, Viewpoint::default().distance);
-        assert!((after.camera.dz / before.camera.dz - 1.0).abs() < 1e-5, "{after:?}");
-        assert!(view.distance < 0.5 * before.camera.dz && !after.camera_switched, "{after:?}");
+        let [before, after] = [0, 1].map(|i| &recorder.frames[i]);
+        assert_eq!(before.camera.dz_radii, Viewpoint::default().distance);
+        assert!((after.camera.dz_radii / before.camera.dz_radii - 1.0).abs() < 1e-5, "{after:?}");
+        assert!(view.distance < 0.5 * before.camera.dz_radii && !after.camera_switched, "{after:?}");
     }
 
     #[test]
