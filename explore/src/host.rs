@@ -8,7 +8,7 @@ use entire_vk_raycaster::Image;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
 /// A predictor that is ready for one volume.
 pub trait Steering: Send + Sync {
@@ -67,6 +67,8 @@ pub struct Progress {
     done: AtomicU64,
     total: AtomicU64,
     cancelled: AtomicBool,
+    /// Stage of the load.
+    pub(crate) stage: AtomicUsize,
 }
 
 impl Watcher for Progress {

@@ -14,7 +14,7 @@ use entire_steer::VolumeSummary;
 use entire_vk_raycaster::{Renderer, SharedDevice, VulkanOptions, VulkanRaycaster};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Instant;
 use winit::event_loop::EventLoopProxy;
@@ -52,7 +52,7 @@ pub(crate) struct Loaded {
     pub(crate) seconds: f64,
 }
 
-/// The stages of a load, for display.
+/// The stages of a load, for display, by [`Progress::stage`].
 const STAGES: [&str; 4] = ["reading", "summarizing", "uploading to the device", "first picture"];
 
 pub(crate) struct Loading {
@@ -60,7 +60,6 @@ pub(crate) struct Loading {
     /// Time of the request.
     pub(crate) asked: Instant,
     progress: Arc<Progress>,
-    stage: Arc<AtomicU32>,
     result: Receiver<Result<Box<Loaded>>>,
 }
 
@@ -74,7 +73,6 @@ impl Loading {
         wake: EventLoopProxy<Wake>,
     ) -> Result<Self> {
         let progress = Arc::new(Progress::default());
-        let stage = Arc::new(AtomicU32::new(0));
         let (send, result): (Sender<Result<Box<Loaded>>>, _) = channel();
         let started = job.clone();
         let begin = Instant::now();
@@ -83,7 +81,6 @@ impl Loading {
             device: device.clone(),
             options: options.clone(),
             progress: Arc::clone(&progress),
-            stage: Arc::clone(&stage),
         };
         std::thread::Builder::new()
             .name("load".into())
@@ -95,7 +92,7 @@ impl Loading {
                 let _ = wake.send_event(Wake);
             })
             .context("cannot start a thread")?;
-        Ok(Self { job: started, asked: begin, progress, stage, result })
+        Ok(Self { job: started, asked: begin, progress, result })
     }
 
     pub(crate) fn cancel(&self) {
@@ -104,8 +101,7 @@ impl Loading {
 
     /// Returns the current stage, and the share of the file that was read.
     pub(crate) fn state(&self) -> (&'static str, f32) {
-        let stage = self.stage.load(Ordering::Relaxed) as usize;
-        (STAGES[stage.min(STAGES.len() - 1)], self.progress.share())
+        (STAGES[self.progress.stage.load(Ordering::Relaxed)], self.progress.share())
     }
 
     /// Returns the loaded volume or the error once the load has ended.
@@ -119,12 +115,11 @@ struct Worker {
     device: SharedDevice,
     options: VulkanOptions,
     progress: Arc<Progress>,
-    stage: Arc<AtomicU32>,
 }
 
 impl Worker {
-    fn enter(&self, stage: u32) -> Result<()> {
-        self.stage.store(stage, Ordering::Relaxed);
+    fn enter(&self, stage: usize) -> Result<()> {
+        self.progress.stage.store(stage, Ordering::Relaxed);
         Ok(self.progress.check()?)
     }
 
@@ -152,7 +147,7 @@ impl Worker {
                 let steering = Shading::ALL.into_iter().map(of).collect::<Result<_>>()?;
                 Ok((summary, histogram, steering))
             });
-            self.stage.store(2, Ordering::Relaxed);
+            self.progress.stage.store(2, Ordering::Relaxed);
             let uploaded = raycaster.set_volume(&view);
             (summed.join(), uploaded)
         });
