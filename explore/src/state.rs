@@ -6,6 +6,7 @@ use crate::host::Options;
 use crate::recent::Recent;
 use crate::recording::Recorder;
 use crate::scene::{Crop, Facts};
+use crate::script::Shot;
 use crate::steering::Steer;
 use crate::transfer::{Curve, Edited, Opacity};
 use crate::work_map::WorkMap;
@@ -29,10 +30,7 @@ pub(crate) enum Command {
         file: PathBuf,
         paraview: bool,
     },
-    Screenshot {
-        file: PathBuf,
-        size: [u32; 2],
-    },
+    Screenshot(Shot),
     SaveRecording(PathBuf),
     Forget,
 }

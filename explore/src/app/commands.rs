@@ -40,9 +40,9 @@ impl App {
                 self.state.changed.settings = true;
                 self.state.say("all controllers are reset");
             }
-            Command::Screenshot { file, size } => {
+            Command::Screenshot(shot) => {
                 if self.scene.is_some() && self.screenshot.is_none() {
-                    self.start_screenshot(file, size)?;
+                    self.start_screenshot(shot)?;
                 }
             }
             Command::LoadTransfer(file) => {
@@ -234,7 +234,7 @@ impl App {
                 self.waiting = Waiting::Volume;
             }
             Action::Screenshot(shot) => {
-                self.start_screenshot(shot.file, shot.size)?;
+                self.start_screenshot(shot)?;
                 self.waiting = Waiting::Screenshot;
             }
             Action::Rest(_) => {

@@ -4,12 +4,12 @@ use super::{App, FULL, STEERED, Waiting};
 use crate::loading::Job;
 use crate::refine::Refinement;
 use crate::screenshot::Screenshot;
+use crate::script::Shot;
 use crate::state::{Rest, Shown};
 use crate::work_map::WorkMap;
 use anyhow::Result;
 use entire_core::scene::Frame;
 use entire_vk_raycaster::Region;
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use winit::event_loop::ControlFlow;
 
@@ -166,7 +166,7 @@ impl App {
         Ok(())
     }
 
-    pub(super) fn start_screenshot(&mut self, file: PathBuf, size: [u32; 2]) -> Result<()> {
+    pub(super) fn start_screenshot(&mut self, Shot { file, size }: Shot) -> Result<()> {
         let frame = self.full_frame(size)?;
         let expected = self.expected(&frame);
         self.screenshot = Some(Screenshot::new(file, frame, expected));

@@ -79,6 +79,7 @@ fn bar(ui: &mut Ui, state: &mut State) {
 /// Keys that work everywhere except in text input.
 fn keys(ui: &Ui, state: &mut State) {
     use crate::camera::Axis;
+    use crate::script::Shot;
     use crate::state::Command;
     use egui::{Key, Modifiers};
     if ui.ctx().egui_wants_keyboard_input() {
@@ -99,7 +100,7 @@ fn keys(ui: &Ui, state: &mut State) {
     }
     if with_command(Key::P) {
         let file = state.texts.screenshot.trim().into();
-        state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
+        state.commands.push(Command::Screenshot(Shot { file, size: state.screenshot_size }));
     }
     // As in modeling programs: 1, 2, 3 look from the front, the right and the top, with Ctrl from the
     // opposite side.

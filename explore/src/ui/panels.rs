@@ -2,6 +2,7 @@
 
 use crate::camera::{Axis, DISTANCES};
 use crate::recording::Recorder;
+use crate::script::Shot;
 use crate::state::{Command, State};
 use egui::{CollapsingHeader, ComboBox, DragValue, Slider, SliderClamping, Ui};
 use entire_core::scene::{Shading, Skipping};
@@ -202,7 +203,7 @@ fn files(ui: &mut Ui, state: &mut State) {
         }
         if ui.button("Screenshot").on_hover_text("Always at full quality").clicked() {
             let file = state.texts.screenshot.trim().into();
-            state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
+            state.commands.push(Command::Screenshot(Shot { file, size: state.screenshot_size }));
         }
         if let Some(share) = state.screenshot_share {
             ui.add(egui::ProgressBar::new(share as f32).desired_width(80.0));
