@@ -2,7 +2,6 @@
 
 use askama::Template;
 use entire_io::metrics::Metrics;
-use std::fmt::Write as _;
 
 /// A column: its heading, with unit, and true if it holds numbers, which are aligned at the right.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -123,22 +122,13 @@ impl Table {
     /// Returns the table as Markdown; best cells are bold.
     pub fn to_markdown(&self) -> String {
         let safe = |t: &str| t.replace('|', "\\|").replace('\n', " ");
-        let mut out = String::new();
-        for column in &self.columns {
-            let _ = write!(out, "| {} ", safe(&column.name));
-        }
-        out += "|\n";
-        for column in &self.columns {
-            out += if column.number { "|---:" } else { "|---" };
-        }
-        out += "|\n";
-        for row in &self.rows {
-            for cell in row {
-                let text = safe(&cell.text);
-                let _ = if cell.best { write!(out, "| **{text}** ") } else { write!(out, "| {text} ") };
-            }
-            out += "|\n";
-        }
+        let show =
+            |cell: &Cell| if cell.best { format!("**{}**", safe(&cell.text)) } else { safe(&cell.text) };
+        let line = |texts: Vec<String>| format!("| {} |\n", texts.join(" | "));
+        let rules = self.columns.iter().map(|c| if c.number { "|---:" } else { "|---" });
+        let mut out = line(self.columns.iter().map(|c| safe(&c.name)).collect());
+        out.extend(rules.chain(["|\n"]));
+        out.extend(self.rows.iter().map(|row| line(row.iter().map(show).collect())));
         out
     }
 }
