@@ -76,17 +76,13 @@ impl Loading {
         let (send, result): (Sender<Result<Box<Loaded>>>, _) = channel();
         let started = job.clone();
         let begin = Instant::now();
-        let worker = Worker {
-            host: Arc::clone(host),
-            device: device.clone(),
-            options: options.clone(),
-            progress: Arc::clone(&progress),
-        };
+        let (host, device, options) = (Arc::clone(host), device.clone(), options.clone());
+        let followed = Arc::clone(&progress);
         std::thread::Builder::new()
             .name("load".into())
             .spawn(move || {
                 let shown = job.path.display().to_string();
-                let loaded = worker.load(job, begin).with_context(|| shown);
+                let loaded = load(job, &*host, &device, options, &followed, begin).with_context(|| shown);
                 // The receiver is gone if the window was closed.
                 let _ = send.send(loaded.map(Box::new));
                 let _ = wake.send_event(Wake);
@@ -110,71 +106,68 @@ impl Loading {
     }
 }
 
-struct Worker {
-    host: Arc<dyn Host>,
-    device: SharedDevice,
+fn load(
+    job: Job,
+    host: &dyn Host,
+    device: &SharedDevice,
     options: VulkanOptions,
-    progress: Arc<Progress>,
-}
-
-impl Worker {
-    fn enter(&self, stage: usize) -> Result<()> {
-        self.progress.stage.store(stage, Ordering::Relaxed);
-        Ok(self.progress.check()?)
-    }
-
-    fn load(&self, job: Job, begin: Instant) -> Result<Loaded> {
-        let whole = match job.source {
-            Some(source) => source,
-            None => Arc::new(self.host.open(&job.path, &self.progress)?),
-        };
-        self.enter(1)?;
-        let all = spanned(&whole, job.range);
-        let facts = Facts::of(&all);
-        let (view, placement) = match job.crop {
-            Some(crop) => part(&all, crop)?,
-            None => (all, Placement::WHOLE),
-        };
-        let mut raycaster = VulkanRaycaster::on_device(&self.device, self.options.clone())?;
-        let drawn_by = raycaster.device();
-        // The processor summarizes the volume while its voxels are uploaded to the device, in separate
-        // threads.
-        let (summed, uploaded) = std::thread::scope(|scope| {
-            let summed = scope.spawn(|| -> Result<_> {
-                let summary = VolumeSummary::new(&view)?;
-                let histogram = Histogram::of(&view);
-                let of = |shading| self.host.steering(&view, shading, &drawn_by);
-                let steering = Shading::ALL.into_iter().map(of).collect::<Result<_>>()?;
-                Ok((summary, histogram, steering))
-            });
-            self.progress.stage.store(2, Ordering::Relaxed);
-            let uploaded = raycaster.set_volume(&view);
-            (summed.join(), uploaded)
+    progress: &Arc<Progress>,
+    begin: Instant,
+) -> Result<Loaded> {
+    let enter = |stage: usize| {
+        progress.stage.store(stage, Ordering::Relaxed);
+        progress.check()
+    };
+    let whole = match job.source {
+        Some(source) => source,
+        None => Arc::new(host.open(&job.path, progress)?),
+    };
+    enter(1)?;
+    let all = spanned(&whole, job.range);
+    let facts = Facts::of(&all);
+    let (view, placement) = match job.crop {
+        Some(crop) => part(&all, crop)?,
+        None => (all, Placement::WHOLE),
+    };
+    let mut raycaster = VulkanRaycaster::on_device(device, options)?;
+    let drawn_by = raycaster.device();
+    // The processor summarizes the volume while its voxels are uploaded to the device, in separate
+    // threads.
+    let (summed, uploaded) = std::thread::scope(|scope| {
+        let summed = scope.spawn(|| -> Result<_> {
+            let summary = VolumeSummary::new(&view)?;
+            let histogram = Histogram::of(&view);
+            let of = |shading| host.steering(&view, shading, &drawn_by);
+            let steering = Shading::ALL.into_iter().map(of).collect::<Result<_>>()?;
+            Ok((summary, histogram, steering))
         });
-        uploaded?;
-        let Ok(summed) = summed else { anyhow::bail!("summarizing the volume failed") };
-        let (summary, histogram, steering) = summed?;
-        self.enter(3)?;
-        let curve = match job.curve {
-            Some(curve) => curve,
-            None => Curve::preset("layers", &histogram).context("a preset")?,
-        };
-        raycaster.set_transfer(&curve.table()?)?;
-        warm(&mut raycaster, job.shading, job.skipping)?;
-        self.progress.check()?;
-        let scene = Scene {
-            path: job.path,
-            index: job.index,
-            whole,
-            range: job.range,
-            crop: job.crop,
-            placement,
-            raycaster,
-            histogram,
-            facts,
-        };
-        Ok(Loaded { scene, summary, steering, curve, seconds: begin.elapsed().as_secs_f64() })
-    }
+        progress.stage.store(2, Ordering::Relaxed);
+        let uploaded = raycaster.set_volume(&view);
+        (summed.join(), uploaded)
+    });
+    uploaded?;
+    let Ok(summed) = summed else { anyhow::bail!("summarizing the volume failed") };
+    let (summary, histogram, steering) = summed?;
+    enter(3)?;
+    let curve = match job.curve {
+        Some(curve) => curve,
+        None => Curve::preset("layers", &histogram).context("a preset")?,
+    };
+    raycaster.set_transfer(&curve.table()?)?;
+    warm(&mut raycaster, job.shading, job.skipping)?;
+    progress.check()?;
+    let scene = Scene {
+        path: job.path,
+        index: job.index,
+        whole,
+        range: job.range,
+        crop: job.crop,
+        placement,
+        raycaster,
+        histogram,
+        facts,
+    };
+    Ok(Loaded { scene, summary, steering, curve, seconds: begin.elapsed().as_secs_f64() })
 }
 
 /// Draws a few pixels, so that the shader of these modes is compiled.
