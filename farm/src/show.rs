@@ -106,15 +106,10 @@ pub fn parse_duration(text: &str) -> Result<f64, String> {
     let wrong = || {
         format!("{text:?} is no duration; write a positive number and a unit (s, m, h or d), such as 1.5d")
     };
-    let unit = text.chars().last().ok_or_else(wrong)?;
-    let scale = match unit {
-        's' => 1.0,
-        'm' => 60.0,
-        'h' => 3600.0,
-        'd' => 86400.0,
-        _ => return Err(wrong()),
-    };
-    let value: f64 = text[..text.len() - 1].trim().parse().map_err(|_| wrong())?;
+    let units = [("s", 1.0), ("m", 60.0), ("h", 3600.0), ("d", 86400.0)];
+    let found = units.into_iter().find_map(|(unit, scale)| Some((text.strip_suffix(unit)?, scale)));
+    let (number, scale) = found.ok_or_else(wrong)?;
+    let value: f64 = number.trim().parse().map_err(|_| wrong())?;
     if value.is_finite() && value > 0.0 { Ok(value * scale) } else { Err(wrong()) }
 }
 

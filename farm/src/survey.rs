@@ -81,22 +81,20 @@ pub fn text(
     }
     let priced = if price.is_some() { " | #price" } else { "" };
     let mut table = Table::headed(&format!("#nodes | done after | 90 % interval | #node hours{priced}"));
-    let row = |table: &mut Table, o: &Offer| {
-        let mut cells = vec![
-            o.nodes.to_string().into(),
-            duration(o.end[1]).into(),
-            format!("{} to {}", duration(o.end[0]), duration(o.end[2])).into(),
-            format!("{:.2}", o.node_hours).into(),
-        ];
-        cells.extend(price.map(|price| format!("{:.2}", o.node_hours * price).into()));
-        table.row(cells);
-    };
     let mut counts: Vec<usize> = (0..8).map(|k| 1usize << k).filter(|n| *n <= all.max(1)).collect();
     counts.push(setting.slots);
     counts.sort_unstable();
     counts.dedup();
     for nodes in counts {
-        row(&mut table, &offer(plan, nodes));
+        let Offer { end, node_hours, .. } = offer(plan, nodes);
+        let mut cells = vec![
+            nodes.to_string().into(),
+            duration(end[1]).into(),
+            format!("{} to {}", duration(end[0]), duration(end[2])).into(),
+            format!("{node_hours:.2}").into(),
+        ];
+        cells.extend(price.map(|price| format!("{:.2}", node_hours * price).into()));
+        table.row(cells);
     }
     out += &table.to_text();
     if let Some(deadline) = deadline {

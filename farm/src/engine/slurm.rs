@@ -50,7 +50,7 @@ pub struct Slurm {
     silent: Option<Instant>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Job {
     id: u64,
     state: String,
@@ -289,8 +289,7 @@ impl Engine for Slurm {
             match self.sbatch(bundle) {
                 Ok(id) => {
                     self.spool.follow(number);
-                    let state = "PENDING".to_owned();
-                    self.open.insert(number, Job { id, state, nodes: String::new(), gone: 0 });
+                    self.open.insert(number, Job { id, state: "PENDING".to_owned(), ..Job::default() });
                 }
                 Err(error) => self.refused.push((number, format!("{error:#}"))),
             }
@@ -422,8 +421,7 @@ mod tests {
         std::fs::create_dir(dir.path().join("cancel")).unwrap();
         let places = Places { state: dir.path().to_owned(), program: vec!["entire".into()] };
         let mut engine = Slurm::new(places, 1, Options::default(), 2, None).unwrap();
-        let (state, nodes) = ("RUNNING".to_owned(), String::new());
-        engine.open.insert(3, Job { id: 7, state, nodes, gone: 0 });
+        engine.open.insert(3, Job { id: 7, state: "RUNNING".to_owned(), ..Job::default() });
         engine.cancel().unwrap();
         assert!(dir.path().join("cancel/3").exists() && engine.open.contains_key(&3));
     }
@@ -436,8 +434,7 @@ mod tests {
         engine.silent = Some(Instant::now());
         assert!(!engine.refusals_count());
         engine.silent = None;
-        let (state, nodes) = ("RUNNING".to_owned(), String::new());
-        engine.open.insert(1, Job { id: 7, state, nodes, gone: 0 });
+        engine.open.insert(1, Job { id: 7, state: "RUNNING".to_owned(), ..Job::default() });
         assert!(!engine.refusals_count());
     }
 }
