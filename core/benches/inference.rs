@@ -273,7 +273,8 @@ mod limits {
         }
     }
 
-    /// Bytes per second of repeated reads of `bytes` bytes.
+    /// Returns the bandwidth of repeated reads of the same `bytes` bytes, in bytes per second; `None` for the
+    /// scalar level.
     pub(super) fn bandwidth(level: super::Level, bytes: usize) -> Option<f64> {
         // The data fills whole cache lines, as packed weights do. It is written first: untouched memory is
         // one shared page of zeros.

@@ -14,7 +14,7 @@ pub enum ErrorKind {
     SizeMismatch = 2,
     /// The bytes are not a model file that this version reads.
     InvalidModel = 3,
-    /// A tensor is missing or has another shape than its neighbors require.
+    /// A tensor is missing, has a shape that does not fit the other tensors, or holds an invalid number.
     InvalidTensor = 4,
     /// The model needs an input group that the caller did not supply, that the caller supplied with a wrong
     /// size, or that this version does not know.

@@ -173,7 +173,7 @@ fn memory(parts: &VolumeNetParts) -> u64 {
         let border = parts.blocks.get(i + 1).map_or(0, |next| wide(next.padding));
         let channels = wide(block.outputs).next_multiple_of(LANES);
         let weights = product(&[cube(kernel), wide(block.inputs), channels]);
-        // Offsets of the taps, and the bias.
+        // Weights, offsets of the taps, and biases.
         floats = floats.saturating_add(weights).saturating_add(4 * cube(kernel)).saturating_add(channels);
         if i == 0 {
             let padded = input + 2 * wide(block.padding);

@@ -25,12 +25,12 @@ impl VolumeView<'_> {
     /// Fill values: values of voxels without data, such as -9999, 9.97e36, or the padding of a CT scan. The
     /// default range excludes fill values; unsigned bytes have none.
     ///
-    /// At most 4 fill values are found, one after another. Each is the minimum or maximum of the values that
-    /// are not yet found to be fill values, at least one sampled voxel in 1024 has it, and its distance from
-    /// the rest of these values is at least an eighth of the width of their range. At least 16 distinct
-    /// values must remain in the sample.
+    /// At most 4 fill values are found, one after another. Each is the minimum or the maximum of the values
+    /// that remain. At least four sampled voxels, and at least one in 1024, have it. Its distance from all
+    /// other remaining values is at least an eighth of the width of the range of these other values. At least
+    /// 16 distinct values must be left in the sample without it.
     ///
-    /// Samples 4096 voxels. If the sample suggests a fill value, scans all voxels.
+    /// Samples at most 4096 voxels. If the sample suggests a fill value, scans all voxels.
     pub fn fill_values(&self) -> Vec<f32> {
         if matches!(self.scalars(), Scalars::U8(_)) {
             return Vec::new();

@@ -81,7 +81,7 @@ pub struct Changes {
 }
 
 impl Changes {
-    /// True where a change makes the times of earlier frames a poor predictor.
+    /// True if any flag is set; the times of earlier frames are then a poor predictor.
     pub(crate) fn any(&self) -> bool {
         self.first || self.transfer || self.volume || self.size || self.mode || self.camera
     }

@@ -75,7 +75,7 @@ impl UpperBound {
         self.log_factor.is_finite().then_some((self.log_factor / 1.645).max(0.02))
     }
 
-    /// The bound for a prediction; never below the prediction.
+    /// Returns the upper bound for a prediction, in seconds: at least the prediction; NaN if uncalibrated.
     pub fn upper(&self, seconds: f32) -> f32 {
         if self.log_factor.is_finite() { seconds * self.factor().max(1.0) } else { f32::NAN }
     }
