@@ -1,4 +1,4 @@
-//! Sets `entire_avx512` where the compiler has the AVX-512 intrinsics (1.89 and newer).
+//! Sets the flag `entire_avx512` if the compiler has the AVX-512 intrinsics (1.89 and newer).
 
 use std::process::Command;
 
@@ -8,7 +8,8 @@ fn main() {
     let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let told = Command::new(rustc).arg("--version").output();
     let text = told.map(|out| String::from_utf8_lossy(&out.stdout).into_owned()).unwrap_or_default();
-    // "rustc 1.95.0 (…)"; if the version cannot be read, it is taken for 1.89 or newer.
+    // The text is, for example, "rustc 1.95.0 (…)". A compiler whose version cannot be read counts as 1.89 or
+    // newer.
     let minor = text.split('.').nth(1).and_then(|minor| minor.parse::<u32>().ok());
     if minor.is_none_or(|minor| minor >= 89) {
         println!("cargo::rustc-cfg=entire_avx512");

@@ -152,7 +152,7 @@ const CSV_HEAD: &str = "network,level,storage,rows,setup_us,warm_best_us,warm_p5
                         cold_p50_us,flushed_p50_us,bytes,floor_us,bound,ratio\n";
 
 impl Row<'_> {
-    /// Prints the line and appends it to the record.
+    /// Prints the line of the table and appends it to `csv`.
     fn report(&self, csv: &mut String) {
         let Row { network, storage, rows, warm, bytes, .. } = self;
         let [setup, cold, flushed] =
@@ -194,7 +194,7 @@ fn floor(
     }
 }
 
-/// Measures the machine's peak arithmetic rate and memory bandwidth with one level's instructions.
+/// Measures the machine's peak arithmetic rate and memory bandwidth with the instructions of one SIMD level.
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code, reason = "peak rates can only be measured with the instructions themselves")]
 mod limits {
@@ -276,8 +276,8 @@ mod limits {
     /// Returns the bandwidth of repeated reads of the same `bytes` bytes, in bytes per second; `None` for the
     /// scalar level.
     pub(super) fn bandwidth(level: super::Level, bytes: usize) -> Option<f64> {
-        // The data fills whole cache lines, as packed weights do. It is written first: untouched memory is
-        // one shared page of zeros.
+        // The data fills whole cache lines, as packed weights do. The data is written before it is read,
+        // because the system maps all unwritten memory to one page of zeros.
         let all = vec![1f32; bytes.next_multiple_of(256) / 4 + 16];
         let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
         let rounds = (1 << 22) / bytes + 1;
@@ -361,7 +361,7 @@ fn machine() -> String {
 }
 
 struct Options {
-    /// Date in the name of the record, if one is written.
+    /// Date in the name of the CSV file with the results; `None` if no file is written.
     record: Option<String>,
     only: String,
     calls: usize,
@@ -373,7 +373,7 @@ fn options() -> Options {
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--record" => {
-                // Cargo appends options of its own.
+                // Cargo appends options such as `--bench`, which are not dates.
                 let date = arguments.next().filter(|date| !date.starts_with('-'));
                 found.record = Some(date.expect("--record needs a date"));
             }

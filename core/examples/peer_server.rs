@@ -1,7 +1,7 @@
 //! Times this crate's inference for `make bars-inference`, which compares this crate with other libraries.
 //! For each line `NAME BATCH SECONDS` of its input (network, batch size, duration of the measurement), the
-//! program prints one line `@@{json}` with the result. So a script can measure programs of several libraries
-//! in turns.
+//! program prints one line `@@{json}` with the result. So a script can alternate between programs of several
+//! libraries.
 //!
 //! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
 //!

@@ -21,9 +21,9 @@ pub enum ErrorKind {
     MissingInput = 5,
     /// The call needs a volume, transfer function or model that has not been set.
     NotReady = 6,
-    /// An observation was rejected (unknown plan, a time that is not positive, duplicate).
+    /// An observation was rejected: unknown plan, invalid time, or a second time for the same plan.
     RejectedObservation = 7,
-    /// This build or this model lacks the feature.
+    /// This build or this model lacks the feature that the call needs.
     Unsupported = 8,
     /// An allocation failed.
     OutOfMemory = 104,

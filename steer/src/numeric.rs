@@ -3,8 +3,8 @@
 use alloc::vec::Vec;
 
 /// Replaces a symmetric positive definite n × n matrix in row-major order by its Cholesky factor; reads and
-/// writes only the lower half. Returns false, and leaves the matrix in an unspecified state, where it is not
-/// positive definite.
+/// writes only the lower half. Returns false, and leaves the matrix in an unspecified state, if the matrix is
+/// not positive definite.
 pub(crate) fn cholesky(a: &mut [f64], n: usize) -> bool {
     for j in 0..n {
         for k in 0..j {
@@ -46,9 +46,9 @@ pub fn back(l: &[f64], mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
-/// Returns the solution x of A·x = b for a symmetric positive definite n × n matrix A in row-major order, of
-/// which only the lower half is read, and n elements of b. Replaces A by its Cholesky factor. `None` where A
-/// is not positive definite.
+/// Returns the solution x of A·x = b, or `None` if A is not positive definite. A is a symmetric n × n matrix
+/// in row-major order, of which only the lower half is read; b has n elements. Replaces A by its Cholesky
+/// factor.
 pub fn solve(a: &mut [f64], b: Vec<f64>) -> Option<Vec<f64>> {
     cholesky(a, b.len()).then(|| back(a, forward(a, b)))
 }

@@ -90,7 +90,8 @@ mod tests {
         }
     }
 
-    /// `cargo test --release --package entire-core --lib -- --ignored every_float` (some minutes).
+    /// Takes some minutes. Run it by
+    /// `cargo test --release --package entire-core --lib -- --ignored every_float`.
     #[test]
     #[ignore = "all 2^32 floats on every level take minutes"]
     fn selu_keeps_its_bound_on_every_float() {

@@ -1,4 +1,4 @@
-//! Runs a kernel in the version that is compiled for a level.
+//! Runs a kernel in the version that is compiled for a SIMD level.
 
 use super::Level;
 #[cfg(target_arch = "x86_64")]

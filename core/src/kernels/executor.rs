@@ -31,7 +31,7 @@ impl Executor<'_> {
         }
     }
 
-    /// Runs both closures, concurrently where a second thread is free.
+    /// Runs both closures, concurrently if a second thread is free.
     pub fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B) {
         match self {
             Self::Serial => {

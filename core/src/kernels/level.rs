@@ -1,4 +1,4 @@
-//! Detection at run time of the instructions that kernels may use.
+//! Detects at run time which instructions kernels may use.
 
 use crate::Result;
 #[cfg(any(feature = "std", test))]
@@ -15,7 +15,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 #[cfg(any(feature = "std", test))]
 pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
-/// Instruction sets that kernels are written for, in rising order.
+/// Instruction sets that kernels are written for. Each includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Isa {
     /// Portable Rust, vectorized by the compiler; the reference in the tests of the other instruction sets.

@@ -151,7 +151,7 @@ pub trait Simd: Copy + 'static {
     fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M;
     /// True if the mask has a lane set.
     fn any(self, m: Self::M) -> bool;
-    /// The mask as bits, the first lane lowest.
+    /// The mask as bits; the first lane is the lowest bit.
     fn lane_bits(self, m: Self::M) -> u32;
     /// `yes` in the lanes of `m`, `no` in the others.
     fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F;
@@ -194,7 +194,7 @@ pub trait Simd: Copy + 'static {
     /// eˣ − 1 = 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2): accurate near zero, where eˣ − 1 cancels.
     #[inline(always)]
     fn selu(self, x: Self::F) -> Self::F {
-        /// 1.5·2²³: adding it rounds to an integer, held in the low bits.
+        /// 1.5·2²³: adding this number rounds a value to an integer, which the low bits then hold.
         const SHIFT: f32 = 12_582_912.0;
         const LAMBDA: f32 = SELU_SCALE as f32;
         const LAMBDA_ALPHA: f32 = (SELU_SCALE * SELU_ALPHA) as f32;

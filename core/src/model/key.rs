@@ -32,7 +32,7 @@ pub enum Key {
     Clock,
     /// `entire.step_reference`: the meaning of step 1 in the timings (free text).
     StepReference,
-    /// `entire.provenance`: origin of the weights (free text, JSON where structured).
+    /// `entire.provenance`: origin of the weights (free text, or JSON).
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
     /// for analytic models `low` and `high` (smallest and largest values, over the training frames, of
@@ -50,8 +50,8 @@ pub enum Key {
     /// `UnitCosts::SOFTWARE` of `entire-steer`.
     CachedVoxels,
     /// `entire.probe_side`: number of rays along each side of the probe that measured the scene features, as
-    /// a decimal number from 1 to `MAX_PROBE_SIDE` of `entire-steer`. Without this entry it is `PROBE_SIDE`
-    /// of `entire-steer`.
+    /// a decimal number from 1 to `MAX_PROBE_SIDE` of `entire-steer`. Without this entry, the number is
+    /// `PROBE_SIDE` of `entire-steer`.
     ProbeSide,
     /// `entire.lobe_order`: order of Gaussian lobes in a model's inputs: `center` for ascending centers.
     /// Without this entry, lobes keep the caller's order. A sum of lobes does not depend on their order; a

@@ -37,9 +37,9 @@ pub struct InputGroup {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Model {
-    /// The input groups in order; empty where the file has no PredNet.
+    /// The input groups in order; empty if the file has no PredNet.
     pub inputs: Vec<InputGroup>,
-    /// Names of the scene features in order; empty where the model has no such group.
+    /// Names of the scene features in order; empty if the model has no such group.
     pub scene_features: Vec<String>,
     /// PredNet's weights; `None` if the file has none.
     pub prednet: Option<PredNetParts>,
@@ -383,7 +383,8 @@ impl Source<'_> {
         Ok(tensor.numbers(name)?.0)
     }
 
-    /// Reads a dense layer; input and output sizes are checked where they are known.
+    /// Reads a dense layer. The number of inputs is checked if `inputs` states it, and likewise the number of
+    /// outputs.
     fn dense(&self, name: &str, inputs: Option<usize>, outputs: Option<usize>) -> Result<DenseParts> {
         let weight_name = format!("{name}.weight");
         let size = |known: Option<usize>, unknown: &str| known.map_or(unknown.to_owned(), |n| format!("{n}"));
@@ -462,6 +463,6 @@ fn numbered(name: &str, prefix: &str, suffixes: &[&str]) -> Option<usize> {
     if !suffixes.contains(&suffix) || (number.len() > 1 && number.starts_with('0')) {
         return None;
     }
-    // Six digits exceed the number of layers in any file and cannot overflow.
+    // A number of six digits exceeds the number of layers in any file, and cannot overflow.
     (number.len() <= 6 && number.bytes().all(|b| b.is_ascii_digit())).then(|| number.parse().ok())?
 }

@@ -389,7 +389,7 @@ fn nan_and_infinity_are_refused_by_name_and_index() {
         let mut f = file();
         assert!(f.set_tensor("x", Dtype::F32, &[1], &[bad]).unwrap_err().to_string().contains("x[0]"));
     }
-    // Finite in F32, infinite in F16.
+    // 1e6 is finite in F32, but infinite in F16.
     assert!(file().set_tensor("x", Dtype::F16, &[1], &[1e6]).unwrap_err().to_string().contains("F16"));
     assert!(file().set_tensor("x", Dtype::F32, &[2], &[1.0]).unwrap_err().to_string().contains("[2]"));
 }

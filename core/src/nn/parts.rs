@@ -57,7 +57,7 @@ pub struct DenseParts {
     pub weight: Vec<f32>,
     /// b: `outputs` values.
     pub bias: Vec<f32>,
-    /// Format of W in the file; `weight` holds its exact values.
+    /// Format of W in the file; `weight` holds the stored values exactly.
     pub dtype: Dtype,
 }
 
@@ -147,7 +147,7 @@ pub struct PredNetParts {
 }
 
 impl PredNetParts {
-    /// Number of inputs; 0 where there is no layer.
+    /// Number of inputs; 0 if there is no layer.
     pub(crate) fn inputs(&self) -> usize {
         self.layers.first().map_or(0, |layer| layer.inputs)
     }

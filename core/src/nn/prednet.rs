@@ -128,7 +128,8 @@ impl PredNet {
         Ok(PredScratch { mlp: self.mlp.scratch(rows)? })
     }
 
-    /// Predicts one frame's time in seconds from [`inputs`](Self::inputs) values in the model's order.
+    /// Predicts one frame's time in seconds. `inputs` holds one value per [input](Self::inputs), in the
+    /// model's order.
     ///
     /// The result is not clamped: it may be zero, negative (target `seconds`) or infinite. It is NaN for a
     /// NaN input (with [`Storage::Int8`], for any input that is not finite), for a wrong number of inputs,
@@ -141,14 +142,14 @@ impl PredNet {
         }
     }
 
-    /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) values per element of
-    /// `seconds`. Results equal those of [`predict`](Self::predict) up to the order of summation. The rows
+    /// Predicts many frames: `inputs` holds one row of values, as for [`predict`](Self::predict), per element
+    /// of `seconds`. Results equal those of [`predict`](Self::predict) up to the order of summation. The rows
     /// are split into as many parts as there are `scratches`. A row's result does not depend on the other
     /// rows, the executor or the scratches. Never allocates on success.
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) if the lengths disagree or a scratch of another
-    /// network is too small; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any scratch.
+    /// network is too small; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) if `scratches` is empty.
     pub fn predict_batch(
         &self,
         executor: Executor<'_>,
@@ -162,7 +163,7 @@ impl PredNet {
             _ => {
                 let parts = scratches.len();
                 let (left, right) = scratches.split_at_mut(parts / 2);
-                // The left part is a multiple of six rows: whole tiles.
+                // The left part has a multiple of six rows, so that it consists of whole tiles.
                 let rows = (seconds.len() * left.len() / parts).next_multiple_of(6).min(seconds.len());
                 let Some((inputs_left, inputs_right)) = inputs.split_at_checked(rows * self.inputs()) else {
                     return self.rows(inputs, seconds, &mut right[0]);
@@ -193,7 +194,7 @@ impl PredNet {
         Ok(())
     }
 
-    /// Seconds from the last layer's output.
+    /// Returns the seconds that the last layer's output `y` stands for.
     #[inline]
     fn seconds(&self, y: f32) -> f32 {
         let y = f64::from(y) * self.output.1 + self.output.0;
@@ -270,8 +271,9 @@ mod tests {
         seconds
     }
 
-    /// Compares predictions of rows, one by one and all at once, with plain loops, on every level and for every
-    /// storage. `tolerance` returns the largest relative error, from the storage and the exact seconds.
+    /// Compares predictions of rows, one by one and all at once, with plain loops, on every level and for
+    /// every storage. `tolerance` returns the largest accepted relative error for a storage and exact
+    /// seconds.
     fn check_rows(sizes: &[usize], rows: usize, seed: u32, tolerance: impl Fn(Storage, f64) -> f64) {
         let parts = parts(sizes, Target::LogSeconds, seed);
         let inputs: Vec<f32> = (0..rows * sizes[0]).map(|i| (i * 7919 % 1000) as f32 / 250.0 - 2.0).collect();
@@ -294,7 +296,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
         /// Compares networks with plain loops, on every instruction set, for random layer widths and numbers
-        /// of rows. Random widths need every kind of weight panel and padding.
+        /// of rows. Random widths use every kind of weight panel and padding.
         #[test]
         fn any_shape_agrees_with_plain_loops(
             sizes in prop::collection::vec(1usize..150, 1..5),

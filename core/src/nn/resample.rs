@@ -123,7 +123,8 @@ impl Resampler {
 /// Function that fills planes. Arguments: index of the first plane, the planes, scratch for rows.
 type Fill<'a> = dyn Fn(usize, &mut [f32], &mut [f32]) + Sync + 'a;
 
-/// The view's own normalization, for ranges without a usable reciprocal.
+/// Map that normalizes a voxel as the view does; used if the reciprocal of the range's width is not a normal
+/// number.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exact<'a>(pub(super) &'a VolumeView<'a>);
 
@@ -386,7 +387,7 @@ mod tests {
         let mut next = random(5);
         let data: Vec<u8> = (0..40 * 40 * 40).map(|_| next() as u8).collect();
         let words: Vec<i16> = data.iter().map(|&b| i16::from(b) * 3 - 200).collect();
-        // Padded rows, a transposed volume, every second voxel, a broadcast axis.
+        // Cases: padded rows, a transposed volume, every second voxel, a broadcast axis.
         for (dims, strides) in [
             ([16, 8, 24], [1, 40, 1600]),
             ([17, 9, 23], [1, 40, 1600]),

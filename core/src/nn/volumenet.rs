@@ -60,7 +60,7 @@ impl VolumeNet {
     /// Builds the network for this CPU's best level.
     ///
     /// # Errors
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together;
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) if blocks do not fit together;
     /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than 2 GiB;
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if its weights cannot be allocated.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {

@@ -1,12 +1,13 @@
 //! Transfer functions given as nodes with midpoint and sharpness: the representation of VTK and ParaView
 //! (`vtkPiecewiseFunction` for opacity, `vtkColorTransferFunction` in RGB for color), evaluated as VTK does.
 //!
-//! Between two nodes, the left node's midpoint is the position at which the value is half way; its sharpness
-//! selects the curve. Below 0.01 the curve is linear on both sides of the midpoint. From 0.01 on, the
-//! position is first moved away from the midpoint, towards the nearer node, by the power 1 + 10·sharpness;
-//! the value there follows a cubic Hermite curve whose end slopes are (1 − sharpness) times the rise. Above
-//! 0.99, colors change in one step at the midpoint; opacity follows the curve, as in VTK's two classes. Every
-//! table entry agrees with VTK 9.7 within 1e-6.
+//! Between two nodes, the left node's midpoint is the position at which the value is half way between the two
+//! nodes' values. The left node's sharpness selects the curve. With a sharpness below 0.01, the curve is
+//! linear on both sides of the midpoint. With a larger sharpness, the position is first moved away from the
+//! midpoint, towards the nearer node, by the power 1 + 10·sharpness; the value at the moved position follows
+//! a cubic Hermite curve whose end slopes are (1 − sharpness) times the rise. With a sharpness above 0.99,
+//! colors change in one step at the midpoint; opacity follows the curve, as in VTK's two classes. Every table
+//! entry agrees with VTK 9.7 within 1e-6.
 
 use super::transfer::{TABLE_LEN, TransferTable, ramp};
 use crate::Result;
@@ -18,9 +19,10 @@ use alloc::vec::Vec;
 pub struct Node<V> {
     /// Scalar value, in the unit of the function's range.
     pub position: f64,
-    /// Opacity for one unit distance, or red, green, blue; in [0, 1].
+    /// Opacity over one unit distance ([`TransferTable::unit_distance`]), or red, green, blue; in [0, 1].
     pub value: V,
-    /// Position between this node and the next at which the value is half way, in [0, 1]; 0.5 is the middle.
+    /// Position at which the value is half way between the values of this node and the next, in [0, 1]: 0 at
+    /// this node, 1 at the next.
     pub midpoint: f64,
     /// Steepness of the change, in [0, 1]: 0 linear, 1 nearly a step. With a sharpness above 0.99, a color
     /// changes in one step at the midpoint; opacity follows the curve.
@@ -67,8 +69,8 @@ impl Nodes {
         let mut rgba = [[0.0; 4]; TABLE_LEN];
         for (i, entry) in rgba.iter_mut().enumerate() {
             let t = i as f64 / (TABLE_LEN - 1) as f64;
-            // A weighted mean of the ends, so that the width of f64::MIN…f64::MAX does not overflow; exact at
-            // both ends.
+            // x is a weighted mean of the ends, so that the width of f64::MIN…f64::MAX does not overflow. It
+            // is exact at both ends.
             let x = if i + 1 == TABLE_LEN { high } else { low * (1.0 - t) + high * t };
             next_opacity += self.opacity[next_opacity..].iter().take_while(|n| x > n.position).count();
             next_color += self.color[next_color..].iter().take_while(|n| x > n.position).count();

@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 /// Largest number of voxels sampled in search of fill values.
 const SAMPLE: usize = 4096;
 
-/// Smallest share of sampled voxels that hold a fill value.
+/// Smallest share of the sampled voxels that have the same fill value.
 const FREQUENT: f32 = 1.0 / 1024.0;
 
 /// Smallest distance of a fill value from the nearest other value, as a fraction of the width of the range of
@@ -139,10 +139,11 @@ impl VolumeView<'_> {
         number: impl Fn(T) -> f32,
         fill: &[f32],
     ) -> (f32, f32) {
-        /// Number of independent minima and maxima, so that compilers vectorize.
+        /// Number of minima, and of maxima, that are computed independently, so that compilers vectorize the
+        /// loop.
         const LANES: usize = 32;
         let mut lanes = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-        // Padded with NaN, which equals no value.
+        // Unused elements are NaN, which equals no value.
         let mut left_out = [f32::NAN; MOST];
         left_out.iter_mut().zip(fill).for_each(|(slot, &v)| *slot = v);
         let mut take = |values: &[T]| {
@@ -207,7 +208,7 @@ mod tests {
         let mut trail = data(50, -10.0);
         trail.extend([-9.9, -5.0, -0.1]);
         assert_eq!(fill_of(&trail), (Vec::new(), (-10.0, 1.0)));
-        // A fill value at each end, and a second one at the lower end.
+        // This data has two fill values at the lower end and one at the upper end.
         let mut both = data(50, -9999.0);
         both.extend(core::iter::repeat_n(1e20, 40));
         both.extend(core::iter::repeat_n(-999.0, 30));

@@ -38,7 +38,7 @@ pub struct ControlPoint {
     pub position: f32,
     /// Red, green, blue in [0, 1].
     pub color: [f32; 3],
-    /// Opacity in [0, 1] for one unit distance.
+    /// Opacity in [0, 1] over one unit distance ([`TransferTable::unit_distance`]).
     pub opacity: f32,
 }
 

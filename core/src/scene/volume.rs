@@ -278,8 +278,8 @@ impl<'a> VolumeView<'a> {
     }
 }
 
-/// Maps a stored value to [0, 1] over a volume's range: clamped; NaN gives 0; an empty range gives 0 for
-/// every value.
+/// Maps a stored value from a volume's range to [0, 1]. Values outside the range are clamped, NaN gives 0,
+/// and a range of width 0 gives 0 for every value.
 #[inline]
 pub fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
     let width = hi - lo;
@@ -336,8 +336,9 @@ fn check_edges([x, y, z]: [usize; 3]) -> Result<()> {
     Ok(())
 }
 
-/// Scales a vector by the power of two that brings its largest component into 0.5…1, and returns the
-/// exponent. Squared lengths then stay within `f32` in any unit, and nothing is rounded.
+/// Returns a vector, divided by the power of two that brings its largest component into 0.5…1, and the
+/// exponent of this power. The squared length of the result is within `f32` for any unit of length, and
+/// nothing is rounded.
 fn normalized(v: Vec3) -> (Vec3, i32) {
     let (_, exponent) = libm::frexpf(v.max_element());
     (Vec3::from_array(v.to_array().map(|c| libm::ldexpf(c, -exponent))), exponent)

@@ -21,14 +21,14 @@ const POSES: usize = 12;
 /// fewer planes, so that all volumes take the same number of bytes.
 const PLANES: usize = 512;
 
-/// Seconds of a call.
+/// Returns the seconds that a call takes.
 pub(crate) fn time(call: impl FnOnce()) -> f64 {
     let start = Instant::now();
     call();
     start.elapsed().as_secs_f64()
 }
 
-/// Prints the answer to a request.
+/// Prints measured seconds as the answer to a request.
 pub(crate) fn report(seconds: Vec<f64>) {
     println!("@@{{\"seconds\": {seconds:?}}}");
 }

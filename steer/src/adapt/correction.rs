@@ -232,7 +232,7 @@ impl Correction {
         self.load != 0.0
     }
 
-    /// Returns the load: a factor on the times of all scenes; 1 without one.
+    /// Returns the load: a factor on the times of all scenes; 1 without a load.
     pub(crate) fn load_factor(&self) -> f64 {
         libm::exp(self.load)
     }
@@ -251,8 +251,8 @@ impl Correction {
         self.spread_of_all * (1.0 - self.gain())
     }
 
-    /// Begins the next frame. `novelty` is 0 if it continues the previous frame, 1 if it is unrelated to the
-    /// previous frame.
+    /// Begins the next frame. `novelty` is 0 if the frame continues the previous frame, 1 if the two frames
+    /// are unrelated.
     pub(crate) fn advance(&mut self, novelty: f64) {
         let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
         let keep = 1.0 - novelty;
@@ -472,7 +472,7 @@ impl Correction {
                     self.covariance[i][j] *= s;
                     self.covariance[j][i] *= s;
                 }
-                // Set exactly, without rounding error, so that a bounded variance stays unchanged afterwards.
+                // Set without rounding error, so that another call leaves this variance unchanged.
                 self.covariance[i][i] = MAX_VARIANCE;
             } else if d < 1.0e-9 {
                 self.covariance[i][i] = 1.0e-9;
@@ -522,7 +522,7 @@ impl Correction {
         self.spread = r.f64(SPREAD.0, SPREAD.1)?;
         self.spread_of_all = r.f64(SPREAD.0, SPREAD.1)?;
         self.change = r.f64(CHANGE.0, CHANGE.1)?;
-        // The load of the machine when the state was saved is no property of later frames.
+        // The saved load is read but not used, because later frames may have another load.
         r.f64(-STATE_LIMIT, STATE_LIMIT)?;
         r.u64()?;
         r.f64(-SURE as f64, SURE as f64)?;
@@ -612,8 +612,8 @@ mod tests {
                 correction.advance([0.0, 0.0, 0.0, 0.3, 1.0][frame as usize % 5]);
                 let seconds = if frame / 400 % 2 == 0 { 0.01 } else { 3.0 } * (1.0 + (frame % 7) as f64);
                 let standing = if frame % 5 == 4 { Standing::First } else { Standing::Same };
-                // The terms stay the same for 1000 frames, so that the filter becomes certain in one
-                // direction only.
+                // The terms stay the same for 1000 frames, so that the filter becomes certain of only one
+                // combination of its states.
                 correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
                 let bytes = saved(&correction);
                 let mut other = Correction::new(prior, CorrectionConstants::default());

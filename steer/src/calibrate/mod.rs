@@ -274,7 +274,7 @@ impl Calibration {
 impl Calibrated {
     fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
         self.upper.store(&mut self.file)?;
-        // The prior's picture quality law is that of the prior's renderer, not of this one.
+        // The prior's picture quality law may be that of another renderer, so it is removed.
         self.file.metadata.remove(Key::Quality.name());
         if let Some(fitted) = &self.quality {
             fitted.quality.store(&mut self.file)?;
@@ -284,7 +284,7 @@ impl Calibrated {
         metadata.insert(Key::Renderer.into(), stated(renderer));
         metadata.insert(Key::Device.into(), stated(""));
         metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
-        // Programs compare these names with the clock of a session; any other name is not stored as a clock.
+        // Programs compare the stored name with the clock of a session, so only a known name is stored.
         if ["cpu", "wall", "device"].contains(&clock) {
             metadata.insert(Key::Clock.into(), clock.into());
         } else {

@@ -1,9 +1,10 @@
 //! Fits the picture quality law to compared pictures.
 //!
-//! The law of [`Quality`] is fitted in two parts. The share of rays is fitted to the times, relative to full
-//! quality. The weight and the exponents are fitted to the errors: first by least squares on the means of
-//! ln(error) over scenes, then by a search for the parameters that choose the settings with the smallest
-//! measured errors. Measured errors may be proportional to any power of the law's error.
+//! The law of [`Quality`] is fitted in two parts. `ray_share` is fitted to the drawing times, relative to the
+//! time at full quality. The weight and the exponents are fitted to the picture errors: first by least
+//! squares on the means of ln(error) over scenes, then by a search for the parameters that choose the
+//! settings with the smallest measured errors. Measured errors may be proportional to any power of the law's
+//! error.
 
 use crate::numeric::{median, solve};
 use crate::predict::{DISTANCE_RATIO, Quality};
@@ -35,8 +36,8 @@ const SHARES: (f64, f64, f64) = (0.2, LONGEST, 0.025);
 /// Lower clamp of a picture's error, since an error of 0 has no logarithm.
 const LEAST_ERROR: f64 = 1.0e-7;
 
-/// Weight of the law's root mean squared misfit in ln(error), relative to the excess ln(error) of its
-/// choices.
+/// Weight of the law's root mean squared misfit in ln(error), relative to the excess ln(error) of the
+/// settings that the law chooses.
 const MISFIT: f64 = 0.1;
 
 /// One picture, compared with the same view at full quality.
@@ -176,7 +177,7 @@ fn between(x: f64, a: (f64, Point), b: (f64, Point)) -> (f64, f64) {
 }
 
 /// Returns, for each share of the time at full quality, the smallest ln(error) of the points that take at
-/// most this time; with `path`, ln(error) of the first of these points.
+/// most this time. If `path` is true, returns ln(error) of the first of these points instead.
 fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
     let at = |share: &f64| {
         let mut fitting = points.iter().filter(|p| p.0 <= libm::log(*share)).map(|p| p.1);

@@ -42,7 +42,7 @@ pub struct PriorModel {
     known: [bool; COSTS],
 }
 
-/// One frame of the fit.
+/// One frame to which a model is fitted.
 #[derive(Clone, Debug)]
 pub struct Observed {
     /// Estimated work: 1, then the counts of `COST_QUANTITIES`.
@@ -148,7 +148,7 @@ impl PriorModel {
         };
         let mut fit = |prior: UnitCosts| -> Result<(f64, UnitCosts, Chosen)> {
             let chosen = self.fit_from(&prior, frames, &mut prepared, (&folds, count))?;
-            // Both errors count equally: their geometric mean decides.
+            // The median error and RMSE/SD count equally: their geometric mean decides.
             let (median, rmse_over_sd) = chosen.errors(frames);
             // If all times are equal, RMSE/SD is not finite, and the median error decides.
             let other = if rmse_over_sd.is_finite() { rmse_over_sd } else { median };

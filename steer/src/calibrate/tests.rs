@@ -89,7 +89,7 @@ fn a_calibration_finds_another_machines_unit_costs() {
         (100..160).map(|i| (seconds_by(&there, &work(i)) / seconds(i) - 1.0).abs()).collect();
     let middle = median(&mut errors).unwrap();
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
-    // Too few volumes for cross-validation: the errors are those of the fitted frames.
+    // Two volumes are too few for cross-validation, so there are no folds.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
     assert_eq!(fitted(&prior, &few).folds, 0);
     assert!(prior.choose(&[], &[UnitCosts::SOFTWARE]).is_err());
@@ -138,7 +138,8 @@ fn equal_times_are_judged_by_the_median_error() {
 #[test]
 fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
     let prior = PriorModel::default();
-    // Frames touch 0.1 to 60 million voxels. The time of reads that wait varies independently of the number of samples.
+    // Frames touch 0.1 to 60 million voxels. The time of reads that wait for memory varies independently of
+    // the number of samples.
     let work = |i: usize| {
         let quantity = |name: &str| 1 + COST_QUANTITIES.iter().position(|q| q.name() == name).unwrap();
         let touched = 1e5 * libm::exp(6.4 * (i * 37 % 101) as f64 / 100.0);

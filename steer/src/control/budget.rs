@@ -78,7 +78,7 @@ impl FrameBudget {
         self.expected = volumes;
     }
 
-    /// Seconds for the next pass if the whole frame may take `target` seconds.
+    /// Returns the seconds that the next pass may take if the whole frame may take `target` seconds.
     pub fn share(&self, pass: &PassShare, target: f32) -> f32 {
         let left = (target - self.rest()).max(LEAST_SHARE * target);
         let (mut total, mut passes) = (self.full[0], self.passes[0]);

@@ -241,7 +241,7 @@ fn choose_takes_the_first_setting_that_fits() {
     let f = frame(0.0, 0.0, 2.0);
     let setting = Setting::from(&f);
     let settings = [0.25f32, 0.5, 1.0, 2.0, 4.0, 8.0].map(|s| Setting { step: s, ..setting });
-    // Learn the machine's speed.
+    // The session learns the machine's speed.
     for _ in 0..30 {
         let (index, plan) = session.choose(&f, &settings, 0.02).unwrap();
         let seconds = 0.001 + 0.04 / settings[index].step;

@@ -37,9 +37,9 @@ pub struct HybridOptions {
     pub tolerance: f32,
     /// Prior knowledge of the prediction's errors.
     pub prior: Prior,
-    /// True where changes of the step are damped in calm phases.
+    /// True if changes of the step are damped in calm phases.
     pub damping: bool,
-    /// True where a detected load does not change the step: while other programs slow frames down, the
+    /// True if a detected load does not change the step: while other programs slow frames down, the
     /// picture keeps its quality and frames exceed the target. The expected time of a plan includes the load.
     /// If the load lasts longer than 32 frames, the slower speed counts as the machine's normal speed from
     /// then on, and steps are chosen for it. False by default.
@@ -176,7 +176,7 @@ struct Expected {
     seconds: f64,
     /// Upper bound for all frames, at the miss rate.
     upper: f64,
-    /// Time by which the step is chosen: `seconds`, without the load if it is ignored.
+    /// Time by which the step is chosen: `seconds`, without the load if the load is ignored.
     choice: f64,
     /// Upper bound for frames that no other program disturbs. It is used to choose the step: a step that is
     /// coarse enough for disturbed frames would be too coarse for all others.
@@ -236,7 +236,7 @@ impl Hybrid {
         }
     }
 
-    /// Returns the factor of the load if steps ignore it, else 1.
+    /// Returns the factor of the load if steps ignore the load, else 1.
     fn ignored_load(&self) -> f64 {
         if self.options.ignore_load { self.correction.load_factor() } else { 1.0 }
     }
@@ -248,13 +248,13 @@ impl Hybrid {
         if d.is_nan() {
             return if changes.any() { 1.0 } else { 0.0 };
         }
-        // Squared, so that small differences within a scene count little.
+        // The share is squared, so that small differences within a scene count little.
         let share = (d / self.options.constants.far).clamp(0.0, 1.0);
         let announced = changes.any() && !self.announced;
         (share * share).max(if announced { NOVEL } else { 0.0 })
     }
 
-    /// Begins the present frame: decides whether it continues the scene or begins one.
+    /// Begins the present frame: decides whether the frame continues the scene or begins a new one.
     fn enter(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let novelty = self.novelty(changes, cost);
         let first = novelty >= NOVEL;
@@ -275,7 +275,7 @@ impl Hybrid {
     /// five evaluations. The search assumes that a coarser step has a lower excess. If a network violates
     /// this, the returned step may not be the finest, but its excess is not positive.
     fn finest(limits: StepLimits, last: Option<f32>, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
-        // A step without a prediction does not fit.
+        // A step without a prediction counts as too slow.
         let mut excess = |step| {
             let f = excess(step);
             if f.is_nan() { 1.0 } else { f }
@@ -303,7 +303,8 @@ impl Hybrid {
             if width < 1.0e-3 {
                 break;
             }
-            // Shifted slightly towards coarser steps, so that the search ends at a step that fits.
+            // The secant is shifted slightly towards coarser steps, so that the search ends at a step that
+            // fits.
             let secant = (low * f_high - high * (f_low + 1.0e-3)) / (f_high - f_low - 1.0e-3);
             let x = if secant.is_finite() { secant } else { 0.5 * (low + high) };
             let x = x.clamp(low + 0.02 * width, high - 0.02 * width);
@@ -325,8 +326,8 @@ impl Hybrid {
         Some(best)
     }
 
-    /// Returns the corrected prediction for the present frame at `step`, where the cost has these `terms`;
-    /// with `by_history`, the forecast from recent frames.
+    /// Returns the corrected prediction for the present frame at `step`; `terms` is the predicted cost at
+    /// this step. If `by_history` is true, returns the forecast from recent frames instead.
     fn expected(&self, terms: &CostTerms, step: f32, by_history: bool) -> Expected {
         if by_history {
             let (seconds, upper) = self.history.forecast(step, self.calm.multiple);
@@ -460,7 +461,8 @@ impl Controller for Hybrid {
         let seconds = f64::from(observed.seconds);
         let trust = if observed.changes.first { FIRST_TRUST } else { 1.0 };
         if let Some(before) = &mut self.before {
-            // This state learns, too: the newest plan may be withdrawn after an earlier frame was observed.
+            // The state before the last begun frame learns too: this frame's plan may be withdrawn after an
+            // earlier frame was observed.
             let standing = standing(observed.scene, before.scene);
             before.correction.observe(&observed.terms, seconds, standing, trust);
         }

@@ -122,7 +122,7 @@ pub struct PlanRequest<'a> {
     pub limits: StepLimits,
     /// Changes of the scene since the previous frame.
     pub changes: Changes,
-    /// Predicted cost of the frame at a ray step, uncorrected; NaN where it is unknown.
+    /// Predicted cost of the frame at a ray step, uncorrected; NaN if it is unknown.
     pub cost: &'a mut dyn FnMut(f32) -> CostTerms,
 }
 
@@ -133,9 +133,9 @@ pub struct Decision {
     pub step: f32,
     /// Expected seconds; NaN if the controller predicts no time.
     pub seconds: f32,
-    /// Upper bound in seconds; NaN where there is none.
+    /// Upper bound in seconds; NaN if there is none.
     pub upper: f32,
-    /// [`Prediction::out_of_range`] at `step`; NaN where unknown.
+    /// [`Prediction::out_of_range`] at `step`; NaN if the score is unknown.
     pub out_of_range: f32,
     /// Reason for the step.
     pub reason: Reason,
@@ -162,7 +162,7 @@ pub struct Observed {
     pub terms: CostTerms,
     /// Scene of the frame, from [`Controller::scene`] when it was planned.
     pub scene: SceneMark,
-    /// True where the time includes work that most frames do not include (see
+    /// True if the time includes work that most frames do not include (see
     /// [`crate::adapt::ObserveFlags`]).
     pub unusual: bool,
 }

@@ -42,9 +42,9 @@ pub struct Plan {
     pub image_sample_distance: f32,
     /// Expected seconds; NaN if the controller predicts no time.
     pub seconds: f32,
-    /// Upper bound in seconds; NaN where there is none.
+    /// Upper bound in seconds; NaN if there is none.
     pub upper: f32,
-    /// As [`Prediction::out_of_range`]; NaN where unknown.
+    /// As [`Prediction::out_of_range`]; NaN if the score is unknown.
     pub out_of_range: f32,
     /// Reason for the step.
     pub reason: Reason,
@@ -53,7 +53,7 @@ pub struct Plan {
 #[derive(Clone, Copy)]
 struct Pending {
     id: u64,
-    /// The planned frame; its seconds are the expected ones, NaN where unknown.
+    /// The planned frame, with the expected seconds in place of measured ones, or NaN if they are unknown.
     frame: Observed,
     observed: bool,
 }
@@ -87,7 +87,7 @@ pub struct Session {
     pub(super) features: FrameFeatures,
     /// Probe that the caller asked for: rays along each side, and the tolerance of a refinement.
     asked_probe: Option<(usize, Option<f32>)>,
-    /// Refinement of the probe; `None` where every plan casts the same number of rays.
+    /// Refinement of the probe; `None` if every plan casts the same number of rays.
     ladder: Option<ladder::Ladder>,
     /// View for which the probe's rays were last cast; `None` without refinement.
     cast_for: Option<ladder::Cast>,
@@ -100,7 +100,7 @@ pub struct Session {
     next_id: u64,
     /// Id of the newest plan, and the state before it, for [`Session::withdraw`]; `None` after a withdrawal.
     newest: Option<(u64, Before)>,
-    /// Names of the renderer and the clock of observed times; empty where unknown.
+    /// Names of the renderer and the clock of observed times; empty if they are unknown.
     timing: [String; 2],
     /// True if the clock of observed times is known not to be that of predicted times.
     converted: bool,
@@ -223,10 +223,10 @@ impl Session {
         Ok(())
     }
 
-    /// Sets the transfer function, and its Gaussian lobes where it has some.
+    /// Sets the transfer function, and its Gaussian lobes if it has any.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] where there
+    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] if there
     /// is no memory for the summary; on an error nothing has changed.
     pub fn set_transfer(&mut self, table: &TransferTable, lobes: Option<&[GaussianLobe]>) -> Result<()> {
         let Some(volume) = &self.volume else {
@@ -297,7 +297,7 @@ impl Session {
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set,
-    /// [`crate::ErrorKind::MissingInput`] where the model needs an input that was not supplied.
+    /// [`crate::ErrorKind::MissingInput`] if the model needs an input that was not supplied.
     pub fn predict(&mut self, frame: &Frame) -> Result<Prediction> {
         self.measure(frame)?;
         let changes = self.changes_for(frame);
@@ -395,7 +395,7 @@ impl Session {
         }
     }
 
-    /// Reports the measured seconds of a planned frame. Returns how they were used.
+    /// Reports the measured seconds of a planned frame. Returns their effect on the learned correction.
     ///
     /// # Errors
     /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or already observed,
@@ -546,8 +546,8 @@ impl Session {
     }
 }
 
-/// Returns the inputs of a predictor for the last measured frame. It takes fields of the session, not the
-/// session, so that the session's predictor can be borrowed mutably at the same time.
+/// Returns the inputs of a predictor for the last measured frame. The function takes fields of the session,
+/// not the session, so that the session's predictor can be borrowed mutably at the same time.
 fn inputs_of<'a>(
     features: &'a FrameFeatures,
     setting: Setting,

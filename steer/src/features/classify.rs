@@ -14,7 +14,7 @@ pub(super) struct Visible<'a> {
     /// Prefix sums: number of visible entries below each entry.
     below: &'a [u16; TABLE_LEN + 1],
     runs: [(u8, u8); MAX_RUNS],
-    /// Number of runs of visible entries; `None` where there are more than [`MAX_RUNS`].
+    /// Number of runs of visible entries; `None` if there are more than [`MAX_RUNS`].
     count: Option<usize>,
 }
 
@@ -103,12 +103,12 @@ pub(super) struct Blocks<'a> {
     pub(super) first: &'a [u32],
     /// Number of blocks in a whole cell, which the volume's border does not cut.
     pub(super) most: usize,
-    /// True where every cell has `most` blocks.
+    /// True if every cell has `most` blocks.
     pub(super) uniform: bool,
 }
 
 impl Blocks<'_> {
-    /// True where each word of block bits covers either eight whole cells or a part of a single cell. The
+    /// True if each word of block bits covers either eight whole cells or a part of a single cell. The
     /// cells are then classified before their blocks.
     fn fill_words(&self) -> bool {
         self.uniform && (self.most == 8 || self.most % 64 == 0)
@@ -147,8 +147,8 @@ pub(super) fn classify_blocks(
     }
 }
 
-/// Kernel of [`classify_blocks`] where [`Blocks::fill_words`] is true: classifies only words of cells whose
-/// own bounds contain a visible entry.
+/// Kernel of [`classify_blocks`] if [`Blocks::fill_words`] is true. Classifies only words of cells whose own
+/// bounds contain a visible entry.
 struct ClassifyWords<'a> {
     visible: &'a Visible<'a>,
     low: &'a [u8],
@@ -213,7 +213,7 @@ impl Kernel for ClassifyWords<'_> {
 #[inline(always)]
 fn occupied_bytes(word: u64) -> u64 {
     const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
-    // The highest bit of each nonzero byte; the product gathers them into one byte.
+    // The highest bit of each nonzero byte; the product gathers these bits into one byte.
     let full = (((word & LOW) + LOW) | word) & !LOW;
     (full >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }

@@ -15,7 +15,7 @@ pub(crate) struct Footprint {
     pub high: [f32; 2],
     /// Centroid of the covered region.
     pub center: [f32; 2],
-    /// True where the eye is inside the box.
+    /// True if the eye is inside the box.
     pub inside: bool,
 }
 
@@ -23,9 +23,9 @@ impl Footprint {
     /// Projects a box of half size `half_extent` about the origin into a `width` × `height` image.
     ///
     /// The back faces of the box are those through which rays leave it. For any position of the eye, they
-    /// project one to one onto the covered region. Each is clipped to the image, and the areas are summed.
-    /// With parallel rays, the faces are also clipped to the half-space in front of the plane where the rays
-    /// start. The region is not rounded to whole pixels.
+    /// project one to one onto the covered region. Each projected face is clipped to the image, and the areas
+    /// are summed. With parallel rays, the faces are also clipped to the half-space in front of the plane
+    /// where the rays start. The region is not rounded to whole pixels.
     pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
         let (origin, direction) = camera.ray_basis(width, height);
         let parallel = origin[1] != Vec3::ZERO;
@@ -178,7 +178,7 @@ mod tests {
         Camera::from_arcball(Arcball { rx, ry, dz }).unwrap()
     }
 
-    /// True where a ray meets the box (slab method).
+    /// True if a ray meets the box (slab method).
     fn hits(h: Vec3, o: Vec3, d: Vec3) -> bool {
         let (a, b) = ((-h - o) / d, (h - o) / d);
         let (near, far) = (a.min(b).max_element(), a.max(b).min_element());

@@ -13,8 +13,8 @@ use glam::Vec3;
 const ALONG_SIDE: usize = 3;
 
 /// Returns the shares of borders normal to x, to y and to z among the voxel borders that rays cross. They are
-/// means over [`ALONG_SIDE`]² rays through the footprint's rectangle, or the shares of the central ray where
-/// the box is not visible.
+/// means over [`ALONG_SIDE`]² rays through the footprint's rectangle, or the shares of the central ray if the
+/// box is not visible.
 fn along(frame: &Frame, relative_spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
     // Along each axis, a ray of direction d crosses |d| / spacing borders per unit of length. The shares do
@@ -66,17 +66,17 @@ impl From<&Frame> for Setting {
 /// changed, by a smooth motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Changes {
-    /// True where there is no preceding frame, or where the renderer's pipeline was rebuilt.
+    /// True if there is no preceding frame, or if the renderer's pipeline was rebuilt.
     pub first: bool,
-    /// True where the transfer function changed.
+    /// True if the transfer function changed.
     pub transfer: bool,
-    /// True where the volume changed.
+    /// True if the volume changed.
     pub volume: bool,
-    /// True where the image size changed.
+    /// True if the image size changed.
     pub size: bool,
-    /// True where the shading, skipping or termination mode changed.
+    /// True if the shading, skipping or termination mode changed.
     pub mode: bool,
-    /// True where the camera jumped (a cut, not a motion).
+    /// True if the camera jumped (a cut, not a motion).
     pub camera: bool,
 }
 
@@ -101,14 +101,14 @@ pub(crate) struct Work {
     /// Number of samples in a renderer that runs a tile of pixels in lockstep until the tile's longest ray
     /// ends.
     pub(crate) lane_samples: f64,
-    /// Number of samples with opacity where shading is on, otherwise 0.
+    /// Number of samples with opacity if shading is on, otherwise 0.
     pub(crate) shaded: f64,
     /// Number of samples along shadow rays with single scattering, otherwise 0.
     pub(crate) shadow_samples: f64,
     /// As [`Self::shadow_samples`], plus the samples for which rays wait in a renderer that marches eight
     /// adjacent rays in lockstep: all eight wait while any of them shades.
     pub(crate) lane_shadow_samples: f64,
-    /// As [`Self::lane_shadow_samples`], for rays [`UNSHARED_SHADING`] apart.
+    /// As [`Self::lane_shadow_samples`], for rays that are [`UNSHARED_SHADING`] reference steps apart.
     pub(crate) parted_shadow_samples: f64,
     /// Number of runs: consecutive samples between two jumps. 0 without skipping.
     pub(crate) runs: f64,
@@ -150,13 +150,15 @@ pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 /// Ray spacing at which half of the reads of shading are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
-/// Shadow samples for which rays far apart wait because their own sample is transparent, divided by the
-/// number of such samples in a volume whose visible voxels are spread evenly over each cell. The factor
-/// exceeds 1 because visible voxels lie close together. Fitted to training frames of two machines.
+/// Factor on the number of shadow samples for which rays far apart wait because their own sample is
+/// transparent. With a factor of 1, the number would be that of a volume whose visible voxels are spread
+/// evenly over each cell. The factor exceeds 1 because visible voxels lie close together. Fitted to training
+/// frames of two machines.
 const WAITING_TRANSPARENT: f64 = 4.0;
 
-/// Shadow samples for which rays far apart wait because they have ended, divided by all shadow samples, by the share
-/// of rays that end early, and by [`Probe::ends_apart`]. Fitted to training frames of two machines.
+/// Factor in the number of shadow samples for which rays far apart wait because they have ended: this number
+/// is the factor times all shadow samples, the share of rays that end early, and [`Probe::ends_apart`].
+/// Fitted to training frames of two machines.
 const WAITING_ENDED: f64 = 10.0;
 
 /// Features of a camera's view of a volume under a transfer function, measured once per frame.
@@ -235,7 +237,7 @@ impl FrameFeatures {
 
     /// Adapts the features to another view without casting rays: recomputes the volume's place in the image
     /// and keeps the results of the rays. The view must be close to the measured view; nothing but the view
-    /// may differ. Returns false, and changes nothing, where no ray met the volume or the new footprint is
+    /// may differ. Returns false, and changes nothing, if no ray met the volume or the new footprint is
     /// empty.
     pub(crate) fn turn(&mut self, volume: &VolumeSummary, frame: &Frame) -> Result<bool> {
         frame.checked()?;
@@ -284,8 +286,8 @@ impl FrameFeatures {
         let skips =
             if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
         // The excess of the longest ray's length over the mean length is measured on neighboring probe rays.
-        // This factor scales it to a tile: half the tile's side, divided by the distance of these rays; at
-        // most 1.
+        // The factor `tile` scales this excess to a tile of pixels: half the tile's side, divided by the
+        // distance of neighboring probe rays; at most 1.
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };

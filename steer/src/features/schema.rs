@@ -43,12 +43,12 @@ macro_rules! quantities {
                 match self { $(Self::$variant => $floor,)* }
             }
 
-            /// True where the quantity depends on the ray step of the setting.
+            /// True if the quantity depends on the ray step of the setting.
             pub(crate) const fn depends_on_step(self) -> bool {
                 match self { $(Self::$variant => flag!($step),)* }
             }
 
-            /// True where the quantity needs probe rays. All other quantities follow from camera, setting,
+            /// True if the quantity needs probe rays. All other quantities follow from camera, setting,
             /// transfer function and volume alone.
             pub const fn needs_probe(self) -> bool {
                 match self { $(Self::$variant => flag!($probe),)* }
@@ -156,7 +156,7 @@ impl SceneQuantity {
         )
     }
 
-    /// Returns the log variant of a value: ln(value + floor), or −69 where value + floor is not positive.
+    /// Returns the log variant of a value: ln(value + floor), or −69 if value + floor is not positive.
     pub(crate) fn log(self, value: f64) -> f32 {
         libm::log((value + self.log_floor()).max(1.0e-30)) as f32
     }

@@ -66,7 +66,7 @@ pub(super) mod packed {
     /// Packs the word of a cell that is not empty, without the edit's number.
     pub(super) fn pack(extinction: f32, visible: f32, class: u32) -> u32 {
         let least = f32::from_bits(EXPONENT);
-        // Adds half of the last kept bit, so that truncation rounds.
+        // Adds half of the last kept bit, so that the truncation below rounds to the nearest value.
         let extinction = extinction.max(least).to_bits() + (1 << 12) - EXPONENT;
         let shows = (libm::sqrtf(visible) * 1023.0 + 0.5) as u32;
         extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS) | class << 10
@@ -102,8 +102,7 @@ pub struct TransferSummary {
     edit: u32,
     /// Number of the present edit of the transfer function.
     edits: u32,
-    /// Opacity of each table entry and the logarithm of its transmittance; zeros where the entry is not
-    /// visible.
+    /// Opacity of each table entry and the logarithm of its transmittance; zeros if the entry is not visible.
     entries: [[f32; 2]; TABLE_LEN],
     unit_distance: f32,
     /// Prefix sums: number of visible table entries below each entry.
@@ -248,8 +247,8 @@ impl TransferSummary {
         self.occupied_share = (sum / n as f64) as f32;
     }
 
-    /// Optical properties of a cell; `None` where it is empty. Where rounding carries a ray out of the grid,
-    /// `cell` is too large, and the result is that of the last cell, as for packets of rays.
+    /// Optical properties of a cell; `None` if it is empty. If rounding carries a ray out of the grid, `cell`
+    /// is too large, and the result is that of the last cell, as for packets of rays.
     #[inline(always)]
     pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Option<Optics> {
         let cell = cell.min(self.cells.len() - 1);
@@ -303,7 +302,7 @@ impl TransferSummary {
         self.entries.iter().fold(unit, |sum, [alpha, _]| mixed(sum, u64::from(alpha.to_bits())))
     }
 
-    /// True where a cell is not empty; false outside the grid.
+    /// True if a cell is not empty; false outside the grid.
     #[inline(always)]
     pub(super) fn is_occupied(&self, cell: usize) -> bool {
         self.full.get(cell / 64).is_some_and(|word| word >> (cell % 64) & 1 != 0)

@@ -95,7 +95,7 @@ pub struct AnalyticModel {
     probe_side: usize,
     /// Calibration of [`Prediction::upper`].
     pub(super) calibration: UpperBound,
-    /// Range of the training frames' [`range_point`]s; `None` where unknown.
+    /// Range of the training frames' [`range_point`]s; `None` if the range is unknown.
     range: Option<InputRange>,
     /// Clock of the file that the costs come from.
     clock: Option<Clock>,
@@ -158,7 +158,7 @@ impl AnalyticModel {
     /// are not ignored.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] where no measurement is usable, or if a fitted cost is not
+    /// [`crate::ErrorKind::InvalidArgument`] if no measurement is usable, or if a fitted cost is not
     /// finite or none is positive; the model is then unchanged.
     pub fn fit(&mut self, default: &UnitCosts, measurements: &[([f64; COSTS], f64)]) -> Result<Vec<f64>> {
         let usable: Vec<&([f64; COSTS], f64)> = measurements
@@ -494,7 +494,8 @@ mod tests {
         assert!(plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0) && middle > 0.02);
         assert!(quantiles(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap())[0] < 5e-3);
         assert!((asked.costs().seconds[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
-        // The file names the quantities with nonzero costs, and reads back.
+        // The file names the quantities with nonzero costs, and gives the same unit costs, in single
+        // precision, when it is read.
         for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COMMON_COSTS)] {
             let file = model.to_model_file().unwrap().to_model().unwrap();
             assert_eq!(file.scene_features.len(), names);

@@ -14,7 +14,7 @@ pub const UPPER_LEVEL: f64 = 0.95;
 /// at most [`factor`](UpperBound::factor) times its prediction. The default is uncalibrated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UpperBound {
-    /// ln of the factor; not finite where uncalibrated.
+    /// ln of the factor; not finite if the bound is uncalibrated.
     pub log_factor: f32,
 }
 
@@ -53,10 +53,10 @@ impl UpperBound {
     }
 
     /// Stores the bound in a model file and keeps the other entries of its calibration; leaves the file
-    /// unchanged where the bound is uncalibrated.
+    /// unchanged if the bound is uncalibrated.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] where the file's calibration is damaged.
+    /// [`crate::ErrorKind::InvalidModel`] if the file's calibration is damaged.
     pub fn store(&self, file: &mut ModelFile) -> Result<()> {
         if !self.log_factor.is_finite() {
             return Ok(());
@@ -64,18 +64,19 @@ impl UpperBound {
         store_in_calibration(file, [("log_factor", serde_json::json!(self.log_factor))])
     }
 
-    /// The factor; NaN where uncalibrated.
+    /// The factor; NaN if the bound is uncalibrated.
     pub fn factor(&self) -> f32 {
         if self.log_factor.is_finite() { libm::expf(self.log_factor) } else { f32::NAN }
     }
 
     /// Standard deviation of ln(measured / predicted), derived from the bound for normally distributed
-    /// errors, at least 0.02; `None` where uncalibrated.
+    /// errors, at least 0.02; `None` if the bound is uncalibrated.
     pub(crate) fn log_sd(&self) -> Option<f32> {
         self.log_factor.is_finite().then_some((self.log_factor / 1.645).max(0.02))
     }
 
-    /// Returns the upper bound for a prediction, in seconds: at least the prediction; NaN if uncalibrated.
+    /// Returns the upper bound for a prediction, in seconds: at least the prediction; NaN if the bound is
+    /// uncalibrated.
     pub fn upper(&self, seconds: f32) -> f32 {
         if self.log_factor.is_finite() { seconds * self.factor().max(1.0) } else { f32::NAN }
     }

@@ -22,7 +22,7 @@ pub struct Prediction {
     pub seconds: f32,
     /// Upper bound in seconds; NaN if the predictor is uncalibrated.
     pub upper: f32,
-    /// Distance of the inputs from the training range: 0 inside, growing with the distance; NaN where the
+    /// Distance of the inputs from the training range: 0 inside, growing with the distance; NaN if the
     /// predictor has no range. A session trusts predictions up to
     /// [`crate::control::HybridOptions::trust_limit`].
     pub out_of_range: f32,
@@ -79,7 +79,7 @@ pub trait Predictor {
     /// The prediction for one frame at one setting.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] where an input group of the model was not supplied.
+    /// [`crate::ErrorKind::MissingInput`] if an input group of the model was not supplied.
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction>;
 
     /// The prediction as a sum of terms. The default is [`CostTerms::whole`] of [`Predictor::predict`].
@@ -106,7 +106,7 @@ pub trait Predictor {
         None
     }
 
-    /// The clock whose seconds are predicted; `None`, the default, where it is unknown.
+    /// The clock whose seconds are predicted; `None`, the default, if the clock is unknown.
     fn clock(&self) -> Option<Clock> {
         None
     }

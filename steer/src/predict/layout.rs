@@ -41,7 +41,7 @@ pub struct InputLayout {
     /// True if Gaussian lobes are sorted by center; false if they keep the caller's order.
     pub sorted_lobes: bool,
     /// Number of rays along each side of the probe that measures the scene features, 1 to [`MAX_PROBE_SIDE`];
-    /// 0 where no scene feature needs a probe.
+    /// 0 if no scene feature needs a probe.
     pub probe_side: usize,
 }
 
@@ -114,7 +114,7 @@ impl InputLayout {
         })
     }
 
-    /// True where an input depends on the ray step.
+    /// True if an input depends on the ray step.
     pub fn knows_step(&self) -> bool {
         self.groups.iter().any(|g| g.0 == GroupKind::StepSize)
             || self.scene_features.iter().any(|f| f.quantity.depends_on_step())
@@ -129,7 +129,7 @@ impl InputLayout {
     /// inputs.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidTensor`] where the parts do not fit together or a weight overflows its
+    /// [`crate::ErrorKind::InvalidTensor`] if the parts do not fit together or a weight overflows its
     /// format.
     pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
         let group = |&(kind, size): &(GroupKind, usize)| InputGroup { name: kind.name().into(), size };
@@ -174,7 +174,7 @@ impl InputLayout {
     }
 
     /// Writes a row as [`InputLayout::write`] does, but from `values` and `scene`. `scene` returns a
-    /// quantity of the scene in its unit, or `None` where it is unknown. If `scene` gets unit costs, the
+    /// quantity of the scene in its unit, or `None` if it is unknown. If `scene` gets unit costs, the
     /// quantity is the seconds that the frame's work takes with these costs.
     ///
     /// # Errors
@@ -241,8 +241,8 @@ impl InputLayout {
                         lobes.len()
                     );
                 }
-                // If there are fewer lobes than the model takes, the tallest is split into equal parts. Their
-                // sum is the same function.
+                // If there are fewer lobes than the model takes, the tallest is split into equal lobes, so
+                // that the sum of all lobes stays the same.
                 let taller = |a: usize, b: usize| if lobes[b].height > lobes[a].height { b } else { a };
                 let tallest = (0..lobes.len()).fold(0, taller);
                 let shares = (1 + wanted - lobes.len()) as f32;

@@ -82,7 +82,7 @@ pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor 
 
 /// Predictor that runs a model file's PredNet on inputs assembled from named groups in the file's order.
 ///
-/// The out-of-range score uses the inputs' distances from their training means, where the file has them.
+/// The out-of-range score uses the inputs' distances from their training means, if the file has these means.
 /// VolumeNet's outputs do not count, since they are in a similar range for every volume.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {

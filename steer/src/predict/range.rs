@@ -92,7 +92,7 @@ impl InputRange {
     /// Stores the range in a model file and keeps the other entries of its calibration.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] where the file's calibration is damaged.
+    /// [`crate::ErrorKind::InvalidModel`] if the file's calibration is damaged.
     pub fn store(&self, file: &mut ModelFile) -> Result<()> {
         let (low, high) = self.ends();
         super::bounds::store_in_calibration(

@@ -22,7 +22,8 @@ pub(crate) const CLAMPED_SCORE: f32 = 1000.0;
 /// [`crate::ErrorKind::InvalidModel`] for NaN or infinity: the weights are so large that sums overflow `f32`.
 pub(crate) fn checked_seconds(raw: f32) -> Result<(f32, bool)> {
     if !raw.is_finite() {
-        // The message is a constant text, so it is not allocated. A plan may evaluate the network many times.
+        // The message is a constant text, so that no memory is allocated: a plan may evaluate the network
+        // many times.
         return Err(Error::new(
             ErrorKind::InvalidModel,
             "the network's prediction is not finite, since its weights are too large for these inputs; \

@@ -26,7 +26,7 @@ impl Assignment {
     /// `times`.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] where `times` does not have one time per task or `speeds` does not
+    /// [`crate::ErrorKind::SizeMismatch`] if `times` does not have one time per task or `speeds` does not
     /// have one speed per node; [`crate::ErrorKind::InvalidArgument`] for a task on a node that does not
     /// exist; for other invalid values, as [`assign_longest_first`].
     pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {

@@ -20,13 +20,13 @@ pub(super) struct ChannelsLast {
     pub(super) cut: Cut,
     pub(super) shape: Shape,
     pub(super) inputs: usize,
-    /// Strides of the input, in floats: channel, column, row and plane (the plane stride is used only where
-    /// the whole input is in memory).
+    /// Strides of the input, in floats: channel, column, row and plane (the plane stride is used only if the
+    /// whole input is in memory).
     pub(super) channel_stride: usize,
     pub(super) column: usize,
     pub(super) row: usize,
     pub(super) plane: usize,
-    /// Offsets of the kernel's taps in the input, in floats. They are used only where the whole input is in
+    /// Offsets of the kernel's taps in the input, in floats. They are used only if the whole input is in
     /// memory.
     pub(super) taps: Vec<usize>,
     /// Blocks of channels: first channel, number of vectors, offset of the weights in floats.
@@ -111,7 +111,7 @@ impl ChannelsLast {
     }
 
     /// Number of tasks of a layer whose whole input is in memory: chunks of positions × blocks of channels ×
-    /// tiles.
+    /// tiles per chunk.
     pub(super) fn tasks(&self) -> usize {
         self.positions().div_ceil(CHUNK) * self.blocks.len() * CHUNK.div_ceil(self.cut.positions)
     }
@@ -135,7 +135,7 @@ impl ChannelsLast {
     }
 
     /// Computes one block of channels for a range of positions. `plane` is the distance in floats between the
-    /// inputs of neighboring output planes (0 where the offsets of the taps include the plane).
+    /// inputs of neighboring output planes; it is 0 if the offsets of `taps` include the offset of the plane.
     pub(super) fn tiles(
         &self,
         input: &[f32],
@@ -196,8 +196,8 @@ impl Kernel for Tiles<'_> {
             for i in 0..step {
                 let from = z * plane + stride * (y * layer.row + x * layer.column);
                 tile.input[i] = input[from..].as_ptr();
-                // SAFETY: `place` returns an offset inside the layer's output, and the block's channels from
-                // there on lie inside it too.
+                // SAFETY: `place` returns an offset inside the layer's output, and the block's channels after
+                // this offset lie inside the output too.
                 tile.output[i] = unsafe { target.0.add(layer.place(z, y, x) + channel) };
                 // The last tile is filled up with its last position: the same values are written to the same
                 // place again.

@@ -8,7 +8,7 @@ use crate::memory::filled;
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Floats per cache line; also the widest vector and the unit to which rows are padded.
+/// Number of floats per cache line and in the widest vector. Rows are padded to a multiple of this number.
 pub(super) const LINE: usize = 16;
 
 /// Zero-initialized floats, aligned to a cache line.
@@ -69,8 +69,8 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// Range of input planes that output plane `z` reads, and the first kernel plane that falls inside the
-    /// input; the kernel planes before it, and those beyond the range, fall into the padding.
+    /// Returns the range of input planes that output plane `z` reads, and the first kernel plane that lies
+    /// inside the input. Kernel planes before this one, and those after the range, lie in the padding.
     pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {
         let low = z * self.stride;
         let first = low.max(self.padding);

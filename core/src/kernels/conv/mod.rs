@@ -12,7 +12,7 @@
 //! borders as wide as the layer's padding. Its output is channels last, with the borders of the next layer.
 //!
 //! The first two layers run plane by plane: a thread keeps only as many prepared planes, and planes of the
-//! first layer's output, as the kernels span. Borders are zeroed once and never written.
+//! first layer's output, as the kernels span. Borders are zeroed at allocation and never written afterwards.
 //!
 //! # Order
 //!
@@ -38,7 +38,7 @@ use layout::{Buffer, LINE, Output, Taps};
 use planar::Planar;
 pub(crate) use planar::{Prepare, PreparedPlane};
 
-/// An encoder with weights packed for one level.
+/// An encoder with weights packed for one SIMD level.
 #[derive(Clone, Debug)]
 pub(crate) struct Encoder {
     level: Level,
@@ -114,14 +114,15 @@ impl Encoder {
         let whole = if self.rest.is_empty() { f.lead + f.shape.output * f.out_plane } else { 0 };
         // The extra line keeps the reads of the last row, rounded up to whole vectors, inside the buffer.
         let buffers = [f.shape.kernel * f.plane + LINE, ring + LINE, whole + LINE];
-        // Two encoders can have buffers of equal sizes with borders at different places.
+        // The layout is included, because two encoders can have buffers of equal sizes with borders at
+        // different places.
         let layout = [f.plane, f.row, f.phase, f.shape.padding, f.out_plane, f.border];
         buffers.into_iter().chain(layout).chain(
             self.rest.iter().flat_map(|l| [l.out_len.next_multiple_of(LINE), l.border, l.out_channels]),
         )
     }
 
-    /// Reallocates the scratch unless it fits this encoder and number of threads.
+    /// Reallocates the scratch unless it fits this encoder and the number of threads.
     fn fit(&self, scratch: &mut Scratch, threads: usize) -> Result<()> {
         if !self.sizes().eq(scratch.sizes.iter().copied()) {
             // The scratch stays empty until every allocation has succeeded. After a failed allocation, the
@@ -156,8 +157,8 @@ impl Encoder {
         size_of::<f32>() * (first + rest.sum::<usize>() + working + self.dense.as_slice().len())
     }
 
-    /// Runs the network; `features` holds one value per output of the dense layer. Reallocates the scratch
-    /// where it does not fit.
+    /// Runs the network; `features` holds one value per output of the dense layer. Reallocates the scratch if
+    /// it does not fit this encoder.
     ///
     /// # Errors
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the scratch cannot be allocated.

@@ -52,7 +52,7 @@ pub(super) struct Row {
 /// Prefetch distance of weights, in floats.
 const WEIGHTS_AHEAD: usize = 1024;
 
-/// Tile sizes of one level.
+/// Tile sizes of one SIMD level.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
     /// Number of floats per vector.
@@ -262,11 +262,11 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 /// Computes a tile of `positions` positions and `vectors` vectors of channels.
 ///
 /// # Safety
-/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] is true, `vectors` is 1 and the distance from
-/// position p to p + 8 is the same for every p. Where [`Tile::two_apart`] is true, position p lies 2·p floats
-/// from position 0. Where [`Tile::tap_triples`] is true, taps come in triples of neighbors. Every input
-/// pointer plus any tap plus any channel is readable, weights and biases are packed for the tile, and every
-/// output pointer is writable for its vectors, which no other thread accesses.
+/// `positions` is [`Cut::positions`]. It may also be 16 if [`Cut::wide`] is true, `vectors` is 1, and the
+/// distance from position p to p + 8 is the same for every p. Where [`Tile::two_apart`] is true, position p
+/// lies 2·p floats from position 0. Where [`Tile::tap_triples`] is true, taps come in triples of neighbors.
+/// Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
+/// and every output pointer is writable for its vectors, which no other thread accesses.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };

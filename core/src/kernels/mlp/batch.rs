@@ -102,8 +102,8 @@ impl Mlp {
                     _ => {}
                 }
                 line += layer.panel_lines(n);
-                // While a panel is used, the next panel is prefetched: a part of the next panel's lines with
-                // each tile.
+                // While a panel is used, the next panel is prefetched: each tile prefetches a part of the
+                // next panel's cache lines.
                 let tiles = rows.count.div_ceil(TILE_ROWS);
                 let share = layer.panel_lines(n).div_ceil(tiles);
                 let mut ahead = line;
@@ -118,7 +118,8 @@ impl Mlp {
                     let q = rows.q.wrapping_add(r * bytes);
                     // Tiles have six rows; the remaining rows form tiles of four, two and one.
                     let count = match rows.count - r {
-                        // Without vectors, bytes are multiplied one by one, and a tile gains nothing.
+                        // The portable level multiplies bytes one by one, so tiles of several rows would not
+                        // be faster.
                         _ if dot4 && S::LANES == 4 => 1,
                         6.. => 6,
                         4.. => 4,

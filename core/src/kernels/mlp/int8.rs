@@ -11,7 +11,7 @@ pub(super) struct Range {
 }
 
 /// Quantizes `n` floats (a multiple of 16) to unsigned bytes. A value that is not finite makes the scale NaN,
-/// and with it every output of the layer.
+/// and so makes every output of the layer NaN.
 ///
 /// # Safety
 /// `x` must hold `n` floats, and `q` must hold `n` bytes.

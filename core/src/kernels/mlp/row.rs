@@ -178,7 +178,7 @@ impl Mlp {
             _ => {
                 // The bytes of `q` at index `filled` and above are multiplied by weights that are zero.
                 // SAFETY: the caller guarantees that `x` and `q` have room for `layer.inputs` elements, the
-                // padded number of inputs. It is at least `filled`.
+                // padded number of inputs. This number is at least `filled`.
                 let range = unsafe { quantize(simd, x, layer.filled, q) };
                 walk!(panel_row_int8, range);
             }

@@ -45,8 +45,8 @@ pub(crate) fn bytes(
     }
 }
 
-/// As [`bytes`] for contiguous rows that shrink to a quarter: sums of four neighbors are dot products with
-/// ones, and every sum stays in its register until all rows are added.
+/// Kernel of [`bytes`] for contiguous rows whose length shrinks to a quarter. Sums of four neighbors are dot
+/// products with ones, and every sum stays in its register until all rows are added.
 struct Quads<'a> {
     g: &'a Geometry<'a>,
     src: &'a [u8],
@@ -217,7 +217,7 @@ fn bytes_body(
     }
 }
 
-/// Prefetches a row's cache lines; ignores a row beyond the end.
+/// Prefetches a row's cache lines; does nothing if the row ends beyond `src`.
 #[inline(always)]
 fn prefetch(src: &[u8], at: usize, len: usize) {
     let Some(row) = src.get(at..at.saturating_add(len)) else { return };

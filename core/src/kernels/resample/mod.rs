@@ -1,6 +1,6 @@
 //! Inner loops of resampling: weighted sums over rows, then along the row. The same source is compiled for
-//! every level. The order of operations is the same, and multiplications and additions are never fused; so
-//! every level gives the same bits.
+//! every level. At every level, the operations run in the same order, and multiplications and additions are
+//! never fused. So every level gives the same bits.
 
 mod bytes;
 mod planes;
@@ -108,7 +108,7 @@ pub(crate) trait Map<T: Scalar>: Copy + Send + Sync {
     /// Maps a stored value to the value that enters the average.
     fn value(&self, stored: f32) -> f32;
 
-    /// Maps a voxel, as [`Map::value`] maps its stored value.
+    /// Returns [`Map::value`] of the voxel's stored value.
     #[inline(always)]
     fn map(&self, voxel: T) -> f32 {
         self.value(voxel.to_f32())
@@ -146,7 +146,8 @@ impl<T: Scalar> Map<T> for Affine {
     #[inline(always)]
     fn value(&self, stored: f32) -> f32 {
         let t = (stored - self.low) * self.scale;
-        // Comparisons, not max and min: NaN fails the first one and becomes 0.
+        // Comparisons are used instead of max and min, because NaN fails the first comparison and so becomes
+        // 0.
         let t = if t > 0.0 { t } else { 0.0 };
         if t < 1.0 { t } else { 1.0 }
     }
@@ -168,7 +169,7 @@ impl After {
     }
 }
 
-/// Sizes and strides of one call.
+/// Sizes and strides of one resampling call.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Geometry<'a> {
     /// Number of input voxels along x, y and z.
@@ -182,8 +183,8 @@ pub(crate) struct Geometry<'a> {
     pub(crate) level: Level,
 }
 
-/// Floats of scratch per thread: a row sum, a second one for long sums, rows of voxels, and two rows for
-/// [`spread`].
+/// Number of floats of scratch per thread: two rows of sums (the second for long sums), [`ROWS`] rows of
+/// voxels, and two rows for [`spread`].
 pub(crate) fn scratch_len(row: usize, n: usize) -> usize {
     (2 + ROWS) * row + 2 * n
 }

@@ -264,7 +264,7 @@ unsafe fn add_bits(a: __m512i, b: __m512i, c: __m512i) -> (__m512i, __m512i) {
 /// two and four. Returns these planes, and the carry plane of weight eight.
 ///
 /// # Safety
-/// As [`bits_of`], of 512 bytes.
+/// As [`bits_of`], but `p` is valid for reading 512 bytes.
 #[inline(always)]
 unsafe fn add_eight(p: *const u8, first: u8, [ones, twos, fours]: [__m512i; 3]) -> ([__m512i; 3], __m512i) {
     // SAFETY: the caller guarantees AVX-512 F and BW, and that `p` is valid for reading 512 bytes.

@@ -115,7 +115,8 @@ impl Session {
         Ok(self)
     }
 
-    /// Sets the probe for the present predictor: that which the caller asked for, or the predictor's own.
+    /// Sets the probe for the present predictor: the probe that the caller asked for, or the predictor's own
+    /// probe.
     pub(super) fn set_probe(&mut self) {
         let side = match (self.predictor.probe_side(), self.asked_probe) {
             (_, Some((side, _))) if self.predictor.any_probe_side() => side,

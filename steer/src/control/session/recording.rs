@@ -310,7 +310,7 @@ mod tests {
             session.set_transfer(&lobe_at(center), None).unwrap();
             play(&mut session, 0..30);
         }
-        // Two transfer functions are too few groups.
+        // Two transfer functions are too few groups for cross-validation, so time intervals are held out.
         assert_eq!(session.calibrate().unwrap().held_out, HeldOut::Stretches);
     }
 

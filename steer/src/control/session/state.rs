@@ -67,7 +67,7 @@ impl Session {
     }
 
     /// The clock of observed frames, and the clock whose seconds the model predicts. The first is `None` unless
-    /// [`Session::set_timing_source`] named `cpu`, `wall` or `device`; the second is `None` where the model's
+    /// [`Session::set_timing_source`] named `cpu`, `wall` or `device`; the second is `None` if the model's
     /// file does not state it.
     #[must_use]
     pub fn clocks(&self) -> [Option<Clock>; 2] {

@@ -200,7 +200,7 @@ impl<'a> March<'a> {
         self.maps && self.transfer.distance().is_some()
     }
 
-    /// Marches the first `count` rays, in packets where a level is given. With a distance map, rays are
+    /// Marches the first `count` rays, in packets if a SIMD level is given. With a distance map, rays are
     /// marched one by one.
     pub(super) fn all(&mut self, level: Option<Level>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         match level {

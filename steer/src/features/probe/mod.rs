@@ -85,8 +85,8 @@ pub(crate) struct Probe {
     pub(super) shadow_segments: f32,
     /// The largest work of a single ray.
     pub(super) longest: Longest,
-    /// Standard error of the sampled length, relative to this length; infinite where the error is unknown, 0
-    /// if no ray met the box.
+    /// Standard error of the sampled length, relative to this length; infinite if the error is unknown, 0 if
+    /// no ray met the box.
     pub(crate) error: f32,
     block_skips: Chords,
     distance_skips: Chords,
@@ -158,8 +158,8 @@ impl Probe {
         march.all(level, &mut rays, count);
         let mut hits = rays[CHORD][..count].iter().filter(|&&c| c > 0.0).count();
         if hits == 0 {
-            // The footprint is so narrow that every ray misses the box: one ray through its center replaces
-            // them.
+            // The footprint is so narrow that every ray misses the box: one ray through the footprint's
+            // center replaces these rays.
             [rays[U][0], rays[V][0]] = footprint.center;
             rays[DRAW][0] = 0.5;
             march.all(level, &mut rays, 1);
@@ -181,7 +181,8 @@ impl Probe {
         for ((all, &occupied), &empty) in all.iter_mut().zip(&*rays[OCCUPIED]).zip(&*rays[EMPTY]) {
             *all = occupied + empty;
         }
-        // A pixel whose ray misses the box waits for its neighbors too, so these rays are included.
+        // In lockstep, a pixel whose ray misses the box waits for its neighbors too, so such rays are
+        // included.
         let most = if side <= 14 { most_nearby::<16> } else { most_nearby::<32> };
         let (occupied_max, all_max) = (most(&rays[OCCUPIED][..count], side), most(&all[..count], side));
         let sampled = if frame.skipping == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
@@ -223,8 +224,8 @@ impl Probe {
     }
 
     /// Adapts the results to another view of the same volume, close to the measured one: recomputes the
-    /// footprint and keeps the results of the rays. Returns false where no ray met the box or the footprint
-    /// is empty.
+    /// footprint and keeps the results of the rays. Returns false if no ray met the box or the footprint is
+    /// empty.
     pub(super) fn turn(&mut self, shape: Shape, frame: &Frame) -> bool {
         let footprint = Footprint::new(shape.half_extent, &frame.camera, frame.width, frame.height);
         if self.rays == 0 || footprint.share <= 0.0 {

@@ -126,7 +126,7 @@ struct Walk<S: Simd> {
 struct Packet<'a, 'm, S> {
     simd: S,
     march: &'a mut March<'m>,
-    /// Lengths of chords through empty cells that are not binned yet.
+    /// Lengths, not binned yet, of chords through empty cells.
     kept: [f32; KEPT],
     kept_count: usize,
 }

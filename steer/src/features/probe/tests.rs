@@ -311,7 +311,8 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
     }
 }
 
-/// Checks the distance of ends on two by two rays, of which three terminate early: two pairs count.
+/// Checks the distance of ends on two by two rays. Three of them terminate early, so two pairs of neighbors
+/// count.
 #[test]
 fn only_rays_that_terminate_early_end_apart() {
     let mut room = [[0.0f32; 4]; FIELDS];

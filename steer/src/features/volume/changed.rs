@@ -428,7 +428,7 @@ fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_
     Ok(())
 }
 
-/// Removes the first tally from `tallies` and returns it, or an empty slice where there is none.
+/// Removes the first tally from `tallies` and returns it, or an empty slice if there is none.
 fn split_tally<'a>(tallies: &mut &'a [u8]) -> &'a [u8] {
     let Some(&len) = tallies.first_chunk::<LENGTH>() else { return &[] };
     let (first, rest) = tallies.split_at(usize::from(u16::from_le_bytes(len)).min(tallies.len()));

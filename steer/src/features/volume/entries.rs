@@ -7,7 +7,7 @@ use entire_core::scene::{Scalars, VolumeView};
 pub(super) struct Map {
     /// The range that maps to [0, 1].
     pub(super) range: (f32, f32),
-    /// Table entries per unit of the stored values; `None` where this ratio is not a normal number.
+    /// Table entries per unit of the stored values; `None` if this ratio is not a normal number.
     scale: Option<f32>,
     /// Table entry of each byte that is counted: for volumes of bytes, the entry nearest to the stored value;
     /// for other types, the byte itself, because it is an entry already.
@@ -77,9 +77,9 @@ pub(super) trait Voxel: bytemuck::Pod + Into<f32> + Send + Sync + core::fmt::Deb
     const LOWEST: Self;
     /// The largest value of the type.
     const HIGHEST: Self;
-    /// True where stored values are counted directly, without conversion to entries.
+    /// True if stored values are counted directly, without conversion to entries.
     const IS_ENTRY: bool;
-    /// True where values may be NaN or infinite.
+    /// True if values may be NaN or infinite.
     const IS_FLOAT: bool = false;
 
     #[inline(always)]
@@ -97,7 +97,7 @@ pub(super) trait Voxel: bytemuck::Pod + Into<f32> + Send + Sync + core::fmt::Deb
     fn is_non_finite(self) -> bool {
         false
     }
-    /// The stored bytes where [`Voxel::IS_ENTRY`] is true, otherwise an empty slice.
+    /// The stored bytes if [`Voxel::IS_ENTRY`] is true, otherwise an empty slice.
     #[inline(always)]
     fn bytes(_: &[Self]) -> &[u8] {
         &[]

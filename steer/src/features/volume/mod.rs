@@ -60,18 +60,18 @@ pub struct VolumeSummary {
     /// Ascending quantile bounds of each cell's own voxels, as table entries.
     pub(super) quantiles: Vec<[u8; QUANTILES + 1]>,
     /// Bounds of the blocks, ordered by cell; cell c has the blocks `first_block[c]..first_block[c + 1]`.
-    /// Empty where every cell is one block.
+    /// Empty if every cell is one block.
     block_low: Vec<u8>,
     block_high: Vec<u8>,
     first_block: Vec<u32>,
     /// Number of blocks in a whole cell, which the volume's border does not cut.
     most_blocks: usize,
-    /// True where every cell has `most_blocks` blocks.
+    /// True if every cell has `most_blocks` blocks.
     uniform: bool,
     /// Share of voxels per table entry; sums to 1.
     pub(super) histogram: [f32; 256],
     non_finite_share: f32,
-    /// True where a renderer that looks stored values up in a table must shift or scale them first. False for
+    /// True if a renderer that looks stored values up in a table must shift or scale them first. False for
     /// integers whose minimum is 0 and whose maximum is at most [`LARGEST_INDEX`]. In a summary made from
     /// bricks, stored values are unknown: false for an integer type if the smallest bound is 0, which is
     /// assumed to be a stored 0.
@@ -201,7 +201,7 @@ impl VolumeSummary {
         self.shape.dims.iter().map(|&n| n as f64).product()
     }
 
-    /// Blocks of the cells, where cells hold several; `None` where each cell is one block.
+    /// Blocks of the cells; `None` if each cell is one block.
     #[inline(always)]
     pub(super) fn blocks(&self) -> Option<Blocks<'_>> {
         (!self.first_block.is_empty()).then_some(Blocks {

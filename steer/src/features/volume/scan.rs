@@ -118,7 +118,7 @@ impl<T: Voxel> Found<T> {
     }
 }
 
-/// The last `count` elements; `None` where there are fewer.
+/// The last `count` elements; `None` if there are fewer.
 fn last<T>(of: &mut [T], count: usize) -> Option<&mut [T]> {
     let at = of.len().checked_sub(count)?;
     Some(&mut of[at..])
@@ -138,7 +138,7 @@ impl<T: Voxel> Source<'_, T> {
         x * along_x + y * along_y + z * along_z
     }
 
-    /// The voxels `xs` of a row as a slice, copied to `scratch` where they are not contiguous.
+    /// The voxels `xs` of a row as a slice, copied to `scratch` if they are not contiguous.
     #[inline(always)]
     pub(super) fn row<'s>(&'s self, scratch: &'s mut [T], xs: &Range<usize>, y: usize, z: usize) -> &'s [T] {
         let (at, [stride, ..]) = (self.index(xs.start, y, z), self.volume.strides());
@@ -152,8 +152,8 @@ impl<T: Voxel> Source<'_, T> {
         scratch
     }
 
-    /// Prefetches the voxels `xs` of a row where they are contiguous. The row in the next plane or in the
-    /// next row of cells is not adjacent in memory, so the hardware does not prefetch it.
+    /// Prefetches the voxels `xs` of a row if they are contiguous. The row in the next plane or in the next
+    /// row of cells is not adjacent in memory, so the hardware does not prefetch it.
     #[inline(always)]
     pub(super) fn fetch<S: Simd>(&self, simd: S, xs: &Range<usize>, y: usize, z: usize) {
         let [_, height, planes] = self.volume.dims();
@@ -233,9 +233,9 @@ impl<T: Voxel> Scratch<T> {
 impl<T: Voxel> Layers<'_, T> {
     /// Computes the bounds of the blocks in a row of cells, and the table entries of its voxels.
     ///
-    /// A row of voxels belongs to the blocks that contain it and, where it is the first of a block along y or
-    /// z, to the preceding blocks as well. Rows are combined voxel by voxel and reduced along x once per row
-    /// of blocks.
+    /// A row of voxels belongs to the blocks that contain it and, if it is the first of a block along y or z,
+    /// to the preceding blocks as well. Rows are combined voxel by voxel and reduced along x once per row of
+    /// blocks.
     #[inline(always)]
     fn bound<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let grid = *self.grid;
@@ -372,8 +372,8 @@ impl<S: Simd> Tally<'_, S> {
         let [a, b, c, d] = counts;
         if usize::from(high - low) < S::COUNTED {
             for first in (low..=high).step_by(8) {
-                // The last group of eight values may overlap the preceding group; their common counts are
-                // then stored twice.
+                // The last group of eight values may overlap the preceding group; the counts of their common
+                // values are then stored twice.
                 let first = usize::from(first.min(u8::MAX - 7));
                 a[first..first + 8].copy_from_slice(&self.simd.count_eight(bytes, first as u8));
             }

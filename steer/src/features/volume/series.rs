@@ -16,7 +16,7 @@ use entire_core::scene::{Scalars, VolumeView};
 /// Keeps the [`VolumeSummary`] of a volume that changes: at each time step only the changed cells are
 /// summarized again.
 ///
-/// Where the caller gives the box of voxels that changed, only the cells that the box touches are read.
+/// If the caller gives the box of voxels that changed, only the cells that the box touches are read.
 /// Otherwise all voxels are read to find the cells that changed; this search is much faster than making a
 /// summary. Either way the summary is bit-identical to that of [`VolumeSummary::new`].
 ///
@@ -53,7 +53,7 @@ pub struct SummarySeries {
     map: Map,
     cells: Cells,
     blocks: Kind,
-    /// True where unmarked cells may have changed too.
+    /// True if unmarked cells may have changed too.
     search: bool,
 }
 
@@ -153,7 +153,7 @@ impl SummarySeries {
         Ok(())
     }
 
-    /// Layers of cells from the first to the last that must be scanned; `None` where the summary is
+    /// Layers of cells from the first to the last that must be scanned; `None` if the summary is
     /// complete.
     fn awaited(&self) -> Option<Range<usize>> {
         let ([_, ny, nz], rows) = (self.grid.cells, &self.cells.changed);
