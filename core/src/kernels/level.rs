@@ -10,8 +10,8 @@ use core::sync::atomic::{AtomicU32, Ordering};
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
 ///
 /// The variable is read only with the feature `std`, and only once: at the first [`Level::detect`] or
-/// [`Level::check_override`] of the process. It can lower the level, but never raise it above the highest
-/// level of the CPU.
+/// [`Level::check_override`] of the process. The variable can lower the level, but never raise it above the
+/// highest level of the CPU.
 #[cfg(any(feature = "std", test))]
 pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 

@@ -158,7 +158,7 @@ fn damaged_containers_are_refused() {
         "[]",
         "{",
         "{\"a\":1}",
-        // Sizes that overflow once the header's own length is added, or once they are multiplied.
+        // These sizes overflow when the header's length is added to them, or when they are multiplied.
         r#"{"a":{"dtype":"U8","shape":[18446744073709551615],"data_offsets":[0,18446744073709551615]}}"#,
         r#"{"a":{"dtype":"F32","shape":[4294967296,4294967296],"data_offsets":[0,0]}}"#,
         r#"{"a":{"dtype":"F32","shape":[2],"data_offsets":[8,0]}}"#,

@@ -210,7 +210,7 @@ pub struct ConvBlockParts {
     pub bias: Vec<f32>,
     /// Edge of the cubic input, in voxels.
     pub input_edge: usize,
-    /// Edge of the cubic output, in voxels: (input_edge + 2·padding − kernel) / stride + 1.
+    /// Edge of the cubic output, in voxels: (input_edge + 2·padding − kernel) / stride + 1, rounded down.
     pub output_edge: usize,
     /// Format of the weights in the file.
     pub dtype: Dtype,

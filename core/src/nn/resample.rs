@@ -189,7 +189,8 @@ impl Job<'_> {
     }
 }
 
-/// Halves planes and scratch recursively, and fills each part of the planes with one piece of scratch.
+/// Halves the planes and the scratch recursively. Fills each part of the planes, with one piece of the
+/// scratch as working memory.
 fn split(
     executor: Executor<'_>,
     plane: usize,

@@ -153,8 +153,8 @@ impl TransferTable {
         self.unit_distance
     }
 
-    /// Returns the table for a ray step of `step` reference steps. It has this table's colors. An opacity α
-    /// becomes 1 − (1 − α)^ratio, where `ratio` is the ray step divided by the unit distance.
+    /// Returns the table for a ray step of `step` reference steps. The returned table has the same colors. An
+    /// opacity α becomes 1 − (1 − α)^ratio, where `ratio` is the ray step divided by the unit distance.
     pub fn corrected(&self, step: f32) -> Box<[[f32; 4]; TABLE_LEN]> {
         let mut out = self.rgba.clone();
         for entry in out.iter_mut() {

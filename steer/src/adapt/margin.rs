@@ -19,8 +19,8 @@ const LOW: f64 = 0.5;
 const HIGH: f64 = 8.0;
 
 impl Margin {
-    /// Returns a margin with the given initial multiple, miss rate `rate` and learning rate `pace`. They are
-    /// clamped to 0.5…8, 0.0001…0.5 and 0.001…1.
+    /// Returns a margin with the given initial multiple, miss rate `rate` and learning rate `pace`. These
+    /// values are clamped to 0.5…8, 0.0001…0.5 and 0.001…1, respectively.
     pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };

@@ -216,7 +216,7 @@ impl Hybrid {
 
     /// Returns the corrected prediction for the present frame at `step`. Within a scene the bounds widen with
     /// the distance of `step` from the last drawn step, since the predicted step curve has an error of its
-    /// own; with a `step` of NaN, they do not depend on the step.
+    /// own; with a `step` of NaN, the bounds do not depend on the step.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
         let corrected = self.correction.apply(terms);
         let far = match self.last {

@@ -421,8 +421,8 @@ fn a_session_says_what_is_missing_and_refuses_bad_targets() {
 }
 
 /// Plays 150 frames with noise, late and missing observations, a switch of the transfer function, and a phase
-/// with steering off. Targets and times are those of `log`; if it is empty, they are computed and added to
-/// it. Returns the plans.
+/// with steering off. Targets and times are those of `log`; if `log` is empty, targets and times are computed
+/// and added to it. Returns the plans.
 fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
     let replaying = !log.is_empty();
     let mut session = ready_session();

@@ -12,9 +12,9 @@ use glam::Vec3;
 /// Number of rays along each side of the footprint's rectangle over which [`along`] averages.
 const ALONG_SIDE: usize = 3;
 
-/// Returns the shares of borders normal to x, to y and to z among the voxel borders that rays cross. They are
-/// means over [`ALONG_SIDE`]² rays through the footprint's rectangle, or the shares of the central ray if the
-/// box is not visible.
+/// Returns the shares of borders normal to x, to y and to z among the voxel borders that rays cross. The
+/// shares are means over [`ALONG_SIDE`]² rays through the footprint's rectangle, or the shares of the central
+/// ray if the box is not visible.
 fn along(frame: &Frame, relative_spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
     // Along each axis, a ray of direction d crosses |d| / spacing borders per unit of length. The shares do

@@ -9,8 +9,8 @@ use entire_core::model::{Key, Model, ModelFile};
 
 /// Range of each input in a model's training data, to which a network's inputs are clamped.
 ///
-/// Outside their training data, networks extrapolate linearly. This is not justified for a network that
-/// predicts a factor on an estimated time.
+/// Outside their training data, networks extrapolate linearly. Linear extrapolation is not justified for a
+/// network that predicts a factor on an estimated time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputRange {
     /// Low and high end per input, each finite, low ≤ high.

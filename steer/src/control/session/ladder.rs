@@ -79,7 +79,7 @@ pub(super) struct Ladder {
 
 impl Session {
     /// Sets the number of probe rays to `side`²: fewer rays take less time, and their estimates have a larger
-    /// variance (see [`FrameFeatures::with_probe_side`]). This affects only analytic models
+    /// variance (see [`FrameFeatures::with_probe_side`]). The number affects only analytic models
     /// ([`crate::Predictor::any_probe_side`]); a network keeps the probe with which it was trained.
     ///
     /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last

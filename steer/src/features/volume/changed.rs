@@ -360,8 +360,8 @@ impl<T: Voxel> Part<'_, T> {
             });
             write_tally(&mut self.row, bounds, &own, infinite)?;
         }
-        // From here on, only the allocation below can fail. It precedes every change of the tallies and
-        // totals.
+        // From here on, only the allocation below can fail. This allocation precedes every change of the
+        // tallies and totals.
         let kept = &mut self.tallies[row];
         if kept.capacity() < self.row.len() {
             *kept = collected(self.row.iter().copied())?;
