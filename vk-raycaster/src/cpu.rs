@@ -35,7 +35,8 @@ impl CpuRaycaster {
     /// row by row from the top, and the counts of its work.
     ///
     /// # Errors
-    /// When volume or transfer function were not set, or as [`Frame::checked`].
+    /// When volume or transfer function were not set, the frame is invalid ([`Frame::checked`]), or a ray may
+    /// take more samples than are counted exactly.
     pub fn render_linear(&self, frame: &Frame) -> Result<(Vec<[f32; 4]>, WorkCounts)> {
         let (Some((volume, _)), Some(classifier), Some(skip)) = (&self.volume, &self.classifier, &self.skip)
         else {
@@ -109,7 +110,8 @@ fn to_byte(v: f32) -> u8 {
     (v.min(1.0) * 255.0 + 0.5) as u8
 }
 
-/// A ray in voxel coordinates: sample k lies at `first + k * advance`, k = 0 … count − 1.
+/// A ray: sample k = 0 … count − 1 lies at `first + k * advance` in voxel coordinates. `direction` is a unit
+/// vector in scene space, and `inverse` has the reciprocals of `advance`.
 struct Ray {
     direction: [f32; 3],
     first: [f32; 3],

@@ -107,7 +107,7 @@ pub trait Renderer {
     /// Device name and driver, for manifests.
     fn device(&self) -> String;
 
-    /// `vulkan` or `cpu`.
+    /// Kind of the renderer: `vulkan` or `cpu` for the raycasters of this crate.
     fn backend(&self) -> &'static str;
 
     /// Kind and limits of the Vulkan device, which may be software; `None` if the renderer uses no Vulkan

@@ -374,7 +374,7 @@ fn counting_changes_no_picture() -> Outcome {
             }
         }
     }
-    // Rays that are cast in several windows, with each shader variant.
+    // On a software device, these rays are cast in several dispatches.
     let frame = Frame { step: 1.0 / 64.0, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 19, 14) };
     gpu.set_transfer(&transparent().with_unit_distance(16.0).unwrap())?;
     for skipping in Skipping::ALL {

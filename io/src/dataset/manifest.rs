@@ -27,7 +27,7 @@ pub struct Manifest {
     pub created: String,
     /// Description of the machine ([`machine`](crate::machine::machine)), without its host name.
     pub machine: String,
-    /// `vulkan` or `cpu`.
+    /// Kind of the renderer: `vulkan` or `cpu` (the raycaster), `teacher`, or another renderer's name.
     pub renderer: String,
     /// The device that rendered.
     pub device: String,

@@ -280,8 +280,8 @@ impl Logs {
     }
 }
 
-/// Returns the noise of repeats by a clock; `None` if no frame was repeated. `passes` is the number of passes
-/// of a frame's repeats, from its table's manifest ([`Table::passes`]).
+/// Returns the noise of repeats by a clock; `None` if no frame was repeated. `passes` returns the number of
+/// passes in which a frame's repeats were measured ([`Table::passes`] of the frame's table).
 pub fn noise_floor<'a>(
     frames: impl IntoIterator<Item = &'a TimedFrame>,
     clock: Clock,

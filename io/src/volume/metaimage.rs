@@ -81,13 +81,14 @@ fn voxels(
              offset of the first voxel in bytes, or to -1"
         ),
         Ok(size) => stream.skip(size - begin)?,
-        // -1: the voxels are the last bytes of the file.
+        // The remaining cases have a HeaderSize of -1.
         Err(_) if !header.binary => {
             bail!("MetaImage HeaderSize -1 is accepted only for binary data; state the number of bytes")
         }
-        // HeaderSize is -1 and the voxels are compressed. They begin right after the header or at the start
-        // of the data file, so nothing is skipped.
+        // The voxels are compressed. They begin right after the header or at the start of the data file, so
+        // nothing is skipped.
         Err(_) if header.compressed => {}
+        // The voxels are the last bytes of the file.
         Err(_) => {
             let expected = byte_count(dims, element)?;
             if let Remaining::Exact(left) = stream.remaining() {

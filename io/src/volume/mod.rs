@@ -361,7 +361,8 @@ pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
 /// element. `spatial` is false for axes without a direction in space; missing entries count as true.
 ///
 /// # Errors
-/// When the data is flat, or has several components or time steps; the error names the axis.
+/// When there are fewer than three axes, or the data has several components or time steps; the error then
+/// names their axis.
 pub(crate) fn three_axes<T: Copy>(
     sizes: &[u64],
     values: &[T],

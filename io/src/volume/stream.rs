@@ -354,7 +354,7 @@ impl<R: BufRead> Read for Hexadecimal<R> {
     }
 }
 
-/// Refuses files that have no end or wait for a writer: folders, FIFOs, sockets, devices.
+/// Refuses folders, and files that may have no end or wait for a writer: FIFOs, sockets, devices.
 fn check_regular(path: &Path, metadata: &Metadata) -> Result<()> {
     let shown = path.display();
     ensure!(!metadata.is_dir(), "{shown}: is a folder; name a file in it");

@@ -223,7 +223,7 @@ fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
 }
 
-/// Default scene features of a small model: logarithms of counts and lengths, shares, modes.
+/// Default scene features of a model; `true` selects the logarithm of the quantity.
 fn standard_features() -> Vec<SceneFeature> {
     use SceneQuantity as Q;
     [

@@ -1,4 +1,4 @@
-//! Matrix products over slices, and plain loops compiled for this CPU.
+//! Matrix products over slices, and plain loops that are compiled once for each instruction set.
 
 use entire_core::kernels::{Kernel, Level, Simd};
 use ndarray::{ArrayView2, ArrayViewMut2, LinalgScalar, linalg::general_mat_mul};
@@ -21,8 +21,8 @@ impl<R, F: FnOnce() -> R> Kernel for Plain<F> {
     }
 }
 
-/// Runs a closure of plain loops, compiled with the instructions of this CPU. Additions and multiplications are
-/// never fused, so the results do not depend on the CPU.
+/// Runs a closure of plain loops, in the version that was compiled for the best instruction set of this CPU.
+/// Additions and multiplications are never fused, so the results do not depend on the CPU.
 #[inline(always)]
 pub(super) fn vectorized<R>(loops: impl FnOnce() -> R) -> R {
     level().run(Plain(loops))

@@ -34,9 +34,10 @@ use std::sync::Arc;
 use std::time::Duration;
 use upload::Brick;
 
-/// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink from the next frame on. Tiles on
-/// software devices do not shrink unless the options set their size: such a device gives each thread an equal part of
-/// the dispatch's workgroups, in order, so a tile with all its work in one half occupies only half of the threads.
+/// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink from the next frame on.
+/// Tiles on software devices do not shrink unless the options set their size. Such a device gives each thread
+/// an equal part of the dispatch's workgroups, in order. The shader spreads the rows of a large tile over all
+/// threads (`dealt`), but a tile with few rows and all its work in one half occupies only half of the threads.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
 /// Largest number of loop iterations of an invocation on a software device. llvmpipe ends loops after 65535
