@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 /// Interval between checks of a running process.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// Waits for a process and kills it after the limit; `None` if it was killed.
+/// Waits for a process and returns its exit status. After the time `limit`, kills the process and returns
+/// `None`.
 ///
 /// # Errors
 /// When the system refuses to wait for the process.

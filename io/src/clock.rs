@@ -103,8 +103,8 @@ pub fn for_training<'a>(
     Ok(clock)
 }
 
-/// Returns a note for training that starts from a model of another clock; `None` if that model states the
-/// same clock or no clock.
+/// Returns a note that the new model has another clock than `theirs`, the clock of the model `name` from
+/// which its training starts; `None` if `theirs` is the same clock or `None`.
 pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
     let theirs = theirs.filter(|c| *c != clock)?;
     Some(format!(
@@ -248,8 +248,8 @@ mod tests {
         assert_eq!(concrete(Clock::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
         let mixed = concrete(Clock::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
         assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
-        // CPU time by default; a fine-tuned model keeps its clock; a clock that frames lack is replaced by
-        // one that they have.
+        // The default is CPU time. A fine-tuned model keeps its clock. If frames have no time by the chosen
+        // clock, a clock that all frames have replaces it.
         let frames = [frame(&[both])];
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);

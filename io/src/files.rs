@@ -122,7 +122,7 @@ fn place_of(path: &Path) -> Option<PathBuf> {
     Some(folder.canonicalize().ok()?.join(path.file_name()?))
 }
 
-/// Checks that every file is given once, also by different spellings of its path. The files need not exist.
+/// Checks that no file is given twice, even under different spellings of its path. The files need not exist.
 ///
 /// # Errors
 /// When two paths lead to the same file; the error names them.
@@ -300,7 +300,7 @@ pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
 /// Compresses bytes as gzip; the same bytes give the same file.
 ///
 /// # Errors
-/// Never in practice: it writes to memory.
+/// Never in practice, since the encoder writes to memory.
 pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
     encoder.write_all(bytes)?;
@@ -362,7 +362,8 @@ pub fn parse_numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
     found.try_into().map_err(|_| format!("{N} numbers separated by commas are expected, there are {count}"))
 }
 
-/// Returns a number with 9 significant digits, which identify the `f32`: `1.23456789e-3`.
+/// Returns a number as text with 9 significant digits, such as `1.23456789e-3`. Reading the text gives the
+/// same `f32`.
 pub fn digits(value: f32) -> String {
     format!("{value:.8e}")
 }

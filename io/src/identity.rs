@@ -186,7 +186,8 @@ fn data_files(path: &Path, name: &str) -> Vec<String> {
     noted.names.into_inner()
 }
 
-/// Records the names of the files that a reader requests, if the names are accepted, and provides no file.
+/// Records the names of the data files that a volume's reader requests, and opens none of them. Names that
+/// [`Folder`] refuses are not recorded.
 struct Noted {
     folder: Folder,
     names: RefCell<Vec<String>>,
@@ -292,7 +293,7 @@ mod tests {
         assert_eq!(was.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["a.nhdr", "one.raw", "two.raw"]);
         std::fs::write(dir.path().join("two.raw"), "efgX").unwrap();
         assert!(difference(&was, &of_volume(&header).unwrap()).unwrap().contains("two.raw"));
-        // The list is read to its end, and its names count even if the sizes do not fit their number.
+        // The list is read to its end. Its names count even if the volume's size does not fit their number.
         let list = "one.raw\n".repeat(9000) + "two.raw\n";
         std::fs::write(&header, format!("{HEADER}data file: LIST\n{list}")).unwrap();
         assert!(of_volume(&header).unwrap().iter().any(|f| f.name == "two.raw"));

@@ -33,7 +33,8 @@ pub fn flag() -> Result<Arc<AtomicBool>> {
     }
     let flag = Arc::new(AtomicBool::new(false));
     for signal in SIGNALS.iter().copied().filter(|signal| !ignored(*signal)) {
-        // The order matters: the first signal finds the flag down and raises it, the second one ends the program.
+        // The order of the two handlers matters: the first signal finds the flag down and raises it, and the
+        // second signal ends the program.
         signal_hook::flag::register_conditional_shutdown(signal, 1, flag.clone())
             .and_then(|_| signal_hook::flag::register(signal, flag.clone()))
             .context("cannot watch for Ctrl-C")?;

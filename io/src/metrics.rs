@@ -123,8 +123,8 @@ impl BoundMetrics {
     }
 }
 
-/// Returns the 95 % interval of a metric by bootstrap over whole groups (volumes, say); `None` with fewer
-/// than two groups. `rounds`: number of random draws.
+/// Returns the 95 % confidence interval of a metric by bootstrap over whole groups (volumes, say); `None`
+/// with fewer than two groups. `rounds`: number of random draws.
 pub fn bootstrap_by_group<G: Ord>(
     predicted: &[f64],
     measured: &[f64],
@@ -135,8 +135,8 @@ pub fn bootstrap_by_group<G: Ord>(
     intervals_by_group(predicted, measured, groups, (rounds, 0.95), |m| [metric(m)]).map(|[i]| i)
 }
 
-/// Returns the intervals of several metrics over the same draws, for any confidence level.
-/// [`bootstrap_by_group`] does so for one metric and 95 %.
+/// Returns the intervals of several metrics over the same draws. [`bootstrap_by_group`] does so for one
+/// metric and 95 %. `rounds`: number of random draws; `level`: confidence level, 0 to 1.
 pub fn intervals_by_group<G: Ord, const N: usize>(
     predicted: &[f64],
     measured: &[f64],

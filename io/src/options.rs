@@ -133,7 +133,7 @@ pub fn skip_parser() -> impl TypedValueParser<Value = Skipping> {
 /// Checks the opacity at which a ray stops (`--termination`).
 ///
 /// # Errors
-/// When it is outside of (0, 1].
+/// When the opacity is outside of (0, 1].
 pub fn check_termination(opacity: f32) -> Result<()> {
     ensure!(
         opacity > 0.0 && opacity <= 1.0,

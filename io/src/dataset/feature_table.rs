@@ -24,7 +24,7 @@ pub const VERSION: u32 = 7;
 
 const MARK: &str = "# entire-features 1";
 
-/// Features of frames, by frame number.
+/// Scene features of frames; each frame is found by its number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureTable {
     schema: u64,
@@ -85,8 +85,8 @@ impl FeatureTable {
         beside(table, ".features.csv.gz")
     }
 
-    /// Returns a table of frame numbers with one row of values each, in the columns' order. This version of
-    /// the program computed the values, for the timing table with the hash `table`.
+    /// Returns a table with one row of values for each frame number, in the columns' order. The values must
+    /// be computed by this version of the program. `table` is the hash of the timing table.
     ///
     /// # Errors
     /// When the values are not one row per number, or a number appears twice.
@@ -117,22 +117,22 @@ impl FeatureTable {
         })
     }
 
-    /// Hash of columns, frames and values.
+    /// Hash of column names, frame numbers and values.
     pub fn hash(&self) -> u64 {
         self.hash
     }
 
-    /// The columns, without the frame number.
+    /// Names of the columns, without that of the frame number.
     pub fn columns(&self) -> &[String] {
         &self.columns
     }
 
-    /// Index of a column.
+    /// Index of the column with this name, if there is one.
     pub fn column(&self, name: &str) -> Option<usize> {
         self.columns.iter().position(|c| c == name)
     }
 
-    /// A frame's values.
+    /// Values of the frame with this number, in the columns' order, if the table has the frame.
     pub fn row(&self, number: u64) -> Option<&[f32]> {
         let width = self.columns.len();
         self.at.get(&number).map(|i| &self.values[i * width..(i + 1) * width])
@@ -230,7 +230,7 @@ impl FeatureTable {
                 unknown"
                 )
             })?;
-        // The first line is a comment to this reader, so that it counts lines as in the file.
+        // This CSV reader takes the first line as a comment, so its line numbers are those of the file.
         let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(bytes);
         let header = reader.headers()?.clone();
         ensure!(

@@ -42,13 +42,13 @@ pub struct Manifest {
     pub repeats: u32,
     /// [`STEP_REFERENCE`].
     pub step_reference: String,
-    /// All other settings of the collector, free form.
+    /// All other settings of the program that measured, free form.
     #[serde(default)]
     pub settings: serde_json::Value,
     /// Identities of the volumes' files, by the volumes' names in the table; empty if none were recorded.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub files: BTreeMap<String, Vec<Identity>>,
-    /// Keys that this version does not know, kept unchanged.
+    /// Entries whose keys this version does not know, kept unchanged.
     #[serde(flatten)]
     pub other: BTreeMap<String, serde_json::Value>,
 }

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 /// Scene of a frame: all that is known before it is drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// The volume file, as it was given to the collector.
+    /// Path of the volume file, as it was given to the program that measured.
     pub volume: String,
     /// The ensemble member (or any other name of a group of related volumes). Empty when there is none.
     pub member: String,

@@ -1,4 +1,4 @@
-//! Tables, manifests and noise floors, written and read again.
+//! Tests of tables, manifests and noise floors.
 
 use super::*;
 use crate::metrics::median;
@@ -213,7 +213,7 @@ fn the_writer_refuses_what_could_not_be_read_back() {
     writer.append(0, &scene(), &[wall(9000.0)]).unwrap();
 }
 
-/// Returns a frame with one repeat for each of `logs`, which takes `seconds` · e^log.
+/// Returns a frame with one repeat for each of `logs`; a repeat takes `seconds` · e^log.
 fn repeated(number: u64, seconds: f64, logs: &[f64]) -> TimedFrame {
     let repeats = logs.iter().map(|l| measured(seconds * l.exp())).collect();
     TimedFrame { table: 0, number, scene: scene(), repeats }
@@ -289,7 +289,7 @@ fn frames_without_the_clock_are_left_out_by_number() {
     assert_eq!(timed(&tables, Clock::Cpu, None).unwrap().len(), 1);
     assert_eq!(left_out(&tables, Clock::Wall, None), None);
     assert_eq!(left_out(&tables, Clock::Cpu, Some(Shading::Scatter)), None);
-    // If no frame is left, `timed` returns an error instead.
+    // If no frame has the clock, there is no note, since `timed` returns an error.
     assert_eq!(left_out(&tables, Clock::Device, None), None);
     assert!(timed(&tables, Clock::Device, None).unwrap_err().to_string().contains("choose another --clock"));
     // No clock has times of all frames.

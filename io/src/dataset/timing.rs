@@ -135,8 +135,8 @@ impl TimedFrame {
     }
 
     /// Estimated seconds of the frame without disturbance. Other programs lengthen wall time, and a GPU that
-    /// saves power lengthens device time; neither shortens it. So the estimate by wall or device time is the
-    /// lower quartile of the repeats. By processor time, the estimate is [`TimedFrame::seconds`].
+    /// saves power lengthens device time; neither effect shortens a time. So the estimate by wall or device
+    /// time is the lower quartile of the repeats. By processor time, the estimate is [`TimedFrame::seconds`].
     pub fn undisturbed(&self, clock: Clock) -> Option<f64> {
         if clock == Clock::Cpu {
             return self.seconds(clock);

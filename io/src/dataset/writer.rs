@@ -129,7 +129,7 @@ impl Writer {
         &self.done
     }
 
-    /// Appends a frame with all its repeats, numbered from 0.
+    /// Appends the frame `number` with all its repeats; the repeats are numbered from 0.
     ///
     /// # Errors
     /// When the scene or a measurement is not valid, the frame is in the table already, or the file cannot be

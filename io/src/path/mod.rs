@@ -1,5 +1,5 @@
-//! Paths: camera and transfer function of a user, frame by frame. They are given at keyframes and
-//! interpolated in between, or switch abruptly.
+//! Paths: camera and transfer function of a user, frame by frame. Both are given at keyframes. Between two
+//! keyframes they are interpolated, or the later keyframe switches abruptly.
 //!
 //! # File format
 //!
@@ -75,7 +75,7 @@ pub struct PathFile {
     /// Vertical field of view, degrees.
     #[serde(default = "default_fov")]
     pub fov_y_deg: f32,
-    /// Keyframes, ascending.
+    /// Keyframes, in ascending order of their frames.
     pub keyframes: Vec<Keyframe>,
 }
 
@@ -135,7 +135,7 @@ impl Transfer {
         }
     }
 
-    /// Returns the core's transfer function.
+    /// Returns the transfer function in the type of `entire-core`.
     pub fn function(&self) -> TransferFunction {
         match self {
             Self::Points(points) => TransferFunction::Points(points.clone()),
@@ -178,7 +178,7 @@ impl Transfer {
     }
 }
 
-/// Returns the value between a and b at t, 0 to 1; finite for finite a and b.
+/// Returns the linear interpolation between a (t = 0) and b (t = 1); finite for finite a and b.
 fn between(a: f32, b: f32, t: f32) -> f32 {
     let step = t * (b - a);
     if step.is_finite() { a + step } else { a * (1.0 - t) + b * t }
@@ -202,14 +202,14 @@ impl CameraPose {
     }
 }
 
-/// The transfer function of a frame, as a position between keyframes. It is computed on request, so that a
-/// long path takes no more memory than its keyframes and cameras.
+/// The transfer function of a frame, stored as a position between keyframes. The function is interpolated on
+/// request, so that a long path takes no more memory than its keyframes and cameras.
 #[derive(Clone, Debug)]
 pub struct TransferAt {
     keys: Arc<[(u32, bool, Transfer)]>,
     /// The keyframe at or before the frame.
     key: usize,
-    /// Share of the way to the next keyframe.
+    /// Share of the way to the next keyframe, 0 to 1.
     share: f32,
 }
 
@@ -223,7 +223,7 @@ impl TransferAt {
         }
     }
 
-    /// Returns the core's transfer function.
+    /// Returns the transfer function in the type of `entire-core`.
     pub fn function(&self) -> TransferFunction {
         self.get().function()
     }

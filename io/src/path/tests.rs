@@ -29,7 +29,7 @@ fn tracks_interpolate_hold_and_switch() {
     let Transfer::Lobes(lobes) = p.frames[2].transfer.get().into_owned() else { panic!() };
     assert!((lobes[0].center - 0.4).abs() < 1e-6 && (lobes[0].width - 0.02).abs() < 1e-6);
     assert!((lobes[0].height - 0.3).abs() < 1e-6);
-    // The old value holds before the switch, the new one from its frame on.
+    // The old transfer function holds before frame 6, where the switch is; the new one holds from there on.
     assert_eq!(p.frames[5].transfer, p.frames[4].transfer);
     assert!(matches!(*p.frames[6].transfer.get(), Transfer::Points(_)));
     assert_eq!(p.frames[10].transfer, p.frames[6].transfer);
@@ -67,7 +67,7 @@ fn parallel_cameras_are_interpolated_in_their_scale_and_switch_to_others() {
     let expected = Camera::from_arcball(at(5)).unwrap().with_parallel_scale(scale).unwrap();
     assert_eq!(path.camera(5).unwrap(), expected);
     assert_eq!(good().camera(5).unwrap(), Camera::from_arcball(at(5)).unwrap());
-    // A parallel camera can only switch to a perspective camera.
+    // Between a parallel and a perspective camera, a path can only switch.
     let other = |more: &str| {
         let last = format!("\"dz_radii\": 1}}{more}}}");
         PathFile::parse(&text.replacen("\"dz_radii\": 1, \"parallel_scale\": 0.4}}", &last, 1))

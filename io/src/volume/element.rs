@@ -226,7 +226,7 @@ fn fill(stream: &mut Stream<'_>, out: &mut [u8]) -> io::Result<usize> {
             Ok(0) => break,
             Ok(count) => filled += count,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            // A compressed stream that ends early.
+            // The compressed data ends early.
             Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => break,
             Err(error) => return Err(error),
         }

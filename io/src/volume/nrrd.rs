@@ -194,7 +194,7 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         ensure!(!seen.contains(&field), "NRRD header line {number}: field \"{field}\" appears twice");
         header.set(&field, value).with_context(|| format!("NRRD header line {number}"))?;
         if field.replace(' ', "") == "datafile" && value.split_whitespace().next() == Some("LIST") {
-            // Every further line is a name.
+            // Every further line is the name of a data file.
             let several = Several::list(value, stream);
             header.several = Some(several.with_context(|| format!("NRRD header line {number}"))?);
             break;

@@ -11,7 +11,7 @@ use std::str::FromStr;
 /// suggests `--range data`.
 const NARROW: f32 = 64.0;
 
-/// Options of reading a volume file, also options of commands. By default, all are determined from the file.
+/// Options of reading a volume file, which commands share. By default, all are determined from the file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, clap::Args)]
 #[serde(default)]
 pub struct Reading {
@@ -31,14 +31,14 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Returns the range to set on a volume whose fill values are hidden; `None` for the default range.
+    /// Returns the range to set on a volume whose fill values are replaced; `None` for the default range.
     pub(super) fn range_of(&self, view: &VolumeView<'_>) -> Option<(f32, f32)> {
         let bytes = matches!(view.scalars(), Scalars::U8(_));
         match self.range {
             Range::Given(low, high) => Some((low, high)),
             Range::Data => Some(view.own_range()),
-            // Fill values are hidden already, but the view's default range would look for fill values once
-            // more.
+            // The fill values are replaced already. The view's default range would look for fill values among
+            // the voxels once more.
             Range::Default => (!bytes).then(|| view.own_range()),
         }
     }
@@ -49,7 +49,7 @@ impl Reading {
     }
 }
 
-/// Fill values; their voxels are shown as the low end of the range.
+/// Fill values; voxels that hold one of them are shown as the low end of the range.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Fill {
@@ -226,8 +226,8 @@ pub(super) fn hide_fill(
     })
 }
 
-/// Returns a note if unsigned bytes of different values fill only a small part of the range that maps to
-/// [0, 1].
+/// Returns a note if the voxels are unsigned bytes that are not all equal and fill only a small part of the
+/// range that maps to [0, 1].
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
     let bytes = matches!(view.scalars(), Scalars::U8(_));
@@ -301,7 +301,7 @@ mod tests {
             assert_eq!(note.is_some(), expected.is_some(), "{note:?}");
             assert!(note.unwrap_or_default().contains(expected.unwrap_or_default()), "{expected:?}");
         }
-        // The low end is that of the range: 0 for bytes, the given number, or the minimum of the data.
+        // The low end of the range is 0 for bytes, the minimum of the data, or the given number.
         for (range, low) in [(Range::Default, 0), (Range::Data, 50), (Range::Given(20.0, 90.0), 20)] {
             let mut bytes = VolumeData::U8(vec![50, 200, 255, 60]);
             hide_fill(&mut bytes, [4, 1, 1], &values(255.0, range)).unwrap();

@@ -7,10 +7,10 @@ use anyhow::{Context, Result, bail, ensure};
 /// Maximum number of files of a volume.
 const MAX_FILES: usize = 1 << 16;
 
-/// Maximum length of the names of a volume's files in all, bytes.
+/// Maximum total length of the names of a volume's files, in bytes.
 const MAX_NAME_BYTES: usize = 16 << 20;
 
-/// Several files, in the order of the voxels.
+/// The files that together hold a volume, in the order of the voxels.
 #[derive(Debug, PartialEq)]
 pub(super) struct Several {
     pub(super) names: Vec<String>,
@@ -163,7 +163,7 @@ fn numbered(pattern: &str, number: i64) -> Result<String> {
     Ok(name)
 }
 
-/// Appends voxels to others of the same type.
+/// Appends the voxels `part` to `all`, which must have the same type.
 fn append(all: &mut Option<VolumeData>, part: VolumeData) -> Result<()> {
     fn push<T>(all: &mut Vec<T>, mut part: Vec<T>) -> Result<()> {
         if all.try_reserve(part.len()).is_err() {

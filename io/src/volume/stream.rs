@@ -423,11 +423,11 @@ pub(crate) trait Companions {
     /// True if there is a file of that name, and the name is accepted.
     fn exists(&self, name: &str) -> bool;
 
-    /// Announces the files that a header names, if it names several, before the first is opened.
+    /// Called before the first data file is opened, if a header names several data files.
     fn announce(&self, _names: &[String]) {}
 
-    /// Returns the names that end in `suffix`, in upper or lower case, sorted; for formats whose header does
-    /// not name its data files.
+    /// Returns the names of all files whose names end in `suffix`, in upper or lower case, sorted; for
+    /// formats whose header does not name its data files.
     fn ending_in(&self, suffix: &str) -> Vec<String>;
 }
 
@@ -445,7 +445,7 @@ impl Folder {
     /// Returns the path of the file that a header names.
     ///
     /// # Errors
-    /// When the name is an absolute path, which in a header from elsewhere could be that of any file.
+    /// When the name is an absolute path: with such a path, a header could name any file of this machine.
     pub(crate) fn path_of(&self, name: &str) -> Result<PathBuf> {
         let start = Path::new(name).components().next();
         ensure!(

@@ -95,7 +95,8 @@ pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> 
     // Pieces share the points of their borders; each voxel comes from at least one piece.
     let dims = checked_dims(sizes(file.extent, cells)?)?;
     // Upper bound of the voxels' bytes: the bytes of the whole file, decompressed. If many pieces refer to
-    // the same data, their voxels exceed this bound and the file is refused.
+    // the same data, their voxels exceed this bound and the file is refused. In text, one digit may state a
+    // voxel of 8 bytes.
     let growth = match file.compressor {
         Compressor::None => 8,
         Compressor::Zlib => 1032,
@@ -164,7 +165,7 @@ fn sizes(extent: [i64; 6], cells: bool) -> Result<[u64; 3]> {
     Ok(sizes)
 }
 
-/// Voxels of a piece, its origin and its size.
+/// Voxels of a piece, position of its first voxel in the volume, and its size in voxels.
 type Part = (VolumeData, [usize; 3], [usize; 3]);
 
 /// Copies the voxels of pieces, which must all have the same type, to their places in the volume.
@@ -450,7 +451,7 @@ fn parse(bytes: &[u8]) -> Result<File> {
                     }
                     _ => bail!("AppendedData does not begin with an underscore; is the file cut short?"),
                 }
-                // Binary data follow, not XML.
+                // The appended data follow, which are not XML.
                 break;
             }
             _ => {}
@@ -487,7 +488,7 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
             stated.with_context(|| format!("array {shown:?}: NumberOfComponents is {text:?}"))?.max(1)
         }
     };
-    // The text up to the next tag.
+    // Returns the place of the text up to the next tag.
     let inside = || {
         let text = if empty { &bytes[..0] } else { &bytes[position..] };
         position..position + text.iter().position(|&b| b == b'<').unwrap_or(text.len())
@@ -562,7 +563,7 @@ fn decode_base64(text: &[u8], needed: u64) -> Result<Vec<u8>> {
     while !rest.is_empty() {
         let padding = rest.iter().position(|&b| b == b'=');
         let part = match padding {
-            // To the end of the group of four that holds the padding.
+            // The part ends with the group of four letters that holds the padding.
             Some(at) => (at / 4 * 4 + 4).min(rest.len()),
             None => rest.len(),
         };
@@ -589,8 +590,8 @@ fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
 /// Upper bound of decompressed bytes per compressed byte of an LZ4 block.
 const LZ4_GROWTH: u64 = 255;
 
-/// Decompresses blocks: a header of block count, block size, size of the last block (0: a full block) and the
-/// packed sizes, then the blocks.
+/// Decompresses blocks. The header has the number of blocks, the size of a decompressed block, that of the
+/// last block (0: a full block), and the compressed size of each block; the compressed blocks follow.
 fn decompress(bytes: &[u8], file: &File, expected: u64) -> Result<Vec<u8>> {
     let (blocks, rest) = word(bytes, file)?;
     let (block, rest) = word(rest, file)?;
