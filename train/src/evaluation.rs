@@ -16,14 +16,15 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-/// Share of each volume's frames, over whose times the constant baseline takes the mean (Bruder et al. 2022).
+/// Share of a volume's frames whose mean time is the constant baseline's prediction for all frames of the
+/// volume (Bruder et al. 2022).
 pub const PROBE_SHARE: f64 = 0.15;
 
-/// Warm time of one prediction, in one thread.
+/// Warm latency of one prediction, in one thread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WarmLatency {
-    /// Median seconds of one prediction, from camera and transfer function to checked seconds, without the
-    /// work per volume and per transfer function.
+    /// Median seconds of one prediction: from the frame's camera to the checked prediction, without the work
+    /// per volume and per transfer function.
     pub seconds: f64,
     /// Median seconds of the network alone, included in `seconds`.
     pub network_seconds: f64,

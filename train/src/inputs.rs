@@ -201,8 +201,8 @@ struct KeptColumns<'a> {
 }
 
 impl KeptColumns<'_> {
-    /// Value of a quantity in a row of the feature table. With unit costs, returns the seconds by these costs
-    /// instead.
+    /// Returns the value of a quantity in a row of the feature table; with unit costs, the seconds by these
+    /// costs instead. `None` if a needed column is missing.
     fn value(&self, row: &[f32], quantity: SceneQuantity, costs: Option<&UnitCosts>) -> Option<f64> {
         let kept = |quantity: SceneQuantity| self.quantities.get(&quantity).map(|&column| row[column]);
         let Some(costs) = costs else { return kept(quantity).map(f64::from) };

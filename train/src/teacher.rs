@@ -113,7 +113,7 @@ mod tests {
         teacher.set_volume(&volume.view()).unwrap();
         teacher.set_transfer(&table).unwrap();
         let time = teacher.render(&frame).unwrap().time;
-        // Unit costs of a frame and of a pixel.
+        // The unit costs are 1e-3 s per frame and 1e-6 s per pixel.
         assert!((time.wall / (1e-3 + 1200.0 * 1e-6) - 1.0).abs() < 1e-5, "{time:?}");
         assert_eq!((time.device, time.cpu), (Some(time.wall), Some(time.wall)));
         // Setting another volume clears the transfer function.

@@ -45,10 +45,10 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
 /// pass the logarithm on exactly.
 const CARRY_RANGE: f32 = 12.0;
 
-/// Adds the logarithm of an estimate to the output of a network that predicts log ratios. The logarithm
-/// becomes the last input, with the given mean and standard deviation. One additional unit in each hidden
-/// layer passes it on, shifted so far above zero that SELU is linear there. The last layer removes the shift
-/// and SELU's factor.
+/// Returns a network whose output is that of `parts`, which predicts log ratios, plus the logarithm of an
+/// estimate. The logarithm is the last input, with the given mean and standard deviation. One additional unit
+/// in each hidden layer passes the logarithm on, shifted so far above zero that SELU is linear there. The
+/// last layer removes the shift and SELU's factor.
 pub(super) fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetParts {
     let (out_mean, out_std) = match &parts.output {
         Some(n) => (n.mean[0], n.std[0]),

@@ -171,7 +171,7 @@ pub struct Recipe {
 impl Default for Recipe {
     /// The recipe of a command line without options.
     fn default() -> Self {
-        // An option of the command that the recipe's options conflict with.
+        // The option of the command with which the recipe's options conflict.
         let command = clap::Command::new("recipe").arg(clap::Arg::new("fine_tune"));
         let found = Self::augment_args(command).try_get_matches_from(["recipe"]);
         found.and_then(|found| Self::from_arg_matches(&found)).expect("every option has a default")

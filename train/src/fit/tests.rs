@@ -198,7 +198,8 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
     assert!(each[1].starts_with("network 2: all 2 epochs done, "), "{each:?}");
     // After the largest seed comes 0.
     in_context(|context| Recipe { seed: u64::MAX, ..recipe(2) }.make(context, part, part).unwrap());
-    // The flag is raised after the first network: its weights are kept, without those of an interrupted network.
+    // The training is stopped after the first network. The weights of this network are kept, and those of the
+    // interrupted network are not used.
     let alone = made(1);
     for seen in 1..8 {
         let asked = std::cell::Cell::new(0);

@@ -4,7 +4,7 @@ use entire_core::kernels::{Kernel, Level, Simd};
 use ndarray::{ArrayView2, ArrayViewMut2, LinalgScalar, linalg::general_mat_mul};
 use std::sync::OnceLock;
 
-/// This CPU's best level, determined once.
+/// Returns the best instruction set of this CPU, determined once.
 pub(super) fn level() -> Level {
     static LEVEL: OnceLock<Level> = OnceLock::new();
     *LEVEL.get_or_init(Level::detect)
@@ -36,7 +36,7 @@ pub(super) fn matrix<T>(data: &[T], rows: usize, columns: usize) -> ArrayView2<'
     ArrayView2::from_shape((rows, columns), &data[..rows * columns]).expect("as many elements as the shape")
 }
 
-/// out ← a · b, `out` by rows.
+/// out ← a · b; `out` is stored row by row.
 ///
 /// # Panics
 /// When the inner sizes differ or `out` is not rows(a) × columns(b) long.

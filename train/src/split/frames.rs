@@ -111,7 +111,8 @@ mod tests {
         TimedFrame { repeats, ..TimedFrame::of_no_volume(volume, member) }
     }
 
-    /// Returns frames of time steps that belong to the ensemble members in turn.
+    /// Returns frames that belong to the ensemble members in turn. Each frame shows another time step of its
+    /// member.
     fn of_members(frames: usize, members: usize) -> Vec<TimedFrame> {
         let frame = |i: usize| {
             let (member, step) = (i % members, i / members);

@@ -121,8 +121,9 @@ impl Split {
         all.filter_map(|split| serde_json::from_value(split).ok()).collect()
     }
 
-    /// True if the model of this split was trained or validated on frames of the scene's group. Groups are the
-    /// same if one's name is the end of the other's path: tables state paths relative to different folders.
+    /// True if the model of this split was trained or validated on frames of the scene's group. Two groups
+    /// count as the same if the name of one is the end of the other's: tables state paths relative to
+    /// different folders.
     pub fn has_seen(&self, scene: &Scene) -> bool {
         let group = self.by.group(scene);
         let same = |other: &String| Path::new(other).ends_with(&group) || Path::new(&group).ends_with(other);
