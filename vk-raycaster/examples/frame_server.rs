@@ -32,7 +32,7 @@ fn numbers<T: std::str::FromStr, const N: usize>(words: &[&str]) -> Result<[T; N
     all.try_into().map_err(|_| format!("{N} numbers are expected: {words:?}").into())
 }
 
-/// Seconds as JSON.
+/// Returns seconds as a JSON number, or `null` for `None`.
 fn part(seconds: Option<f64>) -> String {
     seconds.map_or("null".to_owned(), |v| format!("{v:e}"))
 }

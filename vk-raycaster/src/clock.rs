@@ -24,12 +24,12 @@ impl Stopwatch {
         Self { cpu: process_cpu_seconds(), wall: Instant::now() }
     }
 
-    /// Wall seconds so far.
+    /// Wall seconds since the start.
     pub(crate) fn wall(&self) -> f64 {
         self.wall.elapsed().as_secs_f64()
     }
 
-    /// CPU seconds so far.
+    /// CPU seconds of this process, all threads, since the start. `None` if the system does not report them.
     pub(crate) fn cpu(&self) -> Option<f64> {
         Some((process_cpu_seconds()? - self.cpu?).max(0.0))
     }

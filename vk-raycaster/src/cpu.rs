@@ -15,13 +15,13 @@ use crate::voxels::{BLOCK_EDGE, PreparedVolume, Voxel, with_voxels};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use rayon::prelude::*;
 
-/// The CPU version: renders the picture that the crate documentation defines, with exact counts, on all
-/// threads of the current rayon pool.
+/// The CPU version of the raycaster. It renders the picture that the crate documentation defines, with exact
+/// counts, on all threads of the current rayon pool.
 #[derive(Default)]
 pub struct CpuRaycaster {
     volume: Option<(PreparedVolume, BlockMap)>,
     classifier: Option<Classifier>,
-    /// Made once volume and transfer function are set.
+    /// `None` until both volume and transfer function are set.
     skip: Option<SkipMap>,
 }
 

@@ -46,7 +46,7 @@ pub struct WorkCounts {
     pub samples: u64,
     /// Skips of empty blocks, those of shadow rays included.
     pub skips: u64,
-    /// Samples that were shaded (visible ones, with shading on).
+    /// Visible samples, if the frame has shading; else 0.
     pub shaded: u64,
 }
 
@@ -62,7 +62,7 @@ pub struct Rendered {
 }
 
 /// Time of a preparation (a change of volume or transfer function), in wall seconds: the total and its parts.
-/// No frame's time includes it. A part that the change did not need is `None`.
+/// The time of a frame does not include preparations. A part that the change did not need is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Preparation {
     /// Total time.

@@ -36,7 +36,7 @@ pub(crate) struct FrameSetup {
     /// Height of a pixel where the image spans −1 to 1: 2 / image height.
     pub(crate) pixel_height: f32,
     pub(crate) right: [f32; 3],
-    /// Opacity at which a ray stops; a value over 1 never stops it.
+    /// Opacity at which a ray stops; with a value over 1, no ray stops.
     pub(crate) termination: f32,
     pub(crate) up: [f32; 3],
     /// 1 with jitter, else 0.
@@ -74,14 +74,15 @@ pub(crate) struct FrameSetup {
     pub(crate) blocks: [u32; 3],
     /// log₂ of `block_edge`.
     pub(crate) block_shift: u32,
-    /// First and last cell of the brick whose samples the dispatch takes.
+    /// `brick_low` and `brick_high`: first and last cell of the brick whose samples the dispatch takes.
     pub(crate) brick_low: [f32; 3],
     /// Number of runs of successive workgroups, one per thread of a software device (`dealt` in the shader);
     /// 1 on a GPU.
     pub(crate) parts: u32,
     pub(crate) brick_high: [f32; 3],
     pub(crate) pad_high: f32,
-    /// First voxel of the brick's texture, and number of voxels along each axis of the texture.
+    /// `brick_origin` and `brick_dims`: first voxel of the brick's texture, and number of voxels along each
+    /// axis of the texture.
     pub(crate) brick_origin: [f32; 3],
     pub(crate) pad_origin: f32,
     pub(crate) brick_dims: [f32; 3],

@@ -20,7 +20,7 @@ pub(crate) enum Voxels {
 pub(crate) struct Geometry {
     /// Number of voxels along each axis.
     pub(crate) dims: [usize; 3],
-    /// Voxel spacing divided by the smallest of the three.
+    /// Voxel spacing along each axis, divided by the smallest of the three spacings.
     pub(crate) relative_spacing: [f64; 3],
     /// Half the extent of the box in scene space.
     pub(crate) half_extent: [f64; 3],
@@ -107,7 +107,7 @@ where
     (Voxels::U16(voxels.into_par_iter().map(|v| (v.into() - minimum) as u16).collect()), minimum)
 }
 
-/// Contiguous copy of a typed slice, row by row.
+/// Returns `map` of every voxel, contiguous, x fastest.
 fn gather<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
     view: &VolumeView<'_>,
     stored: &[T],
@@ -136,7 +136,7 @@ impl Voxel for u8 {}
 impl Voxel for u16 {}
 impl Voxel for f32 {}
 
-/// Runs a generic expression with the voxel slice of any type.
+/// Evaluates an expression with the slice of voxels, whatever their type.
 macro_rules! with_voxels {
     ($voxels:expr, $slice:ident => $body:expr) => {
         match $voxels {

@@ -35,7 +35,7 @@ const WAIT: Duration = Duration::from_secs(20);
 
 thread_local! {
     static FAULT: Cell<Fault> = const { Cell::new(Fault::Sound) };
-    /// Number of calls that can fail, and of waits for fences.
+    /// Number of calls that can fail, and how many of these calls wait for fences.
     static CALLS: Cell<(usize, usize)> = const { Cell::new((0, 0)) };
     /// Time limits of the waits for fences, nanoseconds.
     static WAITS: RefCell<Vec<u64>> = const { RefCell::new(Vec::new()) };
@@ -240,8 +240,8 @@ fn new_renderer_draws(image: &Image) -> Outcome {
     Ok(())
 }
 
-/// From pass to pass, the device is lost one call later, beginning with the first call that opens it. Checks
-/// the errors, and that the device is freed.
+/// In each repeat, the device is lost one call later, beginning with the first call that opens the device.
+/// Checks the errors, and that the device is freed.
 fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     let (calls, _, image) = sound()?;
     assert!(calls > 50, "{calls} calls");
@@ -272,7 +272,7 @@ fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
     new_renderer_draws(&image)
 }
 
-/// From pass to pass, the device hangs one wait later, beginning with the first wait. Checks that the device
+/// In each repeat, the device hangs one wait later, beginning with the first wait. Checks that the device
 /// is then only polled and never freed.
 fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
     let (_, waits, image) = sound()?;

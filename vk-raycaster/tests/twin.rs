@@ -1,4 +1,4 @@
-//! Compares the CPU version with closed forms and with itself.
+//! Compares the CPU version of the raycaster with closed forms, and its modes with each other.
 
 mod common;
 
@@ -327,7 +327,7 @@ fn thin_and_constant_volumes_render() {
                 assert!(counts.samples > 0, "{dims:?}");
                 assert!(p.iter().flatten().all(|v| (0.0..=1.0).contains(v)));
                 if shading == Shading::None {
-                    // One color: the premultiplied channels keep its ratios.
+                    // The table has one color, and premultiplied channels keep the ratios of its channels.
                     assert!(p.iter().all(|p| (p[0] - 2.0 * p[1]).abs() < 1e-6 && (p[0] - p[3]).abs() < 1e-6));
                 }
             }
@@ -370,7 +370,7 @@ fn lighting_dims_edges_and_scattering_casts_shadows() {
     let (both, alpha_both, lit_and_shadowed) = sum(Shading::LocalScatter);
     assert!(alpha == alpha_local && alpha == alpha_scatter && alpha == alpha_both);
     assert!(local < plain && scatter < plain && scatter > 0.2 * plain);
-    // Shadows attenuate the lit color, to a quarter at least.
+    // Shadows attenuate the lit color, but never to less than a quarter.
     assert!(both < local && both < scatter && both > 0.2 * local);
     assert_eq!(lit_and_shadowed, shadowed);
     assert!(none.shaded == 0 && lit.shaded > 0 && lit.shaded == shadowed.shaded);

@@ -128,7 +128,7 @@ fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
     (largest, sum as f64 / a.len() as f64)
 }
 
-/// The device and the CPU version.
+/// The Vulkan renderer and the CPU version.
 struct Both {
     gpu: VulkanRaycaster,
     twin: CpuRaycaster,
@@ -443,7 +443,7 @@ fn volume_and_table_may_change_between_frames() -> Outcome {
 
 fn oversized_volumes_are_refused_with_size_and_limit() -> Outcome {
     let mut gpu = open(VulkanOptions::default())?;
-    // A broadcast axis: a huge volume in one byte.
+    // All strides are 0, so one byte stands for every voxel of a huge volume.
     let data = [1u8];
     let broadcast = VolumeOptions { strides: Some([0, 0, 0]), ..VolumeOptions::default() };
     let view = VolumeView::with(Scalars::U8(&data), [1 << 20, 1, 1], broadcast).unwrap();
@@ -487,7 +487,7 @@ fn main() {
     ];
     let mut trials: Vec<Trial> =
         tests.into_iter().map(|(name, run)| Trial::test(name, run).with_ignored_flag(none)).collect();
-    // The other tests run without the layer if it is missing; then this test is reported as ignored.
+    // If the validation layer is missing, this test is reported as ignored, and the others run without it.
     trials.push(
         Trial::test("validation_layer_was_heard", || {
             let gpu = open(VulkanOptions { validation: true, ..Default::default() })?;

@@ -1,4 +1,5 @@
-//! Casting the rays of a frame or of a part of it: tile by tile, brick by brick, window by window.
+//! Casting the rays of a frame or of a part of it: tile by tile, window by window, brick by brick. A window
+//! is the range of successive samples of a ray that one dispatch may take.
 
 use super::engine::Cast;
 use super::picture::{Picture, Region};

@@ -95,7 +95,7 @@ pub(crate) struct Engine {
     images: HashMap<Target, Image>,
     staging: Option<Buffer>,
     /// True if the fence was submitted and not reset since: nothing is freed or submitted before the engine
-    /// has waited for it.
+    /// has waited for the fence.
     pending: bool,
     /// True from the time at which a submission exceeds its time limit until it ends: meanwhile, the engine
     /// polls the device instead of waiting.
@@ -232,7 +232,7 @@ impl Engine {
         Ok(())
     }
 
-    /// Keeps the first `bricks` textures of the volume. No submission may be running.
+    /// Frees all textures of the volume except the first `bricks`. No submission may be running.
     pub(crate) fn keep_bricks(&mut self, bricks: usize) {
         let more = |target: &Target| matches!(target, Target::Volume(brick) if *brick >= bricks);
         if self.images.keys().any(more) {
@@ -241,7 +241,8 @@ impl Engine {
         }
     }
 
-    /// Fills a reserved image slice by slice: `fill` gets the first slice of a run and the bytes to write.
+    /// Fills a reserved image, several slices at a time: `fill` gets the index of the first of these slices,
+    /// and the bytes to write.
     pub(crate) fn copy_slices(&mut self, target: Target, fill: impl Fn(usize, &mut [u8])) -> Result<()> {
         self.drain()?;
         let image = self.image(target)?;

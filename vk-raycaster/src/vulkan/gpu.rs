@@ -23,7 +23,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(30);
 /// minutes on such a device, and more on a loaded host; no driver stops it.
 const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 
-/// Function that replaces functions of the device by those of a test.
+/// Function that returns a device with some Vulkan functions replaced by those of a test.
 pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
 
 /// Seconds from one timestamp to a later one; the counter may have wrapped once in between. The clock is
@@ -47,12 +47,12 @@ pub(crate) struct Instance {
     pub(crate) entry: ash::Entry,
 }
 
-/// An open device. Everything made from it holds an `Arc` of it, so it is freed last.
+/// An open device. All objects made from the device hold an `Arc` of this value, so the device is freed last.
 pub(crate) struct Gpu {
     pub(crate) instance: ManuallyDrop<Instance>,
     pub(crate) device: ash::Device,
     properties: Properties,
-    /// Locked while something is submitted to it or presented by it.
+    /// Locked while work is submitted to the queue, or the queue presents an image.
     queue: Mutex<vk::Queue>,
     /// Number of threads among which the device splits a dispatch into runs of successive workgroups; 1 if it is no
     /// software device.
@@ -402,7 +402,8 @@ fn choose_device(instance: &ash::Instance, options: &VulkanOptions) -> Result<Pr
             usable
                 .iter()
                 .position(|(i, _)| Some(*i) == index)
-                // A number below 64 is only an index: in a name, it would match a version.
+                // A number below 64 counts as an index only: as text, it would match version numbers in
+                // names.
                 .or_else(|| match index {
                     Some(0..64) => None,
                     _ => usable.iter().position(|(_, d)| d.name.to_lowercase().contains(&lower)),

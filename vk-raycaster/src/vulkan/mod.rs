@@ -157,9 +157,9 @@ pub struct VulkanRaycaster {
 struct Plan {
     setup: FrameSetup,
     key: ShaderKey,
-    /// Number of samples per ray and dispatch.
+    /// Length of a window: maximum number of samples that a dispatch takes along a ray.
     window: f32,
-    /// Number of the first sample of the last window.
+    /// Number of the first sample of the ray's last window.
     last_window: f32,
     table: Option<Vec<u8>>,
 }

@@ -45,12 +45,12 @@ impl Region {
     }
 }
 
-/// A picture on the device, 8-bit RGBA in `R8G8B8A8_SRGB`: a viewer samples it and gets linear colors. It is
-/// in the layout `SHADER_READ_ONLY_OPTIMAL` between the calls that draw into it.
+/// A picture on the device, 8-bit RGBA in `R8G8B8A8_SRGB`: a viewer that samples the picture gets linear
+/// colors. Between the calls that draw into it, the picture has the layout `SHADER_READ_ONLY_OPTIMAL`.
 pub struct Picture {
     device: SharedDevice,
     image: Image,
-    /// True if nothing was drawn into it.
+    /// True if nothing was drawn into the picture.
     pub(super) fresh: bool,
 }
 
@@ -87,7 +87,7 @@ impl Picture {
         self.image.view()
     }
 
-    /// True if nothing was drawn into it, so that it must not be shown.
+    /// True if nothing was drawn into the picture. Such a picture must not be shown.
     pub fn is_fresh(&self) -> bool {
         self.fresh
     }

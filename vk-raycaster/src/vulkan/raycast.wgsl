@@ -85,7 +85,7 @@ struct FrameSetup {
 @group(0) @binding(6) var<storage, read_write> work: array<vec4<u32>>;
 #endif
 
-// State of each pixel between the windows of a long ray: color and opacity so far; the next sample.
+// State of each pixel's ray between two dispatches: color and opacity so far; number of the next sample.
 @group(0) @binding(10) var<storage, read_write> state: array<vec4<f32>>;
 
 struct Counts {
@@ -105,7 +105,7 @@ var<private> block_edge: f32;
 var<private> block_shift: u32;
 #endif
 #if FETCH == 2
-// Words from a block to the next along y and z.
+// Distance from a block to the next along y and z, in words.
 var<private> block_row: i32;
 var<private> block_slice: i32;
 #endif

@@ -27,7 +27,7 @@ pub(crate) enum Command {
     WriteSetup(Box<FrameSetup>),
     /// Writes the texels of the step table into the table's staging buffer on the device.
     WriteTable(Vec<u8>),
-    /// Makes an image ready to be copied to; its contents are lost unless `keep`.
+    /// Makes an image ready to be copied to; its contents are lost unless `keep` is true.
     PrepareCopy { target: Target, keep: bool },
     /// Copies slices `first_slice…` of the volume or skip map from the staging buffer.
     CopySlices { target: Target, first_slice: u32, slices: u32 },
@@ -44,7 +44,7 @@ pub(crate) enum Command {
     /// Casts the rays of the tile.
     Dispatch { groups: [u32; 2] },
     /// Copies the image into a rectangle of a picture on the device; the picture's other contents are lost if
-    /// it is `fresh`.
+    /// `fresh` is true.
     CopyToPicture { image: vk::Image, fresh: bool, tile: Region },
     /// Copies the image, and the work counts if there are any, to the buffer that the host reads.
     ReadBack { image_bytes: u64, work_bytes: u64 },
@@ -81,7 +81,8 @@ pub(crate) fn tiles(width: u32, height: u32, edge: u32) -> Vec<Region> {
     starts(height).flat_map(|y| starts(width).map(move |x| tile(x, y))).collect()
 }
 
-/// Records one tile of a frame, with the table if the step or the transfer function changed.
+/// Returns the commands that cast the rays of one tile. `table`: texels to upload, if the ray step or the
+/// transfer function changed.
 pub(crate) fn record_tile(
     setup: &FrameSetup,
     tile: Region,
@@ -133,7 +134,7 @@ pub(crate) fn record_tile(
     commands
 }
 
-/// Records the copy of some slices of a volume or skip map from the staging buffer.
+/// Returns the commands that copy some slices of a volume or skip map from the staging buffer.
 pub(crate) fn record_slices(target: Target, depth: u32, first_slice: u32, slices: u32) -> Vec<Command> {
     let mut commands = vec![Command::PrepareCopy { target, keep: first_slice > 0 }];
     commands.push(Command::CopySlices { target, first_slice, slices });
@@ -210,7 +211,7 @@ mod tests {
         let copy = Command::CopyToPicture { image: vk::Image::null(), fresh: true, tile };
         assert!(cast < wait && wait < position(&c, |c| *c == copy));
         assert!(!c.iter().any(|c| matches!(c, Command::ReadBack { .. })));
-        // Counts are read nevertheless.
+        // Work counts are read back nevertheless.
         let c = record_tile(&FrameSetup::zeroed(), tile, None, true, true, output);
         assert!(c.contains(&Command::ReadBack { image_bytes: 128, work_bytes: 512 }));
     }

@@ -163,7 +163,7 @@ pub(crate) struct Shape {
     /// Texels along each axis; a depth of 0 makes the image 2-D.
     pub(crate) extent: [u32; 3],
     pub(crate) format: vk::Format,
-    /// True if shaders read it as a storage image; false if they sample it.
+    /// True if shaders read the image as a storage image; false if shaders sample the image.
     pub(crate) storage: bool,
 }
 

@@ -205,7 +205,7 @@ type Access = (vk::PipelineStageFlags, vk::AccessFlags);
 
 /// Layout of an image while copies fill it.
 const FILLED: vk::ImageLayout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
-/// Access of these copies.
+/// Access of a transfer that writes.
 const WRITTEN: Access = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
 
 fn barrier_masks(hazard: Hazard) -> (Access, Access) {
