@@ -3,7 +3,8 @@
 use crate::records::accepted;
 use crate::trace::Trace;
 
-/// Checks that an accepted trace has a volume, at least two steps at full size in every frame, and positive seconds.
+/// Checks that an accepted trace has a volume, at least two ray steps at full image size in every frame, and
+/// positive seconds.
 pub fn check_trace(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let Some(trace) = accepted(Trace::parse(text)) else { return };

@@ -18,7 +18,8 @@ pub struct Page {
     blocks: Vec<Block>,
 }
 
-/// A block of a page. The template escapes its plain texts. Pictures: PNG as base64, with captions.
+/// A block of a page. The template escapes plain texts. Each entry of `Pictures` is a PNG file as base64, and
+/// its caption.
 #[derive(Clone, Debug)]
 enum Block {
     Heading(String),

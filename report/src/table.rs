@@ -36,7 +36,7 @@ impl<T: Into<Self>> From<Option<T>> for Cell {
     }
 }
 
-/// Largest number of columns at normal text size; wider tables have smaller text, so that none scrolls.
+/// Largest number of columns at normal text size; wider tables have smaller text, so that they fit the page.
 const WIDE: usize = 8;
 
 /// A table. Each row has as many cells as the heading.

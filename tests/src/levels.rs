@@ -1,4 +1,4 @@
-//! Runs a test on every level of the kernels.
+//! Runs a test on every level (instruction set) of the kernels.
 
 use entire_core::kernels::Level;
 use libtest_mimic::{Failed, Trial};

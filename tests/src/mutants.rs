@@ -1,6 +1,6 @@
-//! Structure-aware mutants of model files. Every file's length field is right; the data after it may be wrong
-//! in ways that a reader must detect. Random byte changes rarely give such files, since they break the
-//! header's length.
+//! Structure-aware mutants of model files. Every file states the right length of its header; the header and
+//! the data after it may be wrong in ways that a reader must detect. Random byte changes rarely give such
+//! files, since they break the stated length.
 
 use entire_core::kernels::Executor;
 use entire_core::model::{GroupKind, Key, Model};
@@ -220,7 +220,7 @@ impl Mutants {
         parts.metadata.insert(Key::Format.into(), "1".into());
     }
 
-    /// Adds a prediction network with consistent sizes: deep, wide, or both.
+    /// Adds a PredNet with consistent sizes: deep, wide, or both.
     fn prednet(&mut self, parts: &mut Parts) {
         parts.tensors.retain(|t| !t.name.starts_with("prednet."));
         let mut width = 1 + self.below(40);
@@ -380,8 +380,9 @@ pub struct Outcome {
     pub encoded: bool,
 }
 
-/// Opens a file and uses it as a host would: builds its networks, predicts one frame alone, in a batch and
-/// through the predictor, and encodes a volume if the encoding takes at most [`MOST_WORK`] multiplications.
+/// Opens a file and uses it as an application would: builds its networks, predicts one frame alone, in a
+/// batch and through the predictor, and encodes a volume if the encoding takes at most [`MOST_WORK`]
+/// multiplications.
 ///
 /// # Panics
 /// When an accepted file cannot be run, a time is not finite and positive, or an error has no message.

@@ -1,4 +1,5 @@
-//! Checks that the level is read from the environment once: later changes of the environment have no effect.
+//! Checks that the level (instruction set) is read from the environment once: later changes of the
+//! environment have no effect.
 
 use entire_core::kernels::Level;
 use libtest_mimic::{Arguments, Failed, Trial};

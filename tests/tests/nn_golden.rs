@@ -1,5 +1,5 @@
 //! Compares PredNet with float64 evaluations by PyTorch (`tests/golden/make_golden.py`), with one test for
-//! every level. A level that this CPU lacks is reported as ignored.
+//! every level (instruction set). A level that this CPU lacks is reported as ignored.
 
 use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::model::Model;

@@ -63,8 +63,9 @@ pub(super) struct Place {
 /// Distance between a point and its text, in pixels.
 const GAP: f64 = 7.0;
 
-/// Places a text of a given width beside a point. Takes the first free place, else the place with the least
-/// overlap with other texts, points and the outside of the frame.
+/// Returns a place beside a point for a text of a given width, in pixels: the first free place, else the
+/// place with the least overlap with `taken` (other texts and points) and the outside of the frame. Adds the
+/// place to `taken`.
 pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Rect>) -> Place {
     let rect = |(leftward, down): (bool, f64)| {
         let left = if leftward { x - GAP - width } else { x + GAP };

@@ -53,8 +53,8 @@ fn for_tests(item: &impl ToTokens) -> bool {
     })
 }
 
-/// Removes test-only code exactly, also in modules, implementations and traits; adds the names of the files
-/// that hold only such code to `test_modules`.
+/// Removes the items with `#[cfg(test)]`, also inside modules, implementations and traits. Adds the names of
+/// test-only modules that have files of their own to `test_modules`.
 fn remove_tests(items: &mut Vec<Item>, test_modules: &mut BTreeSet<String>) {
     items.retain(|item| {
         let test = for_tests(item);

@@ -1,11 +1,11 @@
 //! Checks that a program without libc, with a fixed arena as memory, loads a model and predicts with the same
-//! bits as this hosted build, at every level.
+//! bits as this build with the standard library, on every level (instruction set).
 
 use entire_core::model::{GroupKind, InputGroup, Key, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
 use entire_tests::mutants::Random;
 
-/// Returns a small model with both networks; most widths are no multiple of a vector length.
+/// Returns a small model with a PredNet and a VolumeNet; most widths are no multiple of a vector length.
 fn model() -> Vec<u8> {
     let mut random = Random::new(0x2545_f491_4f6c_dd1d);
     let mut next = || random.uniform();

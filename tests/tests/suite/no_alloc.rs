@@ -1,5 +1,5 @@
-//! Checks that calls that run in every frame allocate nothing after set-up, on every level and with every
-//! storage format: otherwise the test's allocator aborts the process.
+//! Checks that calls that run in every frame allocate nothing after set-up, on every level (instruction set)
+//! and with every storage format. If a call allocates, the test's allocator aborts the process.
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use entire_core::kernels::{Executor, Level, Storage};
@@ -29,7 +29,7 @@ fn network() -> PredNetParts {
     }
 }
 
-/// A copy of this test that is started with the variable set allocates and must be aborted.
+/// Starts a copy of this test with `ENTIRE_TEST_ALLOCATES` set. The copy allocates, and must be aborted.
 #[test]
 fn an_allocation_aborts_the_process() {
     const ALLOCATES: &str = "ENTIRE_TEST_ALLOCATES";
