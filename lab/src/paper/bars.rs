@@ -23,9 +23,10 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     }
 }
 
-/// Returns the bars; a bar without a value counts as missed. A bar on a data set is about the paper's split
-/// of that data set, and about the paper's base mode unless its name has another mode. `missing` is the
-/// number of labels without a table or figure.
+/// Returns the bars; a bar without a value counts as missed. If the study is partial, bars with neither value
+/// nor note are left out. A bar on a data set is about the paper's split of that data set, and about the
+/// paper's base mode unless its name has another mode. `missing` is the number of the paper's tables and
+/// figures (labels) without a counterpart.
 pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],

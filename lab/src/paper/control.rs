@@ -265,9 +265,9 @@ fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
     Ok(out)
 }
 
-/// Key of a score: mean distance from the target over all frames.
+/// Key of a score: mean of |time − target| / target over all reachable frames.
 pub(super) const ALL_FRAMES: &str = "all deviation";
-/// Key of a score: mean distance from the target over the first frames after a change.
+/// Key of a score: mean of |time − target| / target over the reachable first frames after abrupt changes.
 pub(super) const FIRST_FRAMES: &str = "first_frame_deviation";
 
 /// Returns the distance from the target under Algorithm 1 with the paper's network, divided by the distance

@@ -169,8 +169,8 @@ fn mix(a: u64, b: u64) -> u64 {
 /// step.
 ///
 /// # Errors
-/// When a prediction fails; names the frame. When the controller acts on image resolution and the trace holds
-/// no smaller images.
+/// When the number of targets is wrong, when a prediction fails (the error names the frame), and when the
+/// controller acts on image resolution and the trace holds no smaller images.
 pub fn replay(
     recorded: &Replayable,
     contender: &mut Contender,
