@@ -138,7 +138,7 @@ in_debian() {
     ' in_debian "$folder" "${#mounts[@]}" "${mounts[@]}" "$@"
 }
 
-# Command before a program that runs in_debian: gives it a clean environment, with the C library, which the caller mounts, at
+# Words before a command that in_debian runs: they give the command a clean environment. The caller mounts the C library at
 # /sdk.
 # shellcheck disable=SC2034
 clean_environment=(env -i HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin PYTHONDONTWRITEBYTECODE=1 ENTIRE_SDK=/sdk)

@@ -88,8 +88,8 @@ if ((free + used < room)); then
     missing=1
 fi
 
-# A C compiler: Rust links with it, and the C examples and tests are built with it. Tests also need one for C++. Prints the
-# language that has none.
+# A C compiler: Rust links with it, and the C examples and tests are built with it. Tests also need a C++ compiler.
+# no_compiler: prints the language (C or C++) for which there is no compiler; prints nothing if no compiler is missing
 no_compiler() {
     if ! command -v cc >/dev/null; then echo C; elif [[ $for ]] && ! command -v c++ >/dev/null; then echo C++; fi
 }

@@ -27,8 +27,8 @@ loader=$(ldconfig -p 2>/dev/null | awk '/libvulkan\.so\.1 / && !found { print $N
 if [[ -n $loader ]]; then cp -L "$loader" "$folder/lib/libvulkan.so.1"; else rmdir "$folder/lib"; fi
 cat >"$folder/run.sh" <<'RUN'
 #!/usr/bin/env bash
-# Studies this machine's Vulkan device in at most nine minutes: report.html in OUT (default results/). Run again, it
-# continues with the missing steps. Options go to `bin/entire-lab gpu-study` (--help lists them).
+# Studies this machine's Vulkan device in at most nine minutes: report.html in OUT (default results/). A second
+# run continues with the missing steps. Options go to `bin/entire-lab gpu-study` (--help lists them).
 set -euo pipefail
 # In Debian, the PATH of a user who is not root lacks the folders of ldconfig.
 PATH=$PATH:/usr/sbin:/sbin

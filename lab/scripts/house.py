@@ -295,7 +295,8 @@ def dependency_tree(package, edges, *options):
 
 
 def addresses():
-    """Returns the files that lack the project's address in Cargo.toml, or the page for private reports below it."""
+    """Returns the files that do not state the project's address as Cargo.toml does; SECURITY.md must state the address of
+    the page for private reports."""
     address = re.search(r'^repository = "(.+)"', (ROOT / "Cargo.toml").read_text(), re.M).group(1)
     stated = {"plugins/python/pyproject.toml": address, "CITATION.cff": address, "SECURITY.md": f"{address}/security/advisories/new"}
     return [name for name, text in stated.items() if text not in (ROOT / name).read_text()]

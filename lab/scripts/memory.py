@@ -6,7 +6,8 @@ Usage: python3 lab/scripts/memory.py [TABLE.csv …]
 
 Reads the training tables in data/timings (ensemble members are held out), and joins the tables given as arguments into
 one (volumes are held out). The tables' features must lie beside them (`entire features`). Unit costs are fitted by
-reweighted non-negative least squares, which minimize about the mean absolute relative error. Needs numpy and scipy.
+reweighted non-negative least squares, which approximately minimizes the mean absolute relative error. Needs numpy and
+scipy.
 """
 
 import csv
@@ -45,8 +46,9 @@ def read(path, by_volume):
 
 
 def work(f, law):
-    """Amounts of work, one column per unit cost. `law` returns the share of unshared reads that wait for memory, and the
-    number of voxels that have a cost each (None: voxels have no cost). If `law` is None, nothing waits."""
+    """Returns the amounts of work of each frame, one column per unit cost. `law` gets the number of voxels and the
+    number of unshared reads (reads of memory that neighboring rays do not share). It returns the share of these reads
+    that wait for memory, and the number of voxels that cost time (None: no voxels do). If `law` is None, no read waits."""
     columns = [np.ones_like(f["pixels"]), *(f[name] for name in NEAR)]
     if law:
         square = f["ray_spacing"] ** 2

@@ -5,8 +5,8 @@
 Usage: python3 lab/scripts/typical_costs.py [--entire target/release/entire]
 
 Fits unit costs to each training table of data/timings (`entire train --model-kind analytic`). Prints every cost in each
-table and its geometric mean, for processors and for GPUs. For processors, a table's costs are first divided by their
-geometric mean, relative to that of all tables; so a fast machine has the same weight as a slow one. A cost of one
+table and its geometric mean, for processors and for GPUs. For processors, each table's costs are first scaled
+to the same geometric mean, so that a fast machine has the same weight as a slow one. A cost of one
 shading mode is the mean over the tables of this mode. A fit starts from the typical costs, so the means change by a few
 per cent when the constants are replaced by them. Needs Python 3.9 and nothing else.
 """

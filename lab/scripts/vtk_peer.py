@@ -55,7 +55,7 @@ class Peer:
     def volume(self, path, *numbers):
         dims = [int(n) for n in numbers[:3]]
         spacing = [float(s) for s in numbers[3:]]
-        # VTK refers to the array: it must live as long as the image.
+        # VTK refers to the array, which must live as long as the image.
         self.voxels = numpy.fromfile(path, dtype=numpy.uint8)
         image = vtkImageData()
         image.SetDimensions(dims)

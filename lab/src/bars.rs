@@ -25,7 +25,7 @@ impl Bar {
         Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit), note: String::new() }
     }
 
-    /// The same bar with a note, which is printed in brackets after it.
+    /// Returns the bar with a note, which is printed in brackets after the bar.
     pub(crate) fn with_note(self, note: impl Into<String>) -> Self {
         Self { note: note.into(), ..self }
     }
@@ -36,7 +36,7 @@ impl Bar {
 }
 
 impl std::fmt::Display for Bar {
-    /// Writes `bar NAME VALUE LIMIT ok|short`, then the note in brackets; `-` without a value.
+    /// Writes `bar NAME VALUE LIMIT ok|short`, then the note in brackets. VALUE is `-` if there is no value.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
         let verdict = if self.ok { "ok" } else { "short" };

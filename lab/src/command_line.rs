@@ -17,7 +17,7 @@ struct Lab {
     command: Command,
 }
 
-/// The commands. Their texts in the help are the doc comments of their options.
+/// The commands. The help text of a command is the doc comment of its `Options` type.
 #[derive(Debug, Subcommand)]
 enum Command {
     Study(commands::study::Options),

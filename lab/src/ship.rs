@@ -52,7 +52,7 @@ pub(crate) fn ship(
                 continue;
             };
             let (mut file, model) = read_model_file(&made.2)?;
-            // Models of a group's further machines only serve as priors, which must be analytic models.
+            // Models of a group's machines other than the first are only priors. Priors must be analytic.
             let is_first = study.group(set).next().is_some_and(|first| first.name == set.name);
             if !is_first && AnalyticModel::from_model(&model)?.is_none() {
                 continue;
@@ -113,7 +113,7 @@ fn judge(
 
 fn provenance(file: &mut ModelFile, of: &Shipping<'_>) -> Result<()> {
     let Shipping { study, found, set, predictor, training, figures, .. } = of;
-    // A predictor of a file ships as it is.
+    // A model file that the study names as predictor keeps the training data that the file states.
     let as_it_is =
         study.predictors.iter().any(|p| p.name == *predictor && p.recipe_for(&set.name).file.is_some());
     let mut stored: serde_json::Value = match file.metadata.get(Key::Provenance.name()) {

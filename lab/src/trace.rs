@@ -254,8 +254,9 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// The curve over the ray step, from a frame's points at scale 1. Seconds at a step are the median of its repeats;
-    /// neighbors whose seconds rise with the step are pooled.
+    /// The curve over the ray step, from a frame's points at scale 1. The seconds at a step are the median of
+    /// the repeats. If seconds rise over neighboring steps, these steps all get the geometric mean of their
+    /// seconds.
     pub fn of(points: &[TracePoint]) -> Self {
         Self::over(points.iter().filter(|p| p.scale == 1.0).map(|p| (f64::from(p.step), p)).collect())
     }

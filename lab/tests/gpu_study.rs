@@ -14,8 +14,8 @@ fn entire() -> Option<PathBuf> {
     path.is_file().then_some(path)
 }
 
-/// Options for renderer and clock: the Vulkan device with its time stamps, which are the study's defaults;
-/// with wall time if it has no time stamps; the CPU version with wall time without a device.
+/// Options for renderer and clock: the Vulkan device with its time stamps (the study's defaults), or with
+/// wall time if the device has no time stamps. Without a device: the CPU version with wall time.
 fn setting() -> [&'static str; 4] {
     match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
         Ok(renderer) => {

@@ -10,10 +10,10 @@ set -euo pipefail
 what=${1:?start or stop}
 folder=$(realpath -m "${2:?a folder}")
 
-# runs PID: true if the process runs. One that has ended and was not waited for (a zombie) does not run.
+# runs PID: true if the process runs; false for a process that has ended and was not waited for (a zombie)
 runs() { grep -q '^State:[[:space:]]*[^XZ]' "/proc/$1/status" 2>/dev/null; }
 
-# ended SECONDS PID…: waits until all have ended; fails if one still runs after SECONDS
+# ended SECONDS PID…: waits until all processes have ended; fails if one still runs after SECONDS
 ended() {
     local end=$((SECONDS + $1)) pid
     for pid in "${@:2}"; do

@@ -90,7 +90,7 @@ def differences(a, b):
 
 
 def shape(reason):
-    """A reason without its numbers and names, so that equal ones can be counted."""
+    """Returns a reason without its numbers and names, so that files with the same reason can be counted."""
     reason = re.sub(r"[^\x20-\x7e]", "?", reason)
     reason = re.sub(r'"[^"]*"|\'[^\']*\'', '"…"', reason)
     reason = re.sub(r"/\S+", "PATH", re.sub(r"\(?\b0x[0-9a-f]+\)?", "", reason))

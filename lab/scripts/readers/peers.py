@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The independent readers that differential.py compares with, each read in a child process with limits.
+"""The independent readers that differential.py compares with. Every file is read in a child process with limits of
+memory and processor time.
 
 `pip install pynrrd SimpleITK nibabel vtk numpy` brings all of them. Voxels are converted to the types of the
 command's readers (table at the top of io/src/volume/mod.rs), so that checksums can be compared.
@@ -60,7 +61,7 @@ def reading(array, dims, spacing):
     """A reading of an array whose flattened elements run fastest along x."""
     np = INSTALLED["numpy"]
     dims, spacing = [int(n) for n in dims], [float(s) for s in spacing]
-    # Axes of one element beyond the third carry no data.
+    # Axes of one element are removed, from the last on, until three axes are left.
     while len(dims) > 3 and 1 in dims:
         at = len(dims) - 1 - dims[::-1].index(1)
         del dims[at], spacing[at]

@@ -220,7 +220,7 @@ def measure(options, bars):
     for kind, count in (("kill", ended), ("full_disk", options.full)):
         for line in wrong[kind]:
             print(line, file=sys.stderr)
-        print(f"{kind}: {count} ends, {len(wrong[kind])} files torn or lost")
+        print(f"{kind}: {count} ended commands, {len(wrong[kind])} files torn or lost")
         if wrong[kind] or count >= ASKED[kind]:
             bars.found(NAMES[kind], len(wrong[kind]))
         else:

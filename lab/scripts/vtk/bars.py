@@ -61,7 +61,7 @@ def calibrate(options, mapper):
         volumes.append(os.path.join(options.out, f"noise-{seed}.nrrd"))
         if not os.path.exists(volumes[-1]):
             write_nrrd(volumes[-1], vtk_scene.noise_volume(256, seed))
-    # Times of one version of VTK are not those of another.
+    # Frame times differ between versions of VTK, so tables and pictures are kept by version.
     kept = f"{mapper}-{vtkVersion.GetVTKVersion()}"
     table = os.path.join(options.out, f"others-{kept}.csv")
     pictures = os.path.join(options.out, f"pictures-{kept}.csv")

@@ -1,4 +1,5 @@
-//! `entire-lab frames`: error of calibrations to few and many frames of another type of machine.
+//! `entire-lab frames`: error of models calibrated to few and many frames of one type of machine, with priors
+//! of other types of machine.
 
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};

@@ -113,9 +113,10 @@ fn foretold(pools: &[(String, Vec<Task>)]) -> Result<(f64, f64)> {
         hits += u32::from(hit);
         errors.push((middle / out.makespan - 1.0).abs());
         println!(
-            "eta: run {run}, {name}, {slots} nodes: {middle:.3} ({low:.3} to {high:.3}) s, the end {:.3} s{}",
+            "eta: run {run}, {name}, {slots} nodes: end {:.3} s, predicted {middle:.3} s ({low:.3} to \
+             {high:.3}){}",
             out.makespan,
-            if hit { "" } else { ", missed" }
+            if hit { "" } else { ", outside" }
         );
     }
     Ok((median(&mut errors).context("no runs")?, f64::from(hits) / RUNS as f64))
@@ -177,12 +178,12 @@ pub(crate) fn all(folder: &Path) -> Result<Vec<Bar>> {
     }
     for (name, pool) in &pools {
         let (worst, nodes) = worst_static(pool)?;
-        println!("static: {name}, {} tasks: at worst {worst:.4} ({nodes} nodes)", pool.len());
+        println!("static: {name}, {} tasks: worst makespan ratio {worst:.4} ({nodes} nodes)", pool.len());
     }
     let main = &pools[0].1;
     let first_384 = &main[..main.len().min(PAPER)];
     let (all_frames, paper) = (worst_static(main)?.0, worst_static(first_384)?.0);
-    println!("static: {PAPER} tasks of {}: at worst {paper:.4}", pools[0].0);
+    println!("static: {PAPER} tasks of {}: worst makespan ratio {paper:.4}", pools[0].0);
     let loads = with_loads(&pools[1].1, 1000)?;
     let (error, share) = foretold(&pools)?;
     println!("planning: peak memory {peak:.3} GB, {first:.2} s to the first bundle");

@@ -31,7 +31,7 @@ fn add(measured: &mut Vec<([f64; COSTS], f64)>, trace: &Trace, probe_side: usize
     Ok(())
 }
 
-/// The analytic model fitted to recorded frames of other volumes, with a probe of `side` rays a side.
+/// The analytic model fitted to recorded frames of other volumes, with a probe of `side` × `side` rays.
 fn task_predictor(training: &[PathBuf], side: usize) -> Result<AnalyticModel> {
     ensure!(
         (1..=MAX_PROBE_SIDE).contains(&side),
@@ -51,7 +51,8 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<AnalyticModel> {
 }
 
 /// The frames of a recorded path at the reference step as tasks. Their predictor is fitted to `training`,
-/// recordings of other volumes with the same transfer function, and has a probe of `probe_side` rays a side.
+/// recordings of other volumes with the same transfer function, and has a probe of `probe_side` ×
+/// `probe_side` rays.
 pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: usize) -> Result<Vec<Task>> {
     let mut predictor = task_predictor(training, probe_side)?;
     let (path, summaries) = (trace.path.resolve()?, trace.summaries()?);

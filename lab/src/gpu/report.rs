@@ -147,7 +147,7 @@ impl Found {
         }
         page.table(
             &worst,
-            "Every channel of every pixel, device against the CPU version; 2 of 255 are accepted.",
+            "Differences of single channels between device and CPU version; at most 2 of 255 are accepted.",
         );
         if let Some(probe) = &self.probe {
             page.heading("The device");

@@ -84,7 +84,7 @@ pub(crate) struct Step {
     pub(crate) arguments: Vec<String>,
     /// Time limit, wall seconds.
     pub(crate) seconds: f64,
-    /// True if a partial result is of use.
+    /// True if the result is used although the time limit ended the command.
     pub(crate) partial: bool,
     /// File in OUT for the command's standard output; `None` if standard output goes to the log.
     pub(crate) output: Option<String>,

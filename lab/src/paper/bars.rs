@@ -46,7 +46,7 @@ pub(crate) fn bars(
         let full = |r: &&Results| frames_of(r).is_some_and(|[expected, frames]| frames >= expected);
         find(all, Panel::Overall, set, mode).filter(full)
     };
-    // The network's row, with the results that hold it.
+    // Returns the network's row and the results that contain this row.
     let network = |set: &str, mode: &str| {
         let r = overall(set, mode)?;
         Some((r, r.row(paper.rule(set).split(), NETWORK)?))
@@ -146,8 +146,8 @@ fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
     Some(rmse(&format!("without {FEATURE_VECTOR}"))? / rmse(NETWORK)?)
 }
 
-/// Returns a note with the network's RMSE divided by the constant's, and the numbers of measured and of
-/// described frames. It is for results on fewer frames than the description specifies.
+/// Returns a note for results on fewer frames than the description specifies: the network's RMSE divided by
+/// that of the constant prediction, the number of measured frames, and the specified number.
 fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
     let found = find(all, Panel::Overall, set, BASE_MODE)?;
     let row = found.row(paper.rule(set).split(), NETWORK)?;
@@ -171,7 +171,7 @@ fn find<'a>(all: &'a [Results], panel: Panel, set: &str, mode: &str) -> Option<&
     all.iter().find(|r| r.panel == panel && r.set == set && r.mode == mode)
 }
 
-/// The n-th largest of some numbers: at least n of them reach it.
+/// Returns the `n`-th largest of `values`; `None` if there are fewer values.
 fn nth_best(values: &mut [f64], n: usize) -> Option<f64> {
     values.sort_by(|a, b| b.total_cmp(a));
     values.get(n.checked_sub(1)?).copied()

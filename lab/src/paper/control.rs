@@ -270,8 +270,8 @@ pub(super) const ALL_FRAMES: &str = "all deviation";
 /// Key of a score: mean of |time − target| / target over the reachable first frames after abrupt changes.
 pub(super) const FIRST_FRAMES: &str = "first_frame_deviation";
 
-/// Returns the distance from the target under Algorithm 1 with the paper's network, divided by the distance
-/// under OLP; `None` if one of them was not played. `distance` is the key of the score.
+/// Returns a score under Algorithm 1 with the paper's network, divided by the same score under OLP; `None` if
+/// one of these controllers was not played. `distance` is the key: [`ALL_FRAMES`] or [`FIRST_FRAMES`].
 pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64> {
     let played = all.iter().find(|r| r.panel == Panel::Steering)?;
     let of = |kind: ControllerKind| {

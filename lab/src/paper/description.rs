@@ -21,7 +21,7 @@ pub(super) const BY_MODALITY: &str = "modality";
 #[serde(deny_unknown_fields)]
 pub(crate) struct Paper {
     pub(crate) title: String,
-    /// True if goals that the study does not measure are those of another study, and are not printed.
+    /// True if goals that this study does not measure are left out, since another study measures them.
     #[serde(default)]
     pub(crate) partial: bool,
     pub(crate) clock: String,

@@ -10,13 +10,14 @@ use std::path::Path;
 
 /// Fits the quality law to every second trace, and tests it on the traces of other volumes. Returns a
 /// sentence with the mean structural similarity of three choices among the settings that meet the target: by
-/// the law, by the step alone, and the best choice. `None` if the law cannot be fitted or no frame counts.
+/// the law, by the step alone, and the best choice. `None` if the law cannot be fitted, or if no frame
+/// misses a target at full quality and meets this target at a coarser step.
 pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<String> {
     let fitted: BTreeSet<&Path> =
         traces.iter().step_by(2).flat_map(|t| &t.trace.volumes).map(|v| v.file.as_path()).collect();
     // Returns the points of every frame that was also drawn with both a coarser step and a smaller image. If
-    // `test` is false, the frames are those of traces with an even index. If it is true, they are those of
-    // traces that show no volume of the former traces.
+    // `test` is false, the frames are those of traces with an even index. If `test` is true, they are those
+    // of traces that show no volume of the traces with an even index.
     let points = |test: bool| {
         let fitted = &fitted;
         traces

@@ -112,8 +112,7 @@ pub struct Replayed {
     pub upper: f64,
     /// Decision of the controller: the ray step, or s of [`ActsOn::ImageResolution`].
     pub step: f64,
-    /// Finest decision that meets the target without noise: the counterpart of the oracle's step for the quantity that
-    /// the controller sets.
+    /// Finest value that meets the target without noise: of the ray step or of s, as in `step`.
     pub finest_step: f64,
     /// The oracle's step.
     pub oracle_step: f64,

@@ -8,8 +8,8 @@ use entire_train::fit::{FitContext, Recipe};
 use entire_train::split::TimedFrames;
 use std::ops::Range;
 
-/// Minimum number of ensemble members at which a tenth of the members is for validation; with fewer members,
-/// it is a tenth of the volumes. A single one of few members holds far more than a tenth of the training
+/// Minimum number of ensemble members at which a tenth of the members is for validation. With fewer members,
+/// a tenth of the volumes is for validation: one whole member would be far more than a tenth of the training
 /// frames, and the loss of training data would outweigh the better stopping criterion.
 pub(super) const MEMBERS: usize = 10;
 

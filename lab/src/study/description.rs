@@ -102,7 +102,8 @@ pub(crate) struct SplitTables {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(crate) struct Limits {
-    /// Upper limit of the RMSE/SD of the selected predictor, else of the best one, on the main split.
+    /// Upper limit of RMSE/SD on the main split: of the selected predictor, or of the best one if none is
+    /// selected.
     pub(crate) rmse_over_sd: Option<f64>,
     /// Lower limit of the constant baseline's RMSE divided by the RMSE of the predictor `paper`.
     pub(crate) constant_over_paper: Option<f64>,

@@ -64,7 +64,7 @@ pub(crate) struct Fit {
     pub(crate) folds: usize,
     /// Number of fitted parameters: weights, biases, and unit costs.
     pub(crate) numbers: usize,
-    /// Number of rays along each side of its probe.
+    /// Number of rays along each side of the predictor's probe.
     pub(crate) probe_side: usize,
 }
 

@@ -193,7 +193,8 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
             .map(|s| Ok((f64::from(s), truth(machine, &shot, &frame, s)?)))
             .collect::<Result<_>>()?;
         if i == 0 || (number == 12 && sized != shot.size) {
-            // In scene 12 every image size has its own target; in the others one target holds for the whole path.
+            // In scene 12, every image size has its own target; in other scenes, one target holds for the
+            // whole path.
             target = world.share
                 * grid[0].1
                 * if i == 0 && number != 12 { typical(machine, &world, &views)? / grid[0].1 } else { 1.0 };
@@ -235,7 +236,8 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         broken.push(format!("the coarsest step misses the target in {} frames", seen.len() - feasible));
     }
     if number == 12 {
-        // The first frame of an image size also sets its target, so it is not compared with its bound.
+        // The target of an image size is computed from the first frame of this size, so this frame is not
+        // compared with its upper bound.
         seen.iter_mut().for_each(|s| s.first = false);
     }
     Ok(judge(number, method, &seen, world.limits, broken))
