@@ -19,7 +19,7 @@ use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-/// Number of scenes of which one is held out for testing.
+/// Number n: one of every n scenes is held out for testing.
 const HOLD_OUT_EVERY: usize = 4;
 
 fn held_out(sample: &Sample) -> bool {

@@ -23,7 +23,7 @@ use std::path::PathBuf;
 /// Maximum number of volumes of a calibration: the number of volumes in `data/`.
 const VOLUMES: usize = 9;
 
-/// Number of random draws of frames for each number of frames.
+/// Number of random draws of calibration frames for each entry of [`FRAMES`].
 const DRAWS: u64 = 8;
 
 /// Numbers of calibration frames.

@@ -119,7 +119,7 @@ impl<'a> State<'a> {
     }
 }
 
-/// The numbers below `n` in random order.
+/// Returns the numbers from 0 to `n` − 1 in random order.
 pub(super) fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let mut out: Vec<usize> = (0..n).collect();
     for i in (1..n).rev() {

@@ -9,7 +9,7 @@ use entire_report::{Axis, Cell, Chart, Mark, Page, Series, Table};
 use serde::Deserialize;
 use serde_json::Value;
 
-/// The shading modes, in the order of their cost.
+/// The shading modes, from the fastest to the slowest.
 pub(crate) const MODES: [&str; 3] = ["none", "local", "scatter"];
 
 /// Results of a run. A result is missing if its step did not run or failed.

@@ -17,7 +17,7 @@ const GRACE: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Extent {
-    /// Frames per volume of the tables.
+    /// Number of frames of each volume in a table.
     pub(crate) frames: u32,
     /// Longest image side of the tables, pixels.
     pub(crate) max_size: u32,
@@ -37,14 +37,14 @@ pub(crate) struct Extent {
     pub(crate) held_size: u32,
     /// Number of frames in the steering step.
     pub(crate) held_frames: u32,
-    /// Maximum number of volumes of the tables.
+    /// Maximum number of volumes in a table.
     pub(crate) volumes: usize,
     /// Sides of the pictures that are compared, pixels.
     pub(crate) picture: u32,
 }
 
 impl Extent {
-    /// Size for a device that draws a frame in milliseconds.
+    /// Extent of a study on a device that draws a frame in milliseconds.
     pub(crate) const FULL: Self = Self {
         frames: 40,
         max_size: 1024,
@@ -59,8 +59,8 @@ impl Extent {
         volumes: 16,
         picture: 256,
     };
-    /// Size for tests on a software driver. Steps end when all their frames are done: the time limits suffice
-    /// for a program without optimization on a busy machine.
+    /// Extent of a study in tests on a software driver. Steps end when all their frames are done: the time
+    /// limits suffice for a program without optimization on a busy machine.
     pub(crate) const SHORT: Self = Self {
         frames: 6,
         max_size: 96,

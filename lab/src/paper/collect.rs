@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 pub(crate) enum Kind {
     /// Random frames of every volume.
     Random,
-    /// One parameter varied at a time, and an orbit.
+    /// Frames of the experiments that vary one parameter at a time, and of both orbits.
     Varied,
 }
 

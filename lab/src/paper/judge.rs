@@ -85,7 +85,8 @@ impl At<'_> {
         Judge::new(low, self.work.paper.runs, split, frames, line_of(low, training))
     }
 
-    /// Adds the errors of models on a judge's frames, with the latency of the first model if there is a bench.
+    /// Adds the errors of models on a judge's frames to the judge; if `bench` is given, also the latency of
+    /// the first model.
     pub(super) fn add(
         &self,
         judge: &mut Judge<'_>,

@@ -111,7 +111,7 @@ pub(crate) struct Results {
     pub(crate) panel: Panel,
     pub(crate) set: String,
     pub(crate) mode: String,
-    /// Training, validation and test frames, by split.
+    /// Numbers of training, validation and test frames, by split.
     pub(crate) frames: BTreeMap<String, [usize; 3]>,
     pub(crate) encoder: String,
     pub(crate) device: String,

@@ -31,7 +31,8 @@ pub(crate) struct Parts {
     pub(crate) test: BTreeSet<String>,
 }
 
-/// Name of a split in words; of a test on volumes of another kind, the name of that kind.
+/// Returns the name of a split in words. For a test on volumes of another kind (`modality: NAME`),
+/// returns NAME.
 pub(super) fn in_words(split: &str) -> &str {
     match split {
         BY_VOLUMES => "random volumes",
@@ -247,7 +248,7 @@ mod tests {
         // used.
         let found = splits(&set(Some(serde_json::json!({ "test": ["m03"] }))), &jobs()).unwrap();
         assert_eq!((found[1].training.len(), found[1].validation.len()), (27, 3));
-        // Missing members make no split.
+        // If the test members are missing, there is no split by members.
         assert_eq!(splits(&set(Some(serde_json::json!({ "test": ["m09"] }))), &jobs()).unwrap().len(), 1);
         assert!(splits(&set(None), &jobs()[..2]).is_err());
     }

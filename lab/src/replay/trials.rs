@@ -178,7 +178,7 @@ impl Player {
     }
 }
 
-/// Number of frames between the starts of two sessions.
+/// Number of frames from the start of a session to the start of the next session.
 const EVERY: usize = 8;
 
 /// Frame ranges of sessions with `frames` frames each that start at regular intervals on a path of `n` frames.

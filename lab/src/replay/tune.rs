@@ -84,7 +84,7 @@ pub(crate) struct Removed {
     pub(crate) value: f64,
     /// The constant's value in [`WITHOUT`].
     pub(crate) without: f64,
-    /// Increase of the paths' mean cost when the constant is `without`.
+    /// Increase of the paths' mean cost when the constant has the value `without`.
     pub(crate) more: f64,
     /// Standard error of the increase, among paths.
     pub(crate) standard_error: f64,
@@ -163,7 +163,7 @@ pub(crate) struct Cost {
 }
 
 impl Cost {
-    /// The figure that the search lowers.
+    /// Returns the cost that the search lowers: the sum of the errors, each divided by its promised limit.
     pub(crate) fn value(&self) -> f64 {
         let wrong = |t: &Three| (t.deviation + 1.0 - t.quality) / PROMISED + t.missed / PROMISED_MISSES;
         let others = self.jumps + self.fitted_coarse + self.cold_coarse;

@@ -112,7 +112,8 @@ pub(super) struct OnSet<'a> {
 }
 
 impl<'a> OnSet<'a> {
-    /// Training frames of a recipe: at all ray steps if its inputs contain the step (the paper's do not).
+    /// Training frames of a recipe: frames at all ray steps if the inputs of the recipe contain the step,
+    /// which those of the paper's network do not.
     pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
         Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
     }

@@ -41,7 +41,8 @@ pub(crate) enum Bounds<'a> {
     Crossed(&'a Crossed<'a>),
 }
 
-/// Results of a cross-validation: frames, each predicted by a model trained without its member or volume.
+/// Results of a cross-validation: frames, each predicted by a model that was trained without the frame's
+/// member or volume.
 pub(crate) struct Crossed<'a> {
     pub(super) predicted: Vec<f64>,
     pub(super) measured: TimedFrames<'a>,

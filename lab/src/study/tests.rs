@@ -14,7 +14,7 @@ use entire_train::split::TimedFrames;
 use serde_json::json;
 use std::path::Path;
 
-/// A table with a frame for each volume and member.
+/// A table with one frame for each pair of a volume and its member in `volumes`.
 pub(super) fn table<S: AsRef<str>>(volumes: &[(S, S)]) -> Table {
     let frame = |number: usize, volume: &str, member: &str| TimedFrame {
         number: number as u64,

@@ -194,7 +194,7 @@ pub(super) fn scene(number: usize) -> Option<World> {
             world(balls, strict(0.10, 3), |i| Shot { volume: i % 6, ..Shot::plain(i) })
         }
         15 => {
-            // Whole numbers that jump between voxels.
+            // Integer labels, which change abruptly from voxel to voxel.
             let labels = Block::new([32; 3], |p| {
                 ((p[0] * 3.0).floor() + 3.0 * (p[1] * 3.0).floor() + 5.0 * (p[2] * 2.0).floor())
                     .rem_euclid(7.0)
