@@ -29,11 +29,11 @@
  * and the Status of the other says so.
  *
  * A still frame is one for which the render window's DesiredUpdateRate is below StillUpdateRate. VTK draws it
- * without steering, pixel for pixel; its time still corrects predictions. The time of a still frame is not
- * used if the mapper has AutoAdjustSampleDistances and the rate is 0.01 frames per second or more, since VTK
- * may draw such a frame coarsely. VTK also draws frames that cannot be predicted without steering;
- * GetStatus() then gives the reason. Rendering for a hardware selector (picking) is left to VTK and does not
- * count as a frame.
+ * without steering, with the same pixels as without this class; its time corrects later predictions. The time
+ * of a still frame is not used if the mapper has AutoAdjustSampleDistances and the rate is 0.01 frames per
+ * second or more, since VTK may draw such a frame coarsely. If a frame cannot be predicted, VTK draws it
+ * without steering, and GetStatus() gives the reason. Rendering for a hardware selector (picking) is left to
+ * VTK and does not count as a frame.
  *
  * No model file is needed. Without one, an analytic model (unit costs times estimated work) starts from rough
  * unit costs and learns the speed of the mapper and the device from the first frames. With a model file (see
@@ -86,10 +86,11 @@ public:
 
   /**
    * Steers this volume in this renderer from its next frame on; an earlier attachment ends. The mapper may be
-   * exchanged later. Neither object is kept alive. While the volume is not among the renderer's props, nothing
-   * is planned. If the mapper already has its input, the voxels are read here (see GetVolumeTime()). Set Clock,
-   * ModelFileName, Tolerance and MissRate before this call; otherwise the voxels are read again. Returns false,
-   * sets Status and reports an error if an argument is nullptr or the mapper cannot be steered.
+   * exchanged later. Renderer and volume are not kept alive. While the volume is not among the renderer's props,
+   * nothing is planned. If the mapper already has its input, the voxels are read here (see GetVolumeTime()). Set
+   * Clock, ModelFileName, Tolerance, MissRate and IgnoreLoad before this call; otherwise the voxels are read
+   * again. Returns false, sets Status and reports an error if an argument is nullptr or the mapper cannot be
+   * steered.
    */
   bool Attach(vtkRenderer* renderer, vtkVolume* volume);
 
@@ -112,7 +113,7 @@ public:
 
   ///@{
   /**
-   * The arguments of Attach(), or nullptr.
+   * The arguments of Attach(); nullptr if nothing is attached or the object was deleted.
    */
   vtkRenderer* GetRenderer();
   vtkVolume* GetVolume();
@@ -288,7 +289,7 @@ public:
   ///@{
   /**
    * Number of frames since Attach() that were steered, and number of frames that VTK drew without steering because
-   * they could not be predicted. A mapper's drawing counts as one frame.
+   * they could not be predicted. Each drawing of a mapper counts as one frame.
    */
   vtkGetMacro(NumberOfSteeredFrames, vtkIdType);
   vtkGetMacro(NumberOfFallbackFrames, vtkIdType);
