@@ -15,7 +15,7 @@ static void check(entire_result result) {
     }
 }
 
-/* Fills the inputs of one group; a group that is not listed here stays 0. */
+/* Writes the inputs of one group to `at`. Inputs of groups with other names stay 0. */
 static void fill(const entire_input_group *group, float *at, float step) {
     static const float camera[3] = {20, -30, 3}, lobe[3] = {0.6f, 0.02f, 0.4f};
     if (strcmp(group->name, "camera") == 0) memcpy(at, camera, sizeof camera);

@@ -18,7 +18,7 @@ static void check(entire_result result) {
     }
 }
 
-/* An ellipsoid that fades towards its surface. */
+/* Fills `voxels` with an ellipsoid whose values fall to 0 at its surface. */
 static void make_voxels(void) {
     for (int z = 0; z < NZ; ++z)
         for (int y = 0; y < NY; ++y)
@@ -36,7 +36,7 @@ int main(int argc, char **argv) {
     entire_volume_desc desc;
     check(entire_volume_desc_init(&desc, sizeof desc));
     desc.scalar_type = ENTIRE_SCALAR_U16;
-    desc.ownership = ENTIRE_VOXELS_BORROW; /* `voxels` outlives the volume: no copy */
+    desc.ownership = ENTIRE_VOXELS_BORROW; /* the volume makes no copy: `voxels` outlives it */
     desc.voxels = voxels;
     desc.voxel_count = sizeof voxels / sizeof voxels[0][0][0];
     desc.dims[0] = NX, desc.dims[1] = NY, desc.dims[2] = NZ;
@@ -64,7 +64,7 @@ int main(int argc, char **argv) {
     for (size_t i = 0; i < count; ++i) printf(" %.6g", features[i]);
     printf("\n");
 
-    /* With features set, as in a later run, a session does not encode the volume again. */
+    /* A session does not encode a volume whose features are set. Later runs can set stored features here. */
     check(entire_volume_set_features(volume, features, count));
 
     free(features);

@@ -1,6 +1,6 @@
-/* A render loop that is steered: plan, draw with the plan's step, observe how long it took. No model is needed: the
- * session starts from a cost model and learns this "renderer" (a formula here) from its first frames. At frame 20 the
- * transfer function changes abruptly.
+/* A steered render loop: plans each frame, draws the frame with the plan's step, and observes the time that the frame
+ * took. No model file is needed: the session starts from a cost model and learns the speed of the renderer (here a
+ * formula) from the first frames. At frame 20, the transfer function changes abruptly.
  *
  *   03_plan_observe
  */
@@ -19,7 +19,7 @@ static void check(entire_result result) {
     }
 }
 
-/* Seconds that a renderer would measure: the thinner the medium, the further rays go. */
+/* Returns the seconds that a renderer would measure. A thin medium takes longer, since rays go further in it. */
 static float draw(float step, int dense) {
     return 0.004f + (dense ? 0.05f : 0.2f) / step;
 }
@@ -30,7 +30,7 @@ static void set_peak(entire_session *session, double height) {
     entire_transfer_function *tf = NULL;
     check(entire_transfer_function_from_nodes(opacity, 3, NULL, 0, 128, 255, 1, &tf));
     check(entire_session_set_transfer_function(session, tf));
-    entire_transfer_function_free(tf); /* the session keeps what it needs */
+    entire_transfer_function_free(tf); /* the session has a copy of the data that it needs */
 }
 
 int main(void) {

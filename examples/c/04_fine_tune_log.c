@@ -1,6 +1,6 @@
-/* Logs what was drawn and how long it took, as the timing table that `entire train` reads, so that a model can be trained
- * or fine-tuned on your renderer and device. The columns and their units are those of `entire collect`; a field that was
- * not measured stays empty, never 0.
+/* Writes the parameters and times of frames to a timing table. From such a table, `entire train` trains or fine-tunes a
+ * model for your renderer and device. The columns and their units are those of `entire collect`. A field that was not
+ * measured stays empty; it is never 0.
  *
  *   04_fine_tune_log VOLUME.nrrd NX NY NZ LOG.csv
  */
@@ -15,7 +15,8 @@ static const char columns[] = "frame,repeat,volume,member,time_step,dims_x,dims_
 static const char *const shadings[] = {"", "none", "local", "scatter", "local-scatter"};
 static const char *const skippings[] = {"", "none", "blocks", "distance"};
 
-/* Substitute for your renderer: work that grows with the pixels and shrinks with the step. */
+/* Replace this function by your renderer. Its work is proportional to the number of pixels divided by the step. Returns
+ * the wall seconds of a frame. */
 static volatile float sink;
 static double draw(const entire_frame *frame) {
     struct timespec a, b;

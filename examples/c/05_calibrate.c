@@ -1,5 +1,5 @@
-/* A host that makes a model of its own renderer in its render loop: it records frames, fits a model to them, steers by
- * this model, and saves it for the next run. The "renderer" is a formula here.
+/* An application that fits a model of its own renderer in its render loop: it records frames, fits a model to them,
+ * steers by this model, and saves it for the next run. The renderer is a formula here.
  *
  *   05_calibrate OUT.safetensors
  */
@@ -18,12 +18,12 @@ static void check(entire_result result) {
     }
 }
 
-/* Seconds that a renderer would measure. */
+/* Returns the seconds that a renderer would measure. */
 static float draw(const entire_frame *frame, float step) {
     return 1e-3f + (float)(frame->width * frame->height) * (2e-8f + 1.5e-7f / (step * frame->arcball[2]));
 }
 
-/* Sets a volume with one ball, whose size depends on `which`, and its transfer function. */
+/* Gives the session a volume with one ball, whose size depends on `which`, and a transfer function. */
 static void show(entire_session *session, int which) {
     for (int i = 0; i < N * N * N; ++i) {
         const float x = (float)(i % N) - N / 2, y = (float)(i / N % N) - N / 2, z = (float)(i / N / N) - N / 2;

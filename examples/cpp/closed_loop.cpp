@@ -13,7 +13,7 @@
 namespace {
 constexpr int N = 64, SIDE = 128;
 
-// A ball of density 1 at the center, fading to 0.
+// Returns the voxels of a ball whose density falls from 1 at its center to 0 at its surface.
 std::vector<float> make_voxels() {
     std::vector<float> v(N * N * N);
     for (int i = 0; i < N * N * N; ++i) {
@@ -23,7 +23,8 @@ std::vector<float> make_voxels() {
     return v;
 }
 
-// Parallel rays along z, rotated about y; nearest voxel, front to back, early termination. Returns the mean opacity.
+// Casts parallel rays along z, rotated about y by `degrees`. Each sample is the nearest voxel; samples are blended
+// front to back, and opaque rays end early. Returns the mean opacity of the rays.
 float draw(const std::vector<float> &voxels, const std::vector<float> &rgba, float degrees, float step) {
     const float c = std::cos(degrees * 0.0174533f), s = std::sin(degrees * 0.0174533f);
     float sum = 0;

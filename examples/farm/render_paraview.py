@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Renders tasks of `entire farm` with ParaView: `[renderer] kind = "pvbatch"`, `script = "render_paraview.py"`.
+"""Renders tasks of `entire farm` with ParaView. A job selects this script by `[renderer]` with `kind = "pvbatch"` and
+`script = "render_paraview.py"`.
 
 Reads one task per line of standard input and writes one answer per line to standard output, both as JSON. The volume
 stays loaded while tasks name the same file. A camera is an arcball pose: a rotation about x, then about y, in degrees,
@@ -50,9 +51,9 @@ class Scene:
         name = reading.get("array")
         self.array = information.GetArray(name if name else 0)
         if self.array is None:
-            raise ValueError(f"{path} has no array {name or 0} of points")
+            raise ValueError(f"{path} has no point array {name or 0}")
         if reading.get("fill") not in (None, "auto", "none"):
-            raise ValueError(f"fill {reading['fill']}: this program draws no fill values")
+            raise ValueError(f"fill is {reading['fill']}; this script accepts only none and auto")
         self.display = simple.Show(self.source, self.view)
         self.display.SetRepresentationType("Volume")
         simple.ColorBy(self.display, ("POINTS", self.array.GetName()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Timing tables of yt's volume rendering on the CPU, in the format of `entire collect`.
+"""Writes timing tables of yt's volume rendering on the CPU, in the format of `entire collect`.
 
     python3 -m venv venv && venv/bin/pip install yt
     venv/bin/python collect_yt.py --out yt.csv --max-size 128 VOLUME.nrrd...
@@ -9,7 +9,7 @@ yt's ColorTransferFunction uses the same formula for Gaussian lobes as `entire c
 samples in every cell that a ray crosses. A step of --steps must be 1 / a whole number, which becomes the number of
 samples per cell. The table contains the resulting mean distance between samples, which depends on the view direction
 and the spacing. yt neither skips empty space nor stops opaque rays. It runs on one thread, since waiting threads would
-count as processor time; OMP_NUM_THREADS overrides that.
+count as processor time. OMP_NUM_THREADS sets another number of threads.
 """
 import math
 import os
@@ -26,8 +26,8 @@ import timing_table  # noqa: E402
 
 
 def mean_cell_chord(scene, spacing, side=16):
-    """Mean length of a ray inside a cell, over side x side rays of the image: a ray of direction d crosses
-    sum(|d_i| / spacing_i) cells per unit of length."""
+    """Returns the mean length of a ray inside a cell, in the unit of `spacing`, over side x side rays of the image. A
+    ray of direction d crosses sum(|d_i| / spacing_i) cells per unit of length."""
     toward, up = (np.array(v) for v in scene.eye())
     forward, right = -toward, np.cross(up, toward)
     half = math.tan(math.radians(0.5 * scene.fov_y))
@@ -43,7 +43,7 @@ class YtRenderer:
 
     def __init__(self, shade):
         if shade != "none":
-            sys.exit("yt draws without shading: leave --shade none")
+            sys.exit("yt draws without shading; use --shade none")
         self.device = platform.processor() or "CPU"
         self.driver = f"yt {yt.__version__}"
 

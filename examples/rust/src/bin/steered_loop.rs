@@ -66,7 +66,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Returns frame `i` of a slow orbit, at the reference step. The caller sets the step of the plan.
+/// Returns frame `i` of a slow orbit, at the reference step. The caller replaces this step by the plan's.
 fn frame_at(i: usize) -> Result<Frame, entire_core::Error> {
     let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 3.0 * i as f32, dz: 2.4 })?;
     Ok(Frame { skipping: Skipping::Blocks, ..Frame::new(camera, 160, 120)? })
