@@ -38,7 +38,8 @@ else
             dpkg -x python3-paraview_*.deb . && rm -f python3-paraview_*.deb) ||
             lacks "python3-paraview is not installed and cannot be downloaded (set PARAVIEW_PYTHON)"
     fi
-    # ParaView's CMake package requires the Python modules under its own prefix: makes a prefix of links with both.
+    # ParaView's CMake package requires the Python modules under its own prefix. Makes a prefix with links to the
+    # package and the modules.
     prefix=$out/prefix
     if [[ ! -e $prefix/lib/$arch/cmake ]]; then
         rm -rf "$prefix" && mkdir -p "$prefix/lib/$arch/cmake"

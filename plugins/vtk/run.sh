@@ -43,7 +43,7 @@ case $what in
     test)
         command -v valgrind >/dev/null || skip $name "memory checks: valgrind is not installed (apt-get install valgrind)"
         build "$out/build"
-        # The installed package, in a C++ program and in Python, as docs/src/vtk.md describes.
+        # Tests the installed package in a C++ program and in Python, as docs/src/vtk.md describes.
         rm -rf "$out/installed"
         cmake --install "$out/build" --prefix "$out/installed" >"$out/install.log"
         cmake_build plugins/vtk/Testing/installed "$out/user" "$out/user." \

@@ -118,7 +118,7 @@ check(os.path.exists(state) and os.path.getsize(state) > 16, "the learned state 
 steering.proxy.ModelFileName = "/nowhere/model.safetensors"
 interact()
 read = steering.read()
-check(read["Reason"] == "fallback" and "/nowhere/model" in read["Status"], "a missing model is named and ParaView draws")
+check(read["Reason"] == "fallback" and "/nowhere/model" in read["Status"], "Status names a missing model")
 steering.proxy.ModelFileName = ""
 interact()
 check(steering.read()["Reason"] != "fallback", "steering continues when the model's name is removed")

@@ -47,7 +47,7 @@ struct SpacingMembers : vtkVolumeMapper
 };
 
 // Access to the mappers of vtkMultiBlockVolumeMapper, which are private without an accessor. An explicit instantiation
-// may name private members; this one returns the pointer to the member.
+// of a template may name private members. Find() returns the pointer to the member that the instantiation names.
 template <typename Tag, typename Tag::Type Member>
 struct MemberOf
 {
@@ -60,7 +60,7 @@ struct BlockMappers
 };
 template struct MemberOf<BlockMappers, &vtkMultiBlockVolumeMapper::Mappers>;
 
-// The settings are protected members with the same names in both classes of mappers.
+// Access to the settings, which are protected members with the same names in the GPU and the fixed-point mapper.
 template <class Mapper>
 struct SettingsMembers : Mapper
 {
@@ -118,7 +118,7 @@ void Keep(T& own, const T& now, const T& written)
   }
 }
 
-// Claimed mappers, each with the object that has claimed it. A list, since they are few.
+// Claimed mappers, each with the object that has claimed it. A list is fast enough, since few mappers are claimed.
 std::mutex ClaimsMutex;
 std::vector<std::pair<const vtkVolumeMapper*, const void*>>& Claims()
 {

@@ -15,7 +15,7 @@ class vtkVolumeMapper;
 
 namespace vtkEntire
 {
-// A mapper that draws itself, not by mappers inside it.
+// A mapper that draws without other mappers inside it.
 struct LeafMapper
 {
   vtkVolumeMapper* Mapper;
@@ -25,8 +25,8 @@ struct LeafMapper
   bool Gpu;
 };
 
-// Adds `mapper` to `found` if it draws itself, else the mappers inside it that draw. Adds nothing if a mapper of this
-// class cannot be steered.
+// Adds to `found` the mappers that draw for `mapper`: `mapper` itself, or mappers inside it. Adds nothing if a mapper
+// of this class cannot be steered.
 void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& found);
 
 // The reason why a mapper cannot be steered with its current settings; empty if it can.
@@ -43,7 +43,7 @@ double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* imag
 // The settings of a mapper that steering changes for one frame. `gpu` is LeafMapper::Gpu.
 //
 // They are written to the members directly, without an event and without a change of the mapper's MTime: the GPU mapper
-// would compose its shader again if its MTime changed, and reads its distances in every frame anyway.
+// would compose its shader again if its MTime changed, and reads its sample distances in every frame anyway.
 struct MapperSettings
 {
   float SampleDistance = 1.0f;

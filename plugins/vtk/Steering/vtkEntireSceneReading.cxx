@@ -26,7 +26,7 @@
 
 namespace
 {
-// The library's number of a VTK scalar type; 0 if it has none.
+// The library's number for a VTK scalar type; 0 if the library does not support the type.
 entire_scalar_type ScalarType(int type)
 {
   switch (type)
@@ -357,8 +357,8 @@ std::string ReadCamera(
   {
     return "the volume's matrix shears the volume; use only rotations, translations and scales";
   }
-  // Makes the axes a right-handed orthonormal basis. So the prediction for a mirrored volume is that of its mirror
-  // image.
+  // Makes the axes a right-handed orthonormal basis. A mirrored volume then gets the prediction of the volume that is
+  // not mirrored.
   double across[3];
   vtkMath::Cross(axes[0], axes[1], across);
   vtkMath::Normalize(across);

@@ -95,10 +95,10 @@ struct GridStamp
 std::string ReadGrid(
   vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
 
-// Makes a volume of the voxels in the grid's box. If the library can read their type in place, the volume borrows them:
-// use it only before the scene changes, and before `kept` is released. `kept` receives a copy of the drawn component if
-// its values are not stored as an ordinary array. `range` receives the minimum and maximum scalar value. Returns the
-// code ENTIRE_OK on success.
+// Makes a volume of the voxels in the grid's box. If the library can read the voxels' type in place, the volume borrows
+// the voxels: use the volume only before the scene changes, and before `kept` is released. `kept` receives a copy of
+// the drawn component if its values are not stored as an ordinary array. `range` receives the minimum and maximum
+// scalar value. Returns the code ENTIRE_OK on success.
 entire::failure ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume,
   std::array<double, 2>& range, vtkSmartPointer<vtkDataArray>& kept);
 

@@ -47,7 +47,7 @@ std::string Beside(const char* name)
 }
 
 #if defined(_WIN32)
-// Path of a file name, which is UTF-8 as everywhere in VTK; empty for other bytes.
+// Path of a file name, which is UTF-8 as everywhere in VTK; empty if the name is not valid UTF-8.
 std::filesystem::path Path(const std::string& name)
 {
   try
@@ -173,7 +173,7 @@ std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
   {
     return NotRegular(name);
   }
-  // The read bytes are counted, since the file may grow meanwhile.
+  // Counts the bytes that were read, since the file may grow during the reading.
   std::vector<std::uint8_t> all;
   std::array<std::uint8_t, 16384> block;
   for (;;)

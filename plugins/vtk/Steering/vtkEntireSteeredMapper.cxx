@@ -270,7 +270,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float
 }
 
 //------------------------------------------------------------------------------
-// Announces changes that the library cannot detect: other modes, and jumps of the camera.
+// Announces changes that the library cannot detect: changed modes, and jumps of the camera.
 void vtkEntireSteering::vtkInternals::Leaf::MarkChanges(
   const vtkEntire::ModeKey& mode, const entire::frame& frame)
 {
@@ -352,7 +352,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     return static_cast<std::uint32_t>(std::min(16384.0, std::max(1.0, std::floor(side / by))));
   };
   entire::frame frame(shrunk(size[0], ownImage), shrunk(size[1], ownImage));
-  // A mapper that is set early is planned before the renderer draws its props.
+  // If SetEarly() is true, the mapper is planned before the renderer draws its props.
   vtkMatrix4x4* const placed =
     this->SetEarly() ? vtkEntire::DrawnMatrix(renderer, volume) : volume->GetMatrix();
   failure = vtkEntire::ReadCamera(renderer, placed, image, grid, frame);
@@ -401,7 +401,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     finest = std::max(1.0 / 64, owner->FinestSampleDistance);
   }
   const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
-  // The GPU mapper draws smaller images only in viewports at the window's origin; elsewhere they stay empty.
+  // The GPU mapper draws smaller images only in viewports at the window's origin, and nothing elsewhere.
   const int* const origin = renderer->GetOrigin();
   const bool whole = !this->Gpu || (origin[0] == 0 && origin[1] == 0);
   const double coarsestImage = whole ? std::max(ownImage, owner->CoarsestImageSampleDistance) : ownImage;

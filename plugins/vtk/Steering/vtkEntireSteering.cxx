@@ -55,7 +55,7 @@ std::string vtkEntireSteering::GetRefusal(vtkAbstractVolumeMapper* mapper)
 //------------------------------------------------------------------------------
 bool vtkEntireSteering::Fail(const std::string& text)
 {
-  // An observer of the error may drop the last reference.
+  // An observer of the error may drop the last reference to this object.
   const vtkSmartPointer<vtkEntireSteering> self(this);
   this->Internals->Report(nullptr, text.c_str());
   vtkErrorMacro(<< text);

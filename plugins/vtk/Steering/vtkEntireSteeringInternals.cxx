@@ -63,7 +63,7 @@ const char* NameOf(entire_clock clock)
 double ProcessSeconds()
 {
 #if defined(_WIN32)
-  // std::clock() returns wall time here.
+  // On Windows, std::clock() returns wall time.
   FILETIME created{}, exited{}, kernel{}, user{};
   GetProcessTimes(GetCurrentProcess(), &created, &exited, &kernel, &user);
   const auto ticks = [](const FILETIME& time) {
@@ -255,7 +255,7 @@ void vtkEntireSteering::vtkInternals::SayWarnings()
 void vtkEntireSteering::vtkInternals::Observe(vtkRenderer* renderer)
 {
   this->Renderer = renderer;
-  // With a priority before other observers of StartEvent, so that their time counts as part of the frame.
+  // The priority makes this observer run before others of StartEvent, so that their time counts as part of the frame.
   this->RendererTags[0] =
     renderer->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::RendererStart, 1.0f);
   this->RendererTags[1] = renderer->AddObserver(vtkCommand::EndEvent, this, &vtkInternals::RendererEnd);
@@ -311,7 +311,7 @@ void vtkEntireSteering::vtkInternals::ObserveWindow(vtkRenderWindow* window)
   }
   if (this->InFrame && this->Shared)
   {
-    // Lets the next frame of the window's other steerings begin anew.
+    // Lets the window's other steerings begin a new frame.
     this->Shared->Drawing = false;
   }
   this->InFrame = false;
@@ -631,7 +631,7 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
     auto loaded = made->load_state(this->State);
     if (!loaded && !leaf.RefusedState)
     {
-      // This mapper is drawn without the state, which stays for the other mappers.
+      // This mapper is steered without the state, which is kept for the other mappers.
       this->Warn("LoadState(): " + loaded.message());
     }
     leaf.RefusedState = !loaded;

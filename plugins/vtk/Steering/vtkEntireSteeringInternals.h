@@ -197,7 +197,7 @@ public:
     // Stops observing the mapper and restores its settings. Later calls do nothing.
     void Release();
 
-    // Called when the renderer begins and ends its frame, and when the mapper does.
+    // Called when the renderer begins and ends its frame, and when the mapper begins and ends its drawing.
     void RendererStart();
     void RendererEnd() { this->Restore(); }
     void Start();
@@ -230,7 +230,7 @@ public:
     void Plan();
     void Restore();
     void DrainQueue();
-    // Plans the frame and sets the mapper; returns an error text on failure.
+    // Plans the frame and writes the mapper's settings; returns an error text on failure.
     std::string Prepare();
     // These functions read data that have changed since their last call, and pass them to the session. Those that
     // return a text return the error, or an empty text on success.
@@ -239,8 +239,8 @@ public:
     std::string SetTransferFunction(vtkVolumeProperty* property);
     std::string SetLimits(float finest, float coarsest, float image);
     void MarkChanges(const vtkEntire::ModeKey& mode, const entire::frame& frame);
-    // Plans a frame that VTK draws without steering; its time is observed if `full` is true: the frame has the mapper's
-    // full quality, which AutoAdjustSampleDistances may reduce.
+    // Plans a frame that VTK draws without steering. `full` is true if the frame has the mapper's full quality, which
+    // AutoAdjustSampleDistances may reduce. Only then is the frame's time observed.
     void PlanUnsteered(const entire::frame& frame, float target, bool still, bool full);
     // Writes the settings to the mapper.
     std::string Steer(vtkVolumeMapper* mapper, const vtkEntire::MapperSettings& settings);
@@ -291,7 +291,7 @@ public:
   }
   ~vtkInternals();
 
-  // Seconds by LastClock.
+  // Returns the current time of LastClock, in seconds.
   double Now() const;
 
   // Names of the owner's clock and of the model's clock; nullptr if the model states none.
@@ -333,8 +333,8 @@ public:
   // Returns an error text if not.
   std::string Try(const std::vector<std::uint8_t>& state);
 
-  // Sets the owner's Reason and Status; nullptr leaves one unchanged. Invokes no event, since both change in every
-  // frame.
+  // Sets the owner's Reason and Status; an argument of nullptr leaves its value unchanged. Invokes no event, since both
+  // change in every frame.
   void Report(const char* reason, const char* status);
   // Called if VTK draws the current frame without steering: sets Status to the reason, and warns of each reason once per
   // attachment.
@@ -378,7 +378,7 @@ public:
   bool InFrame = false;
   std::shared_ptr<WindowFrame> Shared;
   double MapperSeconds = 0;
-  // Predicted seconds of the mappers whose measured seconds MapperSeconds has; NaN if one prediction is unknown.
+  // Sum of the predicted seconds of the mappers whose measured seconds are in MapperSeconds; NaN if one is unknown.
   double PredictedSeconds = 0;
   int Drawn = 0;
   // The owner's clock at the start of the window's last frame, or at Attach(). The owner's clock may change in a frame.

@@ -118,7 +118,7 @@ void DrawsWhatVtkDraws(Kind kind)
   };
   plain.Interactive();
   std::vector<unsigned char> shown;
-  // Each coarsest sample distance differs from the one of the frames before.
+  // Each coarsest sample distance differs from that of the previous frames.
   for (const double coarsest : { 3.0, 2.0, 5.0 })
   {
     steering->SetCoarsestSampleDistance(coarsest);
@@ -218,7 +218,7 @@ void SwitchesOff(Kind kind)
   CHECK(!Is(steering->GetReason(), "still") && !Is(steering->GetReason(), "target unreachable"));
 }
 
-// VTK draws frames that cannot be predicted without steering, and Status gives the reason.
+// If a frame cannot be predicted, VTK draws it without steering, and Status gives the reason.
 void FallsBack(Kind kind)
 {
   Scene plain(kind), scene(kind);

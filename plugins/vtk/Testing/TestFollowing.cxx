@@ -49,7 +49,7 @@ std::string Bytes(const std::string& file)
   return { std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>() };
 }
 
-// Voxels that are changed in place are read again if the image reports it, and only then.
+// Voxels that are changed in place are read again only if the image reports the change.
 void NoticesChangedVoxels(Kind kind)
 {
   Work scene(kind);
@@ -304,7 +304,7 @@ void KnowsItsPictures(Kind kind)
   }
 }
 
-// Scalars that count how often their memory layout is asked for, as it is by each reading of the voxels.
+// Scalars that count the queries of their memory layout. Each reading of the voxels makes such queries.
 class CountedScalars : public vtkDoubleArray
 {
 public:

@@ -27,7 +27,8 @@ namespace
   std::exit(77);
 }
 
-// Set properties of mappers that newer versions of VTK have; return false if this version does not have the property.
+// These functions set properties that only newer versions of VTK have; they return false if this version lacks the
+// property.
 template <class Mapper>
 auto DrawByAnari(Mapper* smart, int) -> decltype(smart->SetRequestedRenderMode(Mapper::AnariRenderMode), true)
 {
@@ -76,7 +77,8 @@ void SetMode(Scene& scene, Kind kind, int mode)
   }
 }
 
-// A mode that draws outside of VTK's mappers is refused, also if it is set while frames are steered; the text names it.
+// A mode that draws outside of VTK's mappers is refused, also if it is set while frames are steered. The text of the
+// refusal names the mode.
 void Refuses(Kind kind, int mode, const char* name)
 {
   Scene scene(kind);
@@ -219,7 +221,7 @@ void SteersResampledVolumes(Kind kind)
   CHECK(Is(steering->GetReason(), "finest allowed") && Empty(steering->GetStatus()) && fine > 0);
   steering->SetTargetFrameTime(1e-6);
   scene.Draw(2);
-  // The coarsest distance is 8 voxels of the resampled volume, which are larger than 1.
+  // The coarsest sample distance is 8 voxel spacings of the resampled volume, whose spacing is larger than 1.
   CHECK(Is(steering->GetReason(), "target unreachable") && steering->GetSampleDistance() > 8.5);
   CHECK(steering->GetNumberOfFallbackFrames() == 0);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Observers that call back into vtkEntireSteering, or end what it is attached to: TestReentry EVENT MAPPER.
+// Tests of observers that call vtkEntireSteering, or remove objects to which it is attached: TestReentry EVENT MAPPER.
 // Every action is tried in the event, by an observer that is called before the steering's own and by one that
 // is called after it. Built with AddressSanitizer, the test shows that no object is used after it was deleted.
 #include "Scene.h"
@@ -102,7 +102,7 @@ struct Stage : Scene
   void Touch() { this->Filter->SetShift(this->Filter->GetShift() > 0 ? 0 : 1); }
 };
 
-// Calls a function once: at the first event of any of some objects.
+// Calls a function once: at the first event of any of the given objects.
 class Once
 {
 public:

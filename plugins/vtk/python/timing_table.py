@@ -123,7 +123,7 @@ def _log_uniform(bounds, unit):
 
 
 def draw_scene(seed, volume, index, min_size=32, max_size=1024, steps=(1.0,), lobes=(3, 3), radii=RADII):
-    """Scene `index` of the volume of this name, as `entire collect` draws it."""
+    """Returns scene `index` of the volume of this name: the same random scene as in `entire collect`."""
     rng = ChaCha8(seed ^ fnv1a(volume.encode()), index)
     unit = rng.unit
 
@@ -165,7 +165,7 @@ class Volume:
         return 0.5 * math.sqrt(sum((n * s) ** 2 for n, s in zip(self.dims, self.spacing)))
 
     def place(self):
-        """Ensemble member and time step, from names such as castro/m01/t0012.nrrd."""
+        """Returns ensemble member and time step of names such as castro/m01/t0012.nrrd; empty texts for other names."""
         step = re.fullmatch(r"t(\d+)", os.path.splitext(os.path.basename(self.name))[0])
         if not step:
             return "", ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A volume, its window and its transfer function in VTK, for the comparison, the collector and the tests."""
+"""A volume, its window and its transfer function in VTK, for lab/scripts/vtk, the collector and the tests."""
 import math
 
 import numpy as np
@@ -19,7 +19,7 @@ from vtkmodules.vtkRenderingCore import (
 from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper
 from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper, vtkSmartVolumeMapper
 
-from vtk_noise import noise_volume  # noqa: F401  (part of the scene)
+from vtk_noise import noise_volume  # noqa: F401  (other scripts import the function from here)
 
 MAPPERS = {
     "fixed": vtkFixedPointVolumeRayCastMapper,
@@ -27,7 +27,7 @@ MAPPERS = {
     "smart": vtkSmartVolumeMapper,
 }
 
-# Transfer functions of the comparison and of steer.py.
+# Transfer functions of lab/scripts/vtk/compare.py and of steer.py.
 COLOR = ((0, 0.1, 0.1, 0.3), (90, 0.8, 0.3, 0.1), (255, 1.0, 1.0, 0.8))
 TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
 OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))

@@ -287,7 +287,7 @@ void pqEntireSteeringPanel::apply()
 //-----------------------------------------------------------------------------
 void pqEntireSteeringPanel::browse()
 {
-  // The last argument keeps files with numbered names apart.
+  // The last argument turns off the grouping of files with numbered names.
   pqFileDialog dialog(
     this->Internals->FileServer(), this, "Model file", QString(), "Models (*.safetensors)", false);
   dialog.setObjectName("ModelFileDialog");

@@ -64,7 +64,8 @@ public:
 
   /**
    * Writes the learned state of the volume that took longest in the last frame. Returns false on failure. Of the
-   * processes that draw the view, the first rank writes; the others, and a client whose server draws, return true.
+   * processes that draw the view, only the first rank writes. The other ranks, and a client whose server draws, return
+   * true.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
 
