@@ -41,14 +41,14 @@ command -v "$python" >/dev/null || lacks "$python is not installed (apt-get inst
 
 # environment NAME: makes a virtual environment with exactly the packages of requirements-NAME.txt, once per list and version
 # of Python.
-# Fails, with the reason in `why`, if they cannot be installed.
+# Fails, with the reason in `why`, if the packages cannot be installed.
 environment() {
     local folder=$out/$1 list=$here/requirements-$1.txt version
     version=$("$python" -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])')
     cmp -s "$list" "$folder/made-from" && grep -qx "version = $version" "$folder/pyvenv.cfg" && return
     rm -rf "$folder"
     "$python" -m venv "$folder"
-    # Modules are compiled when they are imported: most never are.
+    # Python compiles a module when it is first imported. Most modules of these packages are never imported.
     "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-compile --only-binary :all: \
         --requirement "$list" >"$folder.log" 2>&1 || {
         why="$list cannot be installed with $("$python" --version): $(grep -v '^$' "$folder.log" | tail -n 1 | cut -c 1-200)"
@@ -71,7 +71,7 @@ wheel() {
     mkdir -p out/wheels
     local cargo=${CARGO:-cargo}
     if [[ ${ENTIRE_SHARED:-} ]]; then cargo=$PWD/$here/shared_cargo.sh; fi
-    # Not `build --sdist`: it builds the wheel from the sdist, whose lock file lacks the other crates of the workspace.
+    # `build --sdist` would build the wheel from the sdist, whose lock file lacks the other crates of the workspace.
     ENTIRE_CARGO=${CARGO:-cargo} CARGO=$cargo maturin build --profile "${ENTIRE_PROFILE:-release}" --strip --locked --out out/wheels
     ls -l out/wheels/entire-*
 }
@@ -103,7 +103,7 @@ tests() {
     run_pytest "$name" "$out/$name/bin/python" -m pytest "$@"
 }
 
-# Runs the tests in windows of Qt. Qt ends a process that cannot open a window, so this is tried first.
+# Runs the tests in windows of Qt. Qt ends a process that cannot open a window, so a separate process tries it first.
 qt_tests() {
     if installed qt && ! QT_QPA_PLATFORM=xcb display "$out/qt/bin/python" \
         -c 'from PyQt6.QtWidgets import QApplication; QApplication([])' >/dev/null 2>&1; then
@@ -158,7 +158,8 @@ case $what in
                         tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py --ignore tests/test_trame_slicer.py "$@"
                         continue
                     fi
-                    # In a separate process: after these tests, opening a window has crashed inside Mesa's GLX (22.3).
+                    # Runs these tests in a process of their own: in a process that has run them, opening a window has
+                    # crashed inside the GLX of Mesa 22.3.
                     tests test tests/test_integrations.py
                     tests test --ignore tests/test_qt.py --ignore tests/test_slicer.py --ignore tests/test_trame_slicer.py --ignore tests/test_integrations.py
                     ;;
@@ -174,7 +175,7 @@ case $what in
     bars)
         needs_display
         wheel
-        # Builds the C library: the bars compare reading an array with its entire_volume_new().
+        # Builds the C library. The bars compare the time to read an array in Python with that of entire_volume_new().
         "${CARGO:-cargo}" build --release --quiet --package entire-ffi
         installed test || lacks "$why"
         display "$out/test/bin/python" $here/bars/bars.py --wheels out/wheels --out out/python \

@@ -101,7 +101,7 @@ impl Calibration {
     /// Parameters
     /// ----------
     /// scene : int
-    ///     The same number for the same view.
+    ///     Number of the view; all pictures of one view have the same number.
     /// step : float
     ///     Ray step as a multiple of the finest; 1 for full quality.
     /// image_sample_distance : float

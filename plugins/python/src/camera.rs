@@ -60,7 +60,8 @@ pub(crate) fn from_view(
     fov: f32,
     scale: Option<f64>,
 ) -> PyResult<Camera> {
-    // The origin is moved to the center in double precision, since coordinates far from it would lose digits.
+    // Moves the origin to the volume's center in double precision: in single precision, coordinates far from
+    // the origin would lose digits.
     let view = matrix(rows) * DMat4::from_translation(DVec3::from_array(volume.0.center()));
     let radius = volume.0.radius();
     Camera::new(

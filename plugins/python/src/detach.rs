@@ -11,7 +11,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::ThreadId;
 use std::time::{Duration, Instant};
 
-/// The thread that ends the interpreter, once it is about to end. Written under the lock.
+/// The thread that ends the interpreter; empty until the interpreter is about to end. Written while the
+/// thread holds the interpreter's lock.
 static ENDING: OnceLock<ThreadId> = OnceLock::new();
 /// Number of threads that are in a long call or in Python code, and will ask for the lock again.
 static AWAY: AtomicUsize = AtomicUsize::new(0);

@@ -51,6 +51,6 @@ unsafe impl<T: Send> Send for SendGuard<'_, T> {}
 
 fn poisoned() -> PyErr {
     PyRuntimeError::new_err(
-        "an earlier call on this object failed inside the library; make a new one and report it",
+        "an earlier call on this object failed inside the library; make a new object, and report the failure",
     )
 }

@@ -16,7 +16,7 @@ enum Unit {
     World(f32),
 }
 
-/// A checked function and its table.
+/// A checked transfer function and its table.
 pub(crate) struct Transfer {
     description: Description,
     table: TransferTable,

@@ -74,11 +74,11 @@ impl Data {
 
 /// A scalar volume on a regular grid, read in place from memory.
 ///
-/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` are neither copied nor changed, also if
-/// they have gaps; the array is kept alive. ``bool`` counts as ``uint8``. Other integer and float types are
-/// converted once (``int8`` to ``int16``, the others to ``float32``). An array is copied once if it has
-/// negative strides, unaligned data or another byte order than the machine. The array must not be written to
-/// while a call reads it.
+/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` are neither copied nor changed, even if their
+/// elements are not contiguous; the array is kept alive. ``bool`` counts as ``uint8``. Other integer and
+/// float types are converted once (``int8`` to ``int16``, the others to ``float32``). An array is copied once
+/// if it has negative strides, unaligned data or another byte order than the machine. The array must not be
+/// written to while a call reads it.
 ///
 /// Parameters
 /// ----------
@@ -264,7 +264,7 @@ fn hide<'py>(
     })
 }
 
-/// Issues a Python `UserWarning`, which Python shows once for each place of the call.
+/// Issues a Python `UserWarning`, which Python shows once for each line that causes it.
 fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
     let text = std::ffi::CString::new(text)?;
     PyErr::warn(py, &py.get_type::<pyo3::exceptions::PyUserWarning>(), &text, 1)

@@ -133,7 +133,7 @@ def test_a_renderer_has_one_steering_of_all_its_volumes(voxels):
     view.draw(1)
     add_volume(view.renderer, voxels)
     second = entire.vtk.hold(view.renderer, seconds=0.001)
-    # The first steering has no volume when the second one begins, and must not take a later one.
+    # The first steering has no volume when the second one begins, and must not take a volume that is added later.
     add_volume(view.renderer, voxels[:30])
     view.draw(2)
     assert first.leaves == []

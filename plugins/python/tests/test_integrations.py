@@ -184,7 +184,7 @@ def test_a_yt_picture_of_any_duration_is_returned(monkeypatch):
     scene = yt.create_scene(data, ("stream", "density"), lens_type="perspective")
     scene.camera.resolution = (32, 32)
     holder = entire.yt.hold(scene, 1.0)
-    # Each reading of the clock is 20,000 seconds later. A session rejects such times.
+    # Each reading of the clock is 20,000 seconds after the previous one. A session rejects such times.
     readings = iter(range(0, 200_000, 20_000))
     monkeypatch.setattr("entire.yt.time.perf_counter", lambda: next(readings))
     assert holder.render().shape[2] == 4

@@ -269,7 +269,7 @@ def test_volumes_of_one_renderer_with_calls_of_their_own(image):
         plotter.render()
     assert one.steered_frames >= 3 and two.steered_frames >= 3
     assert plotter.entire.steering is two
-    # A refused call leaves the running one.
+    # A refused call of hold() does not end the earlier steering.
     grid = plotter.add_volume(pv.UnstructuredGrid(image.cast_to_unstructured_grid()), show_scalar_bar=False)
     with pytest.raises(entire.CannotSteer):
         plotter.entire.hold(fps=1000, volume=[first, grid], always=True)
@@ -301,7 +301,7 @@ def test_calibrating_puts_everything_back(shown):
     model = plotter.entire.calibrate(frames=12)
     assert model.predicts
     assert actor.mapper is smart
-    # The same after a steering that ended without plotter.entire.detach().
+    # The smart mapper is also restored after a steering that ended without plotter.entire.detach().
     plotter.entire.hold(fps=30).detach()
     assert plotter.entire.calibrate(frames=12, pictures=0).predicts
     assert actor.mapper is smart

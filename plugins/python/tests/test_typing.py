@@ -26,7 +26,7 @@ def mypy(*arguments):
 
 @pytest.mark.parametrize("what", [("--package", "entire"), ("tests/typing_check.py",)])
 def test_stubs_and_users_code(what):
-    # By the package's name: with a path, mypy would take the other packages in site-packages for modules of it.
+    # Gives mypy the package's name: with a path, mypy would take the other packages in site-packages for its modules.
     run = mypy("mypy", "--config-file", "pyproject.toml", "--cache-dir", os.devnull, *what)
     assert run.returncode == 0, run.stdout
 

@@ -218,7 +218,7 @@ def test_scene_changes_are_followed(voxels):
     other = MAPPERS["fixed"]()
     other.SetInputData(image_data(voxels))
     volume.SetMapper(other)
-    # Another mapper is followed after a reset too.
+    # Steering continues with another mapper after a reset, too.
     steering.reset()
     steered = steering.steered_frames
     view.draw(3)
@@ -554,7 +554,7 @@ def test_a_model_of_another_clock_is_said_once(voxels):
         none = entire.vtk.hold(view.renderer, volume, 0.004)
         assert (none.clock, none.model_clock) == ("wall", None)
         assert "wall clock" in repr(none)
-        # A warning as an error leaves the scene unchanged.
+        # If the warning is raised as an error, hold() leaves the scene unchanged.
         with pytest.raises(UserWarning, match="cpu clock"):
             entire.vtk.hold(view.renderer, volume, 0.004, model="unshaded-selected")
     assert none.leaves

@@ -51,7 +51,7 @@ def models() -> list[str]:
 
 @contextlib.contextmanager
 def _named(path: Union[str, os.PathLike[str]]) -> Iterator[None]:
-    """Begins the text of an error about a file's content with the file's name."""
+    """Context that puts the file's name before the text of a ValueError about the file's content."""
     try:
         yield
     except ValueError as error:
@@ -176,12 +176,13 @@ class Session(_native.Session):
         Predictor, or an argument of :class:`Model`. Without one, an analytic model (unit costs times estimated work)
         adapts to the renderer in the first frames.
     tolerance : float, optional
-        Share of the target by which the upper bound for frames that no other program slows down may exceed the target.
-        Default 0.1.
+        Share of the target by which the upper bound of a plan's time may exceed the target. The upper bound is that of
+        frames that no other program slows down. Default 0.1.
     miss_rate : float, optional
-        Share of calm frames that may exceed their upper bound, above 0 and at most 0.5. Default 0.05.
+        Share of frames that may exceed their upper bound while nothing in the scene changes abruptly, above 0 and at
+        most 0.5. Default 0.05.
     trust_limit : float, optional
-        Out-of-range score above which recent frames are used instead of the prediction. Default 2.
+        Value of :attr:`Plan.out_of_range` above which recent frames are used instead of the prediction. Default 2.
     damping : bool, optional
         If true, the step changes only slowly while nothing in the scene changes abruptly. Default True.
     ignore_load : bool, optional

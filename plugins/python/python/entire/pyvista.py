@@ -69,7 +69,8 @@ class EntireComponent:
     ) -> Steering:
         """Holds volumes of the active renderer to a frame rate while the camera or a widget moves.
 
-        Still frames, screenshots and movie frames are drawn by PyVista at full quality, pixel for pixel.
+        PyVista draws still frames, screenshots and movie frames at full quality, with the same pixels as without this
+        package.
 
         Parameters
         ----------
@@ -147,8 +148,8 @@ class EntireComponent:
 
     @property
     def steering(self) -> Steering | None:
-        """entire.vtk.Steering or None : Steering of the active renderer, of the last call of :meth:`hold`. When it has
-        ended, also because the plotter was closed, it has no leaves and keeps its history and learned state."""
+        """entire.vtk.Steering or None : Steering that the last call of :meth:`hold` made for the active renderer. After
+        it has ended or the plotter was closed, it has no leaves, but keeps its history and learned state."""
         index = self._plotter.renderers.active_index
         return next(reversed(self._held.get(index, [])), self._past.get(index))
 
@@ -159,7 +160,7 @@ class EntireComponent:
 
     @contextlib.contextmanager
     def still(self) -> Iterator[None]:
-        """Context in which PyVista draws frames at full quality, pixel for pixel."""
+        """Context in which PyVista draws frames at full quality, with the same pixels as without this package."""
         with contextlib.ExitStack() as stack:
             for steering in self._all():
                 stack.enter_context(steering.still())

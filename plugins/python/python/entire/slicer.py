@@ -56,8 +56,8 @@ class SlicerSteering(Steering):
         interactor = window.GetInteractor()
         if self._still or self.always is not None or interactor is None:
             return super()._is_still(window)
-        # The rate that Slicer requests from VTK is lower than the expected one: less than 1 frame per second if less
-        # than 5 are expected. So the interactor's rate for still frames decides here, not `still_rate`.
+        # The rate that Slicer requests from VTK is lower than the node's expected rate: less than 1 frame per second if
+        # less than 5 are expected. So the interactor's rate for still frames decides here, not `still_rate`.
         return bool(window.GetDesiredUpdateRate() <= interactor.GetStillUpdateRate())
 
 
@@ -80,7 +80,7 @@ def hold(view: Any, *, seconds: float | None = None, **options: Any) -> SlicerSt
     """Holds a view's volume rendering to its expected frame rate while the view is moved.
 
     Volumes that are shown later are held too, and hidden ones released. Changes of presets, regions of interest and the
-    rendering method take effect in the next frame. Slicer draws still frames as usual, pixel for pixel.
+    rendering method take effect in the next frame. Slicer draws still frames with the same pixels as without steering.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ log = logging.getLogger("entire.vtk")
 _STEPS = (1.0, 1.5, 2.2, 3.3)
 _IMAGES = (1.0, 1.3, 1.7)
 
-# Image sample distances of the frames to which costs are fitted, and number of consecutive frames with each.
+# Image sample distances, in pixels, of the frames to which costs are fitted; number of consecutive frames with each.
 _SIZES = (1.0, 2.0, 1.0, 4.0)
 _FRAMES_PER_SIZE = 6
 
@@ -159,7 +159,7 @@ class _Calibrator:
                 # Hides the overlay and turns steering off.
                 quiet.enter_context(steering.still())
             # In a renderer that is not at the window's lower left corner, the GPU mapper draws nothing if the image
-            # sample distance is larger.
+            # sample distance is above 1.
             shrinks = not self.gpu or renderer.GetOrigin() == (0, 0)
             if pictures and not shrinks:
                 log.warning(
@@ -176,7 +176,7 @@ class _Calibrator:
             calibration, draw = Calibration(), random.Random(seed)
             bounds = self.volume.GetBounds()
             if not renderer.HasViewProp(self.volume):
-                # These bounds leave out the matrix of the volume's assembly.
+                # GetBounds() of a volume in an assembly leaves out the assembly's matrix.
                 ends = mapper.GetBounds()
                 corners = [
                     [placed[4 * a + 3] + sum(placed[4 * a + b] * at[b] for b in range(3)) for a in range(3)]

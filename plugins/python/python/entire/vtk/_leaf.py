@@ -26,7 +26,8 @@ log = logging.getLogger("entire.vtk")
 _GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
 _FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
 _NAN = math.nan
-# Desired update rate below which a mapper draws still frames at full quality, whatever its automatic adjustment.
+# Desired update rate, in frames per second, below which a mapper draws still frames at full quality even if its
+# automatic adjustment is on.
 _FULL_QUALITY_RATE = 0.01
 # Attribute in which a volume keeps Python's wrapper of its mapper.
 _KEPT = "_entire_mapper"
@@ -59,7 +60,7 @@ class Leaf:
     image_sample_distance : float
         Pixels between rays along each side of the image; NaN if it is unknown.
     status : str
-        Reason why the frame was not steered; empty if it was.
+        Reason why the last frame was not steered; empty if it was steered.
     volume_time : float
         Wall seconds that the last reading of the voxels took.
     """
@@ -96,7 +97,7 @@ class Leaf:
         self._stale = False
         self._forget()
         self.volume_time = _NAN
-        # State of the volume's share of the window's frame, which may draw it several times (two eyes).
+        # State of the volume's share of the window's frame. A frame may draw the volume several times (two eyes).
         self._pass = PassShare()
         self._reset_readouts()
         self._observe(volume)
@@ -503,7 +504,7 @@ class Leaf:
         if steered:
             if steering.finest is not None:
                 step = max(1 / 64, steering.finest)
-            # VTK's GPU mapper draws smaller images only in viewports at the window's origin; elsewhere they stay empty.
+            # VTK's GPU mapper draws smaller images only in viewports at the window's origin, and nothing elsewhere.
             placed = self._gpu and renderer.GetOrigin() != (0, 0)
             coarsest_image = pixels if placed else steering.coarsest_image
             limits = (step, self._finest, steering.coarsest, coarsest_image, pixels)
@@ -512,7 +513,7 @@ class Leaf:
                 self._limits = limits
         camera = renderer.GetActiveCamera()
         matrix = camera.GetViewTransformMatrix()
-        # Keeps Python's wrappers of both for the next frame.
+        # Keeps Python's wrappers of the camera and the matrix for the next frame.
         steering._camera = camera, matrix
         due, self._due = self._due, None
         before, seconds, cancelled = _NONE_DUE if due is None else due

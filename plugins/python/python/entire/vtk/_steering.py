@@ -269,7 +269,7 @@ class Steering:
 
     @contextlib.contextmanager
     def still(self) -> Iterator[None]:
-        """Context in which VTK draws frames without steering, pixel for pixel, for screenshots and movies.
+        """Context in which VTK draws frames without steering, for screenshots and movies.
 
         Examples
         --------
@@ -444,7 +444,7 @@ class Steering:
                 before.RemoveObserver(tag)
         self._window_tags = []
         if self._in_frame:
-            # Lets the next frame of the window's other steerings begin anew.
+            # Lets the window's other steerings begin a new frame.
             self._shared.drawing = False
         self._in_frame = False
         self._window = weak(window)
@@ -602,8 +602,8 @@ def hold(
     """Holds volumes of a renderer to a frame time, from the next frame on.
 
     Before each frame, the mapper's sample distance and image sample distance are set so that the frame is expected to
-    meet the target; after the frame they are restored. VTK draws still frames without steering, pixel for pixel. No
-    frame is drawn finer than with the mapper's own settings, except with `finest`.
+    meet the target; after the frame they are restored. VTK draws still frames with the same pixels as without
+    steering. No frame is drawn finer than with the mapper's own settings, except with `finest`.
 
     Parameters
     ----------
@@ -616,8 +616,8 @@ def hold(
         Target time of a whole frame of the window, including everything else that it draws. Default: 1
         / the window's ``DesiredUpdateRate``.
     model : Model, str, os.PathLike or bytes, optional
-        Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one, about three
-        frames are needed. If the model's clock (``entire.clock`` in its metadata) differs, a warning says that the
+        Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one, steering learns from
+        about three frames. If the model's clock (``entire.clock`` in its metadata) differs, a warning says that the
         model's scale is learned from the first frames.
     coarsest, finest : float, optional
         Coarsest and finest sample distance along rays, in smallest voxel spacings. Default 8, and the
