@@ -31,7 +31,7 @@ pub struct SceneDistribution {
 }
 
 /// Default radii of the hemispheres.
-pub const DEFAULT_RADII: [f32; 6] = [1.2, 1.5, 2.0, 2.5, 3.0, 4.0];
+const DEFAULT_RADII: [f32; 6] = [1.2, 1.5, 2.0, 2.5, 3.0, 4.0];
 const WIDTHS: (f64, f64) = (5e-4, 5e-2);
 const HEIGHTS: (f64, f64) = (5e-3, 1.0);
 

@@ -7,7 +7,7 @@ use entire_core::model::ModelFile;
 use entire_io::dataset::{Manifest, Scene, Table, TimedFrame};
 use entire_io::files::open_volume;
 use entire_io::identity::{self, Identity};
-use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
+use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Reading;
 use entire_steer::calibrate::PriorModel;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
@@ -96,9 +96,9 @@ impl Pool {
         threads: &rayon::ThreadPool,
     ) -> Result<Self> {
         ensure!(!settings.volumes.is_empty(), "no volume to calibrate with was given; name volume files");
-        let (radii, (min_size, max_size)) = (DEFAULT_RADII.to_vec(), settings.sizes);
+        let ((min_size, max_size), steps) = (settings.sizes, settings.steps.clone());
         let scenes =
-            SceneDistribution { radii, lobes: (1, 4), min_size, max_size, steps: settings.steps.clone() };
+            SceneDistribution { lobes: (1, 4), min_size, max_size, steps, ..SceneDistribution::default() };
         scenes.check()?;
         let files = settings.volumes.iter().map(|path| identity::of_volume(path)).collect::<Result<_>>()?;
         let mut frames = Vec::new();

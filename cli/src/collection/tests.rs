@@ -191,7 +191,8 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     // The protocol that is read from a manifest equals the protocol that the manifest was written from.
     let (passes, repeats, warm_up_repeats) = (2, 4, 1);
     let other = Protocol { passes, repeats, warm_up_repeats, proxy: Some(64), ..protocol() };
-    let twice = Protocol { shading: Shading::Scatter, ..other };
+    let scenes = SceneDistribution { radii: vec![0.2, 0.5], ..Default::default() };
+    let twice = Protocol { shading: Shading::Scatter, scenes, ..other };
     for p in [protocol(), twice] {
         let mut written = manifest(&p, &some_jobs(), "d");
         written.repeats = p.repeats * p.passes;

@@ -10,7 +10,7 @@ use entire_io::files::{ensure_distinct, fnv1a_text, note, open_volume, parse_mod
 use entire_io::identity::{self, Identity};
 use entire_io::options::{RenderArgs, check_termination};
 use entire_io::progress::progress_bar;
-use entire_io::scenes::{DEFAULT_RADII, SceneDistribution};
+use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Reading;
 use entire_io::{device, interrupt, machine};
 use entire_train::teacher::Teacher;
@@ -44,7 +44,7 @@ pub(crate) struct Options {
     /// to the working folder.
     #[arg(long, value_name = "TABLE", conflicts_with_all = [
         "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",
-        "min_size", "max_size", "radii", "steps", "enlarge", "proxy", "array", "fill", "range",
+        "min_size", "max_size", "steps", "enlarge", "proxy", "array", "fill", "range",
     ])]
     pub(crate) like: Option<PathBuf>,
     /// Frames per volume.
@@ -83,9 +83,6 @@ pub(crate) struct Options {
     /// Longest image side, pixels.
     #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
     pub(crate) max_size: u32,
-    /// Radii of the semi-spheres on which cameras lie, in bounding-sphere radii.
-    #[arg(long, value_delimiter = ',', default_values_t = DEFAULT_RADII, value_name = "R,…")]
-    pub(crate) radii: Vec<f32>,
     /// Ray steps, in reference steps; each frame gets one of them at random.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
     pub(crate) steps: Vec<f32>,
@@ -110,7 +107,6 @@ fn protocol(options: &Options) -> Protocol {
         warm_up_repeats: options.warm_up_repeats.unwrap_or(1),
         seed: options.seed,
         scenes: SceneDistribution {
-            radii: options.radii.clone(),
             min_size: options.min_size,
             max_size: options.max_size,
             steps: options.steps.clone(),
