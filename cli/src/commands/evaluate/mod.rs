@@ -51,9 +51,6 @@ pub(crate) struct Options {
     /// Leave out frames of groups that a model was trained or validated on, as its file says.
     #[arg(long)]
     pub(crate) unseen: bool,
-    /// Groups of frames in the last printed table, one per row.
-    #[arg(long, value_enum, default_value_t = GroupBy::Member)]
-    pub(crate) by: GroupBy,
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
     #[arg(long, value_name = "FOLDER")]
     pub(crate) out: Option<PathBuf>,
@@ -140,7 +137,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         );
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
-    let groups: Vec<String> = refs.iter().map(|f| options.by.group(&f.scene)).collect();
+    let groups: Vec<String> = refs.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let passes = |f: &TimedFrame| tables[f.table].passes();
     let noise = noise_floor(refs.iter().copied(), clock, passes);
     let noise_by_kind = noise_by_kind(&refs, clock, passes);
@@ -220,7 +217,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         in_session: &sessions,
         predictors: &predictors,
     };
-    let (overall, bias, by_group) = tables_of(&predictors, options.by);
+    let (overall, bias, by_group) = tables_of(&predictors);
     let more = detail_table(&predictors, &noise_by_kind);
     // The files are written before anything is printed: a closed standard output ends the command.
     let written = options.out.as_deref().map_or(Ok(()), |out| {
@@ -261,9 +258,8 @@ fn assess(
         pairs.into_iter().filter_map(|(g, (p, t))| Some((g.to_owned(), Metrics::new(&p, &t)?))).collect();
     let bound = upper.and_then(|u| bound::judge(&u, &predicted, measured));
     let bound_coverage = bound.as_ref().map(|b| b.coverage);
-    let members: Vec<String> = frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let interval =
-        |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, &members, BOOTSTRAP_ROUNDS, f);
+        |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, groups, BOOTSTRAP_ROUNDS, f);
     let (rmse_over_sd_interval, mdape_interval) = (interval(|m| m.rmse_over_sd), interval(|m| m.mdape));
     let by_kind = by_kind(frames, &predicted, measured);
     Ok(Predictor {

@@ -6,7 +6,6 @@ use entire_io::files::{make_folder, write_whole};
 use entire_io::metrics::{BoundMetrics, Metrics};
 use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table, bias_table};
 use entire_train::evaluation::WarmLatency;
-use entire_train::split::GroupBy;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -65,7 +64,7 @@ pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
     }
 }
 
-pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table, Table) {
+pub(super) fn tables_of(predictors: &[Predictor]) -> (Table, Table, Table) {
     let percent = |v: f64| format!("{:.2}", 100.0 * v);
     let mut overall = Table::headed(
         "predictor | #frames | #in training or validation | #RMSE, s | #RMSE/SD | #MAE, s | #median error, % | \
@@ -104,8 +103,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     let bias = bias_table(&rows);
 
     let of = |p: &Predictor| ["RMSE/SD", "median error %"].map(|what| format!("{what}, {}", p.name));
-    let mut by_group =
-        Table::headed(&format!("{} | #frames", by.name())).with_numbers(predictors.iter().flat_map(of));
+    let mut by_group = Table::headed("member | #frames").with_numbers(predictors.iter().flat_map(of));
     if let Some(first) = predictors.first() {
         for (group, m) in &first.by_group {
             let mut row = vec![group.clone().into(), m.frames.to_string().into()];
@@ -291,8 +289,8 @@ pub(super) fn write_report(
         write(&format!("scatter-{}.svg", i + 1), &chart.to_svg_file())?;
         page.chart(&chart, "");
     }
-    page.heading("By group");
-    page.table(by_group, "SD is the standard deviation of the measured seconds of the group's frames.");
+    page.heading("By member");
+    page.table(by_group, "SD is the standard deviation of the measured seconds of the member's frames.");
     page.heading("Where the numbers come from");
     let load = evaluation
         .load_average
