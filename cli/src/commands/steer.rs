@@ -38,7 +38,7 @@ use std::path::{Path, PathBuf};
   entire steer skull.nrrd --path examples/paths/switches.json --target 33ms \\
       --controllers olp,hybrid --out out/skull
   entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit \\
-      --target 30fps --retarget 30:60fps,60:15fps --out out/series
+      --target 30fps --out out/series
   entire steer skull.nrrd --generate fly-in --target 60fps \\
       --max-image-sample-distance 1 --table observed.csv --out out/skull")]
 pub(crate) struct Options {
@@ -63,9 +63,6 @@ pub(crate) struct Options {
     /// Target frame time: 33ms, 0.033s or 30fps.
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub(crate) target: String,
-    /// Changes of the target, comma-separated: FRAME:TIME sets the target from frame FRAME on.
-    #[arg(long, value_delimiter = ',', value_name = "FRAME:TIME,…")]
-    pub(crate) retarget: Vec<String>,
     /// Changes of the image size, comma-separated: FRAME:SCALE multiplies both sides of the full image by
     /// SCALE from frame FRAME on, as if a window were resized.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
@@ -141,18 +138,6 @@ const MAX_IMAGE_SAMPLE_DISTANCE: f32 = 4.0;
 
 pub(super) const INTERRUPTED: &str = "interrupted; no report was written";
 
-fn parse_retarget(text: &str) -> Result<(u32, f64)> {
-    let (frame, time) = text
-        .split_once(':')
-        .with_context(|| format!("--retarget {text:?} is not FRAME:TIME like 40:60fps"))?;
-    let frame = frame
-        .trim()
-        .parse()
-        .ok()
-        .with_context(|| format!("--retarget {text:?} names no frame; give FRAME:TIME like 40:60fps"))?;
-    Ok((frame, parse_target(time).with_context(|| format!("--retarget {text:?}"))?))
-}
-
 pub(crate) fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
     let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };
@@ -176,8 +161,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         options.volumes.iter().try_for_each(|volume| ensure_utf8(volume))?;
     }
     let hold = parse_hold(options.volumes.len(), options.hold)?;
-    let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
-    ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
     ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
     if let Some(to) = &options.save_path {
         let inputs = options.volumes.iter().chain(&options.model);
@@ -236,7 +219,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         series: &series,
         course: Course {
             hold,
-            retargets: &retargets,
             scales: &options.scales,
             max_image_sample_distance: options.max_image_sample_distance,
             limits,
@@ -251,8 +233,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         prior,
     };
     let frames = path.frames.len();
-    let named = retargets.iter().map(|r| ("--retarget", r.0 as usize));
-    let named = named.chain(options.scales.iter().map(|s| ("--scales", s.0 as usize)));
+    let named = options.scales.iter().map(|s| ("--scales", s.0 as usize));
     for (option, frame) in named.chain(options.pictures.iter().map(|&frame| ("--pictures", frame))) {
         ensure!(frame < frames, "{option} names frame {frame}; the path has frames 0 to {}", frames - 1);
     }
@@ -271,10 +252,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             target * 1e3,
             options.controllers.len()
         ),
-        target: match options.retarget.is_empty() {
-            true => format!("{:.2} ms, as requested ({})", target * 1e3, options.target),
-            false => format!("{}, then {}", options.target, options.retarget.join(", ")),
-        },
+        target: format!("{:.2} ms, as requested ({})", target * 1e3, options.target),
         volume: options
             .volumes
             .iter()

@@ -107,8 +107,8 @@ pub(crate) struct Playback {
     pub(crate) references: Vec<Reference>,
     /// Frames at which the path switches abruptly, or the volume or the image size changes.
     pub(crate) switches: Vec<usize>,
-    /// Target of each frame, seconds.
-    pub(crate) targets: Vec<f64>,
+    /// Target, seconds.
+    pub(crate) target: f64,
     /// Full image size (width, height) of each frame, pixels.
     pub(crate) sizes: Vec<(u32, u32)>,
     pub(crate) volumes: Vec<usize>,
@@ -130,7 +130,7 @@ impl Playback {
             .enumerate()
             .map(|(i, r)| Played {
                 seconds: r.seconds,
-                target: self.targets[i],
+                target: self.target,
                 step: f64::from(chosen(r)),
                 // A frame with fewer pixels than the full image is not of the finest quality, whatever its
                 // step.
@@ -160,8 +160,6 @@ pub(crate) struct Shown<'a> {
 pub(crate) struct Course<'a> {
     /// Frames per volume of a series; 0 for a single volume.
     pub(crate) hold: u32,
-    /// Changes of the target: first frame and seconds, in ascending order of the frames.
-    pub(crate) retargets: &'a [(u32, f64)],
     /// Changes of the image size: first frame and share of the full side, in ascending order of the frames.
     pub(crate) scales: &'a [(u32, f32)],
     /// Largest image sample distance (pixels between rays along each side) of contenders that choose it; 1
@@ -174,7 +172,7 @@ pub(crate) struct Course<'a> {
 pub(crate) struct Task<'a> {
     pub(crate) volumes: &'a [Shown<'a>],
     pub(crate) path: &'a FlightPath,
-    /// Target at the first frame, seconds.
+    /// Target, seconds.
     pub(crate) target: f64,
     pub(crate) course: Course<'a>,
     pub(crate) keep: &'a [usize],
@@ -183,7 +181,7 @@ pub(crate) struct Task<'a> {
 impl Course<'_> {
     pub(crate) fn steady(max_image_sample_distance: f32) -> Self {
         let limits = StepLimits::default();
-        Self { hold: 0, retargets: &[], scales: &[], max_image_sample_distance, limits }
+        Self { hold: 0, scales: &[], max_image_sample_distance, limits }
     }
 }
 
@@ -196,12 +194,7 @@ pub fn volume_at(hold: u32, volumes: usize, frame: usize) -> usize {
 /// Returns the image scale at a frame: the scale of the last change at or before the frame, and 1 before the
 /// first change.
 pub fn scale_at(scales: &[(u32, f32)], frame: usize) -> f32 {
-    value_at(scales, frame).unwrap_or(1.0)
-}
-
-/// Returns the value of the last change at or before a frame; `None` before the first change.
-fn value_at<T: Copy>(changes: &[(u32, T)], frame: usize) -> Option<T> {
-    changes.iter().rev().find(|(from, _)| *from as usize <= frame).map(|(_, value)| *value)
+    scales.iter().rev().find(|(from, _)| *from as usize <= frame).map_or(1.0, |(_, scale)| *scale)
 }
 
 /// Quality law of the raycaster's pictures, for models that state no such law. `entire calibrate` fitted this
@@ -247,7 +240,7 @@ pub(crate) fn play(
                     || (i > 0 && (volume_of(i) != volume_of(i - 1) || (scale_of(i) != scale_of(i - 1))))
             })
             .collect(),
-        targets: (0..frames).map(|i| value_at(task.course.retargets, i).unwrap_or(task.target)).collect(),
+        target: task.target,
         sizes: (0..frames).map(|i| scaled_size((draw.width, draw.height), scale_of(i))).collect(),
         volumes: (0..frames).map(volume_of).collect(),
         limits: task.course.limits,
@@ -293,8 +286,7 @@ pub(crate) fn play(
             if at.camera_switched {
                 session.mark(Changes { camera: true, ..Changes::default() });
             }
-            let target = playback.targets[index] as f32;
-            let plan = session.plan(&frame, target).with_context(place)?;
+            let plan = session.plan(&frame, task.target as f32).with_context(place)?;
             let full = (frame.width, frame.height);
             let (step, image_sample_distance, size) = if chooses {
                 let distance = plan.image_sample_distance;

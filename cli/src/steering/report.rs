@@ -153,7 +153,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
                 frame.to_string(),
                 name.clone(),
                 u8::from(playback.switches.contains(&frame)).to_string(),
-                playback.targets[frame].to_string(),
+                playback.target.to_string(),
                 known(f64::from(r.predicted)),
                 known(f64::from(r.upper)),
                 r.seconds.to_string(),
@@ -176,12 +176,10 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
 }
 
 fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Value {
-    let constant = playback.targets.windows(2).all(|w| w[0] == w[1]);
     let controllers: serde_json::Map<String, Value> =
         playback.names.iter().cloned().zip(metrics.iter().map(|m| json!(m))).collect();
     json!({
-        "target_s": playback.targets.first(),
-        "targets_s": if constant { Value::Null } else { json!(playback.targets) },
+        "target_s": playback.target,
         "target": story.target,
         "frames": playback.references.len(),
         "switches": playback.switches,
@@ -243,11 +241,12 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     let mut page = Page::new(story.title.clone(), &story.lead);
     page.table(&table(playback, metrics), &table_caption());
 
-    let targets = playback.targets.iter().enumerate().map(|(i, t)| (i as f64, t * 1e3)).collect();
-    let band = playback.references.iter().zip(&playback.targets).enumerate();
-    let band = band.map(|(i, (r, t))| (i as f64, t.min(r.seconds) * 1e3, r.seconds * 1e3)).collect();
+    let target = playback.target * 1e3;
+    let band = playback.references.iter().map(|r| r.seconds * 1e3).enumerate();
+    let band = band.map(|(i, time)| (i as f64, target.min(time), time)).collect();
+    let target = vec![(0.0, target), (frames as f64 - 1.0, target)];
     let chart = over_frames("Frame time", Axis::log("frame time / ms"), 380.0)
-        .series(Series::new("target", Mark::Steps(targets)).color(10))
+        .series(Series::new("target", Mark::Line(target)).color(10))
         .series(Series::new("time at the reference step", Mark::Band(band)).color(6));
     let chart = per_controller(chart, playback, |c| Mark::Line(numbered(c, &|r| r.seconds * 1e3)));
     page.chart(
