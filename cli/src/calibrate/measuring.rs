@@ -2,8 +2,6 @@
 
 mod pictures;
 
-pub(crate) use pictures::PictureError;
-
 use super::Settings;
 use super::design::Design;
 use super::others::{BackgroundLoad, CpuSnapshot};

@@ -7,7 +7,7 @@
 //! [`entire_steer::calibrate::PriorModel`] fits the model. [`place`] finds the file of the machine's model.
 
 mod design;
-pub(crate) mod measuring;
+mod measuring;
 mod others;
 pub mod place;
 pub(crate) mod pool;
@@ -27,7 +27,7 @@ use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
 use entire_train::inputs::work_of;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
-use measuring::{Measuring, PictureError};
+use measuring::Measuring;
 use pool::Pool;
 use report::Pictures;
 #[cfg(test)]
@@ -61,8 +61,6 @@ pub(crate) struct Settings {
     /// Ray steps, reference steps.
     pub(crate) steps: Vec<f32>,
     pub(crate) seed: u64,
-    /// Error measure between a picture and the picture at full quality.
-    pub(crate) picture_error: PictureError,
 }
 
 #[cfg(test)]
@@ -80,7 +78,6 @@ impl Settings {
             sizes: (16, 32),
             steps: vec![1.0],
             seed: 1,
-            picture_error: PictureError::default(),
         }
     }
 
@@ -203,7 +200,7 @@ pub(crate) fn calibrate(
         rounds,
         warm_ups,
         others,
-        pictures: quality.map(|fitted| Pictures { error: settings.picture_error, fitted }),
+        pictures: quality.map(|fitted| Pictures { error: "rmse", fitted }),
         files: pool.named_files(),
         ..Report::new(kind, names, &observed, &chosen, judged, noise, seconds)?
     };

@@ -1,6 +1,5 @@
 //! Report of a calibration, printed and stored in the model file.
 
-use super::measuring::PictureError;
 use super::others::BackgroundLoad;
 use anyhow::{Context, Result};
 use entire_core::model::{Key, ModelFile};
@@ -66,7 +65,7 @@ pub struct Report {
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Pictures {
     /// Error measure between a picture and the picture at full quality.
-    pub error: PictureError,
+    pub error: &'static str,
     /// The law, and the picture error of the steps and image sizes that it chooses.
     #[serde(flatten)]
     pub fitted: FittedQuality,
@@ -168,10 +167,7 @@ impl Report {
             self.judged
         );
         let pictures = match &self.pictures {
-            Some(Pictures { error: PictureError::Rmse, fitted }) => {
-                Some(law_text(fitted, "root mean squared difference"))
-            }
-            Some(Pictures { error: PictureError::Ssim, fitted }) => Some(law_text(fitted, "1 - SSIM")),
+            Some(pictures) => Some(law_text(&pictures.fitted, "root mean squared difference")),
             None => (self.rounds > 0).then(|| {
                 "too few were compared within the time limit, so the model has no quality law".to_owned()
             }),

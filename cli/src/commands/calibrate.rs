@@ -1,6 +1,5 @@
 //! `entire calibrate`: fit a model to this machine in a minute and a half.
 
-use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::Report;
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
@@ -57,7 +56,7 @@ pub(crate) struct Options {
         value_name = "CSV",
         requires = "out",
         conflicts_with_all = ["volumes", "table", "seconds", "frames", "skip", "termination", "min_size",
-            "max_size", "steps", "device", "picture_error", "seed", "array", "fill", "range"]
+            "max_size", "steps", "device", "seed", "array", "fill", "range"]
     )]
     pub(crate) data: Vec<PathBuf>,
     /// Shading of each sample; `all` calibrates none, local and scatter, one after another.
@@ -106,10 +105,6 @@ pub(crate) struct Options {
     /// The renderer.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) device: Device,
-    /// Error measure between a picture at a coarser ray step or smaller image size and the picture at full
-    /// quality; steering then coarsens step or image size, whichever adds less error.
-    #[arg(long, value_enum, default_value_t)]
-    pub(crate) picture_error: PictureError,
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
@@ -218,7 +213,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             sizes: (options.min_size, options.max_size),
             steps: options.steps.clone(),
             seed: options.seed,
-            picture_error: options.picture_error,
         };
         let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
         let stopped = || interrupt::requested(&stop);

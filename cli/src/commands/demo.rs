@@ -1,6 +1,5 @@
 //! `entire demo`: calibrate, play a path under several controllers, and report.
 
-use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, volumes_in};
 use crate::calibrate::pool::SMALL_VOLUME;
 use crate::calibrate::{Calibrated, Settings, calibrate};
@@ -124,7 +123,6 @@ fn calibrated(
         sizes: (32, draw.width.max(draw.height).max(64)),
         steps: CALIBRATION_STEPS.to_vec(),
         seed: options.seed,
-        picture_error: PictureError::default(),
     };
     let priors = shipped_priors(draw.shading, &typical_costs(renderer.backend(), &renderer.device()))?;
     let threads = thread_pool(None)?;

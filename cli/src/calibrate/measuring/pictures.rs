@@ -2,13 +2,12 @@
 
 use super::{LONG, Measuring};
 use crate::calibrate::pool::Candidate;
-use crate::pictures::{resized, rmse, scaled_size, ssim};
+use crate::pictures::{resized, rmse, scaled_size};
 use anyhow::{Context, Result};
 use entire_core::scene::Frame;
 use entire_io::dataset::Timing;
 use entire_steer::calibrate::Picture;
 use entire_vk_raycaster::Image;
-use serde::Serialize;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
@@ -31,27 +30,6 @@ const PER_VOLUME: usize = 2;
 
 /// Shortest side of a compared image, pixels: errors of smaller images vary too much.
 const LEAST_SIDE: u32 = 96;
-
-/// Error measure between a picture and the picture at full quality.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum PictureError {
-    /// Root mean squared difference of colors.
-    #[default]
-    Rmse,
-    /// One minus the structural similarity of the two pictures' luma.
-    Ssim,
-}
-
-impl PictureError {
-    /// Returns the error of a picture; 0 if it equals `full`, the picture at full quality.
-    fn of(self, picture: &Image, full: &Image) -> Option<f64> {
-        match self {
-            Self::Rmse => rmse(&picture.rgba, &full.rgba),
-            Self::Ssim => ssim(picture, full).map(|s| 1.0 - s),
-        }
-    }
-}
 
 impl Measuring<'_> {
     /// Draws scenes at full quality, at coarser steps and as smaller images until `deadline`, and returns the
@@ -135,7 +113,7 @@ impl Measuring<'_> {
                 let shown =
                     picture.and_then(|p| resized(&p, full_size.0, full_size.1)).with_context(place)?;
                 let full = full.get_or_insert_with(|| shown.clone());
-                let error = self.settings.picture_error.of(&shown, full).with_context(place)?;
+                let error = rmse(&shown.rgba, &full.rgba).with_context(place)?;
                 out.push(Picture { scene: i as u64, step, distance, seconds, error });
             }
         }
