@@ -9,10 +9,9 @@
  * CONVENTIONS
  *
  * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or an error code, with explicit
- * numbers that never change. entire_last_error() gives the text for the calling thread,
- * entire_<noun>_last_error() that of a handle: what is wrong, what was found, what is accepted and what to
- * do. The few functions that return something else return NULL or a neutral value on failure and leave the
- * same texts.
+ * numbers that never change. entire_last_error() gives the text for the calling thread: what is wrong, what
+ * was found, what is accepted and what to do. The few functions that return something else return NULL or a
+ * neutral value on failure and leave the same text.
  *
  * Arguments. Inputs first, then outputs. Outputs are written only when the call returns ENTIRE_OK; a failed
  * call changes nothing, in the caller's memory as in the library's. Every pointer is checked for NULL; an
@@ -67,6 +66,5 @@
  * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
- * with its place in the error text; the handle then refuses every call but entire_<noun>_last_error
- * and entire_<noun>_free.
+ * with its place in the error text; the handle then refuses every call but entire_<noun>_free.
  */

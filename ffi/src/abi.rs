@@ -244,41 +244,6 @@ pub(crate) unsafe fn write<T>(at: *mut T, value: T, what: &str) -> Result<(), Fa
     Ok(())
 }
 
-/// Copies `text` with a closing NUL into `buffer`. If the buffer is too short, the text is cut at a character
-/// boundary. `buffer` may be NULL with capacity 0, to query the length. `length`, if not NULL, receives the
-/// length of the whole text in bytes without the NUL.
-///
-/// # Safety
-/// `buffer` is NULL or valid for writes of `capacity` bytes; `length` is NULL or valid for one write.
-pub(crate) unsafe fn write_text(
-    text: &str,
-    buffer: *mut c_char,
-    capacity: usize,
-    length: *mut usize,
-) -> Result<(), Failure> {
-    if buffer.is_null() && capacity != 0 {
-        return Err(Failure::null("buffer"));
-    }
-    if buffer.is_null() && length.is_null() {
-        return Err(Failure::null("length (or else buffer)"));
-    }
-    if !length.is_null() {
-        // SAFETY: the caller guarantees that `length` is valid for one write.
-        unsafe { write(length, text.len(), "length")? };
-    }
-    if capacity > 0 {
-        let longest = text.len().min(capacity - 1);
-        let cut = (0..=longest).rev().find(|&at| text.is_char_boundary(at)).unwrap_or(0);
-        // SAFETY: the caller guarantees `capacity` writable bytes; `cut` is below `capacity`, so the closing
-        // NUL fits too.
-        unsafe {
-            std::ptr::copy_nonoverlapping(text.as_ptr(), buffer.cast::<u8>(), cut);
-            buffer.add(cut).write(0);
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -376,24 +341,6 @@ mod tests {
             assert_eq!(slice(odd, 1, "x").unwrap_err().code, ENTIRE_INVALID_ARGUMENT);
             assert_eq!(slice(data.as_ptr(), usize::MAX, "x").unwrap_err().code, ENTIRE_SIZE_MISMATCH);
         }
-    }
-
-    #[test]
-    fn text_is_cut_at_a_character_and_the_length_is_that_of_the_whole() {
-        let mut buffer = [1 as c_char; 4];
-        let mut length = 0;
-        // SAFETY: `buffer` has 4 bytes, as stated, and `length` is valid for one write.
-        unsafe { write_text("aäö", buffer.as_mut_ptr(), 4, &raw mut length).unwrap() };
-        // SAFETY: `write_text` ends the text with a NUL.
-        assert_eq!(unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap(), "aä");
-        assert_eq!(length, 5);
-        // SAFETY: `write_text` allows NULL for `buffer` and `length`.
-        unsafe {
-            write_text("abc", std::ptr::null_mut(), 0, &raw mut length).unwrap();
-            assert!(write_text("abc", std::ptr::null_mut(), 0, std::ptr::null_mut()).is_err());
-            assert!(write_text("abc", std::ptr::null_mut(), 3, &raw mut length).is_err());
-        }
-        assert_eq!(length, 3);
     }
 
     #[test]

@@ -128,8 +128,6 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
         ok(entire_session_save_state(session, state.as_mut_ptr(), count, &raw mut count));
         ok(entire_session_load_state(session, state.as_ptr(), count));
         assert_ne!(entire_session_load_state(session, state.as_ptr(), count - 1), ENTIRE_OK);
-        let mut text = [0; 64];
-        ok(entire_session_last_error(session, text.as_mut_ptr(), text.len(), null_mut()));
         ok(entire_session_reset(session));
         entire_session_free(session);
     }

@@ -1,7 +1,7 @@
 //! Wrapper in which every entry point runs its body. Handles are checked, panics become [`ENTIRE_PANIC`] and
-//! mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
+//! mark their handle unusable, and the text of a failure is kept for this thread.
 
-use crate::abi::{check_pointer, write, write_text};
+use crate::abi::{check_pointer, write};
 use crate::handle::{Handle, Held, Status, borrow, give, release};
 use crate::log;
 use crate::reserve;
@@ -32,8 +32,8 @@ thread_local! {
 }
 
 /// The error text of the calling thread's last call: what was wrong and what to do; empty if that call
-/// succeeded. Never NULL; valid until the thread's next call of any function but this one. At most 2047
-/// bytes; entire_<noun>_last_error gives the whole text of a handle's failure.
+/// succeeded. Never NULL; valid until the thread's next call of any function but this one. A text of more
+/// than 2047 bytes is cut.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_last_error() -> *const c_char {
     if FAILED.try_with(Cell::get).unwrap_or(false) {
@@ -71,7 +71,7 @@ pub(crate) unsafe fn reading<H: Handle>(
     ended(result, unsafe { handle.as_ref() }.map(|handle| &handle.held().status))
 }
 
-/// Runs a body that changes a handle; success clears the handle's last error.
+/// Runs a body that changes a handle.
 ///
 /// # Safety
 /// `handle` is NULL or a live handle of this library that no other thread is using.
@@ -86,9 +86,7 @@ pub(crate) unsafe fn changing<H: Handle>(
         if status.is_unusable() {
             return Err(Failure::unusable(H::NAME));
         }
-        body(value)?;
-        status.clear();
-        Ok(())
+        body(value)
     });
     // SAFETY: the caller guarantees that `handle` is NULL or live; the body's exclusive borrow has ended.
     ended(result, unsafe { handle.as_ref() }.map(|handle| &handle.held().status))
@@ -126,24 +124,6 @@ pub(crate) unsafe fn freeing<H: Handle>(handle: *mut H) {
     });
 }
 
-/// Copies the last error of a handle (see `entire_model_last_error` and its siblings), without clearing it.
-///
-/// # Safety
-/// As [`reading`]; `buffer` is NULL or valid for `capacity` bytes, `length` NULL or valid for one write.
-pub(crate) unsafe fn last_error_of<H: Handle>(
-    handle: *const H,
-    buffer: *mut c_char,
-    capacity: usize,
-    length: *mut usize,
-) -> entire_result {
-    guard(|| {
-        // SAFETY: the caller guarantees that `handle` is NULL or live.
-        let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
-        // SAFETY: the caller guarantees that `buffer` and `length` are NULL or valid for writing.
-        unsafe { write_text(&handle.held().status.text(), buffer, capacity, length) }
-    })
-}
-
 fn contained(body: impl FnOnce() -> Outcome) -> Outcome {
     keep_panics_quiet();
     let _ = DEPTH.try_with(|depth| depth.set(depth.get() + 1));
@@ -152,7 +132,8 @@ fn contained(body: impl FnOnce() -> Outcome) -> Outcome {
     result.unwrap_or_else(|payload| Err(panicked(payload)))
 }
 
-/// Result code of a call. A failure is stored for the handle of the call and for this thread.
+/// Result code of a call. The text of a failure is stored for this thread; a panic makes the call's handle
+/// unusable.
 #[inline]
 fn ended(result: Outcome, status: Option<&Status>) -> entire_result {
     match result {
@@ -167,11 +148,10 @@ fn ended(result: Outcome, status: Option<&Status>) -> entire_result {
 #[cold]
 fn failed(failure: Failure, status: Option<&Status>) -> entire_result {
     let code = failure.code;
-    if let Some(status) = status {
-        if failure.panicked {
+    if failure.panicked {
+        if let Some(status) = status {
             status.mark_unusable();
         }
-        status.record(&failure);
     }
     // A panic while the failure is logged and copied must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
@@ -250,15 +230,6 @@ mod tests {
         unsafe { CStr::from_ptr(entire_last_error()) }.to_str().unwrap().to_owned()
     }
 
-    fn error_of(handle: *const entire_probe) -> String {
-        let mut buffer = [0 as c_char; 200];
-        // SAFETY: the buffer has the stated 200 bytes, and the handle is live.
-        let code = unsafe { last_error_of(handle, buffer.as_mut_ptr(), 200, std::ptr::null_mut()) };
-        assert_eq!(code, ENTIRE_OK);
-        // SAFETY: `write_text` ends the text with a NUL.
-        unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap().to_owned()
-    }
-
     #[test]
     fn a_panic_becomes_a_code_and_the_handle_unusable() {
         let probe = give::<entire_probe>(7);
@@ -273,8 +244,6 @@ mod tests {
             );
             assert_eq!(changing(probe, |_| panic!("deliberate {}", 3)), ENTIRE_PANIC);
             assert!(last_error().contains("deliberate 3 at ffi/src/guard.rs:"), "{}", last_error());
-            assert!(error_of(probe).contains("deliberate 3 at ffi/src/guard.rs:"));
-            assert_eq!(last_error(), "");
             assert_eq!(reading(probe, |_| Ok(())), ENTIRE_PANIC);
             assert!(last_error().contains("earlier call panicked inside this entire_probe"));
             assert_eq!(changing(probe, |_| Ok(())), ENTIRE_PANIC);
@@ -302,7 +271,7 @@ mod tests {
         unsafe {
             assert_eq!(changing(broken, |_| panic!("deliberate")), ENTIRE_PANIC);
             assert_eq!(changing(sound, |_| borrow(broken).map(drop)), ENTIRE_PANIC);
-            assert!(error_of(sound).contains("earlier call panicked inside this entire_probe"));
+            assert!(last_error().contains("earlier call panicked inside this entire_probe"));
             assert_eq!(reading(sound, |_| borrow(broken).map(drop)), ENTIRE_PANIC);
             assert_eq!(changing(sound, |_| Ok(())), ENTIRE_OK);
             assert_eq!(changing(broken, |_| Ok(())), ENTIRE_PANIC);
@@ -318,20 +287,19 @@ mod tests {
     }
 
     #[test]
-    fn changing_calls_forget_the_last_error_and_reading_ones_do_not() {
+    fn every_successful_call_forgets_the_last_error() {
         let probe = give::<entire_probe>(7);
         let fail = || Err(Failure::new(ENTIRE_IO, "no such file"));
         // SAFETY: `probe` is a live handle, used by this thread alone.
         unsafe {
             assert_eq!(reading(probe, |_| fail()), ENTIRE_IO);
             assert_eq!(last_error(), "no such file");
-            assert_eq!(error_of(probe), "no such file");
             assert_eq!(reading(probe, |_| Ok(())), ENTIRE_OK);
-            assert_eq!((error_of(probe), last_error()), ("no such file".into(), String::new()));
-            assert_eq!(changing(probe, |_| Ok(())), ENTIRE_OK);
-            assert_eq!(error_of(probe), "");
+            assert_eq!(last_error(), "");
             assert_eq!(changing(probe, |_| fail()), ENTIRE_IO);
-            assert_eq!(error_of(probe), "no such file");
+            assert_eq!(last_error(), "no such file");
+            assert_eq!(changing(probe, |_| Ok(())), ENTIRE_OK);
+            assert_eq!(last_error(), "");
             freeing(probe);
         }
     }

@@ -3,15 +3,13 @@
 //! further ones to models.
 
 use crate::result::Failure;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
 
 /// State that every handle has besides its value.
 #[derive(Default)]
 pub(crate) struct Status {
     unusable: AtomicBool,
-    failed: AtomicBool,
-    text: Mutex<String>,
 }
 
 impl Status {
@@ -24,27 +22,6 @@ impl Status {
     #[cold]
     pub(crate) fn mark_unusable(&self) {
         self.unusable.store(true, Ordering::Release);
-    }
-
-    #[cold]
-    pub(crate) fn record(&self, failure: &Failure) {
-        let mut text = self.text.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        text.clone_from(&failure.message);
-        self.failed.store(true, Ordering::Release);
-    }
-
-    /// Clears the last failure; takes no lock if there is none.
-    #[inline]
-    pub(crate) fn clear(&self) {
-        if self.failed.load(Ordering::Acquire) {
-            self.text.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clear();
-            self.failed.store(false, Ordering::Release);
-        }
-    }
-
-    /// The text of the last failure, empty if there is none.
-    pub(crate) fn text(&self) -> String {
-        self.text.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
     }
 }
 

@@ -4,7 +4,7 @@ use crate::abi::{
     ByValue, by_value, check_output, check_pointer, slice, slice_mut, text, write, write_struct,
 };
 use crate::frame::entire_shading;
-use crate::guard::{Outcome, entry, freeing, last_error_of, making, reading};
+use crate::guard::{Outcome, entry, freeing, making, reading};
 use crate::handle::{Held, borrow, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::log;
@@ -577,20 +577,6 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
         );
     }
     Ok(())
-}
-
-/// Writes the message of the most recent failure of a call with this model on any thread to `buffer`, by the
-/// rules of entire_session_last_error. The text is empty if no call has failed.
-///
-/// Fails with ENTIRE_NULL_ARGUMENT.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_model_last_error(
-    model: *const entire_model,
-    buffer: *mut c_char,
-    capacity: usize,
-    length: *mut usize,
-) -> entire_result {
-    entry!(last_error_of(model, buffer, capacity, length))
 }
 
 /// Releases the caller's reference to a model; NULL does nothing. Sessions hold references of their own, so a

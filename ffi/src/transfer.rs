@@ -1,13 +1,12 @@
 //! `entire_transfer_function`: Gaussian lobes, VTK's nodes, or a table.
 
 use crate::abi::{slice, slice_mut};
-use crate::guard::{changing, entry, freeing, last_error_of, making, reading};
+use crate::guard::{changing, entry, freeing, making, reading};
 use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_TRANSFER_POINTS, at_most};
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, collected, refuse};
 use entire_core::scene::{GaussianLobe, Node, Nodes, TABLE_LEN, TransferFunction, TransferTable};
-use std::ffi::c_char;
 
 /// A Gaussian lobe of the opacity function O(s) = sum of height * exp(-(s - center)^2 / width).
 #[repr(C)]
@@ -216,17 +215,6 @@ pub unsafe extern "C" fn entire_transfer_function_table(
         slice_mut(rgba, table.len(), "rgba")?.copy_from_slice(table);
         Ok(())
     }))
-}
-
-/// Copies the text of the transfer function's last failure, like entire_session_last_error.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_transfer_function_last_error(
-    transfer_function: *const entire_transfer_function,
-    buffer: *mut c_char,
-    capacity: usize,
-    length: *mut usize,
-) -> entire_result {
-    entry!(last_error_of(transfer_function, buffer, capacity, length))
 }
 
 /// Frees a transfer function; NULL does nothing.

@@ -6,7 +6,7 @@ mod update;
 pub(crate) use update::*;
 
 use crate::abi::{ByValue, by_value, check_output, init_struct, read_struct, slice, write_struct};
-use crate::guard::{changing, entry, freeing, guard, last_error_of, making, reading};
+use crate::guard::{changing, entry, freeing, guard, making, reading};
 use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
 use crate::log;
@@ -15,7 +15,7 @@ use crate::result::{Failure, copied, refuse};
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
 use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::any::Any;
-use std::ffi::{c_char, c_void};
+use std::ffi::c_void;
 use std::mem::MaybeUninit;
 use std::sync::OnceLock;
 
@@ -494,17 +494,6 @@ pub unsafe extern "C" fn entire_volume_describe(
         }
         write_struct(info, &out)
     }))
-}
-
-/// Copies the text of the volume's last failure, like entire_session_last_error.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_volume_last_error(
-    volume: *const entire_volume,
-    buffer: *mut c_char,
-    capacity: usize,
-    length: *mut usize,
-) -> entire_result {
-    entry!(last_error_of(volume, buffer, capacity, length))
 }
 
 /// Frees a volume; NULL does nothing. Sessions that were given the volume keep the data that they need.

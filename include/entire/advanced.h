@@ -631,17 +631,6 @@ entire_result entire_model_predict_batch(const entire_model *model,
                                          float *seconds);
 
 /**
- * Writes the message of the most recent failure of a call with this model on any thread to `buffer`, by the
- * rules of entire_session_last_error. The text is empty if no call has failed.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_model_last_error(const entire_model *model,
-                                      char *buffer,
-                                      size_t capacity,
-                                      size_t *length);
-
-/**
  * Fills a brick description with its defaults; `struct_size` is sizeof(entire_brick_desc).
  */
 entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t struct_size);
@@ -671,14 +660,6 @@ entire_result entire_volume_set_features(entire_volume *volume, const float *fea
  * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_describe(const entire_volume *volume, struct entire_volume_info *info);
-
-/**
- * Copies the text of the volume's last failure, like entire_session_last_error.
- */
-entire_result entire_volume_last_error(const entire_volume *volume,
-                                       char *buffer,
-                                       size_t capacity,
-                                       size_t *length);
 
 /**
  * Sets the next time step of a volume. The time step must have the volume's sizes, spacing and scalar type.
@@ -744,14 +725,6 @@ entire_result entire_transfer_function_set_unit_distance(entire_transfer_functio
 entire_result entire_transfer_function_table(const entire_transfer_function *transfer_function,
                                              float *rgba,
                                              size_t capacity);
-
-/**
- * Copies the text of the transfer function's last failure, like entire_session_last_error.
- */
-entire_result entire_transfer_function_last_error(const entire_transfer_function *transfer_function,
-                                                  char *buffer,
-                                                  size_t capacity,
-                                                  size_t *length);
 
 /**
  * Starts to record frames that are planned and observed, for entire_session_calibrate. The session keeps a

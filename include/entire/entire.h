@@ -9,10 +9,9 @@
  * CONVENTIONS
  *
  * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or an error code, with explicit
- * numbers that never change. entire_last_error() gives the text for the calling thread,
- * entire_<noun>_last_error() that of a handle: what is wrong, what was found, what is accepted and what to
- * do. The few functions that return something else return NULL or a neutral value on failure and leave the
- * same texts.
+ * numbers that never change. entire_last_error() gives the text for the calling thread: what is wrong, what
+ * was found, what is accepted and what to do. The few functions that return something else return NULL or a
+ * neutral value on failure and leave the same text.
  *
  * Arguments. Inputs first, then outputs. Outputs are written only when the call returns ENTIRE_OK; a failed
  * call changes nothing, in the caller's memory as in the library's. Every pointer is checked for NULL; an
@@ -67,8 +66,7 @@
  * bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
- * with its place in the error text; the handle then refuses every call but entire_<noun>_last_error
- * and entire_<noun>_free.
+ * with its place in the error text; the handle then refuses every call but entire_<noun>_free.
  */
 
 
@@ -196,8 +194,7 @@ enum entire_result
      */
     ENTIRE_IO = 102,
     /**
-     * A bug in the library. The handle refuses all further calls with this code, except
-     * entire_<noun>_last_error and entire_<noun>_free.
+     * A bug in the library. The handle refuses all further calls with this code, except entire_<noun>_free.
      */
     ENTIRE_PANIC = 103,
     /**
@@ -763,8 +760,8 @@ const char *entire_result_name(uint32_t result);
 
 /**
  * The error text of the calling thread's last call: what was wrong and what to do; empty if that call
- * succeeded. Never NULL; valid until the thread's next call of any function but this one. At most 2047
- * bytes; entire_<noun>_last_error gives the whole text of a handle's failure.
+ * succeeded. Never NULL; valid until the thread's next call of any function but this one. A text of more
+ * than 2047 bytes is cut.
  */
 const char *entire_last_error(void);
 
@@ -875,19 +872,6 @@ entire_result entire_frame_init(struct entire_frame *frame, size_t struct_size);
 entire_result entire_session_new(const struct entire_model *model,
                                  const struct entire_session_options *options,
                                  struct entire_session **session);
-
-/**
- * Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its
- * closing NUL; empty if no call has failed since the last successful call that may change the session.
- * `length`, if not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be
- * NULL with capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_session_last_error(const struct entire_session *session,
-                                        char *buffer,
-                                        size_t capacity,
-                                        size_t *length);
 
 /**
  * Frees a session; NULL does nothing.

@@ -100,6 +100,9 @@ RENAMED = {
     "several_components_and_missing_files_are_refused": "missing_files_and_folders_are_refused",
     "pieces_and_compressors_of_vtk_are_read": "pieces_of_vtk_are_read",
     "every_encoding_of_nrrd_is_read": "every_fixture_is_read_as_independent_readers_read_it",
+    "changing_calls_forget_the_last_error_and_reading_ones_do_not": "every_successful_call_forgets_the_last_error",
+    "text_is_cut_at_a_character_and_the_length_is_that_of_the_whole":
+        "a_text_is_cut_at_a_character_and_ends_with_its_nul",
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.
 NAMES = {

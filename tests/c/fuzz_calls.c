@@ -217,9 +217,8 @@ static void call(void) {
     entire_frame frame = any_frame();
     entire_plan plan = {.struct_size = struct_size(sizeof plan), .id = 777};
     const size_t slot = one_in(6) ? 0 : below(SLOTS);
-    char text[32];
     uint8_t bytes[8192];
-    const size_t entry = one_in(3) ? 14 + below(3) : below(33);
+    const size_t entry = one_in(3) ? 14 + below(3) : below(31);
     switch (entry) {
     case 0:
         entire_model_free(models[slot]);
@@ -365,20 +364,12 @@ static void call(void) {
         note(entire_transfer_function_table(tf, f, count_within(64)));
         break;
     case 26:
-        note(entire_model_last_error(model, text, below(33), &n));
-        note(entire_session_last_error(session, text, below(33), NULL));
-        break;
-    case 27:
-        note(entire_volume_last_error(volume, NULL, 0, &n));
-        note(entire_transfer_function_last_error(tf, text, sizeof text, NULL));
-        break;
-    case 28:
         note(entire_frame_init(&frame, struct_size(sizeof frame) == sizeof frame ? sizeof frame : 3));
         break;
-    case 29:
+    case 27:
         note(entire_set_log(NULL, NULL, (uint32_t)below(6)));
         break;
-    case 30: {
+    case 28: {
         note(entire_session_record(session, one_in(2) ? model : NULL, one_in(3) ? bits() : 8 + below(40)));
         note(entire_session_recorded_count(session, &n));
         for (int i = 0; i < 6; i++)
@@ -387,7 +378,7 @@ static void call(void) {
         note(entire_session_quality(session, q, q + 1, one_in(5) ? NULL : q + 2, q + 3));
         break;
     }
-    case 31: {
+    case 29: {
         entire_model *made = NULL;
         entire_calibration_report report = {.struct_size = struct_size(sizeof report)};
         if (note(entire_session_calibrate(session, &made, one_in(2) ? NULL : &report)) == ENTIRE_OK) {

@@ -64,7 +64,6 @@ int main(int argc, char **argv) {
     NONE(entire_model_predict_batch(NULL, f, 1, 11, f));
     NONE(entire_model_predict_batch(m, NULL, 1, 11, f));
     NONE(entire_model_predict_batch(m, f, 1, 11, NULL));
-    NONE(entire_model_last_error(NULL, NULL, 0, &n));
     entire_model_free(NULL);
 
     NONE(entire_volume_desc_init(NULL, sizeof desc));
@@ -85,7 +84,6 @@ int main(int argc, char **argv) {
     NONE(entire_volume_update_box(v, &desc, place, NULL));
     NONE(entire_volume_describe(NULL, &volume_info));
     NONE(entire_volume_describe(v, NULL));
-    NONE(entire_volume_last_error(NULL, NULL, 0, &n));
     entire_volume_free(NULL);
 
     NONE(entire_transfer_function_from_lobes(NULL, 1, &made_tf));
@@ -98,7 +96,6 @@ int main(int argc, char **argv) {
     NONE(entire_transfer_function_set_unit_distance(NULL, 1, ENTIRE_UNIT_WORLD));
     NONE(entire_transfer_function_table(NULL, f, 16));
     NONE(entire_transfer_function_table(t, NULL, 4 * ENTIRE_TABLE_ENTRIES));
-    NONE(entire_transfer_function_last_error(NULL, NULL, 0, &n));
     entire_transfer_function_free(NULL);
 
     NONE(entire_frame_init(NULL, sizeof frame));
@@ -156,7 +153,6 @@ int main(int argc, char **argv) {
     NONE(entire_session_set_model(p, NULL));
     NONE(entire_model_save(NULL, "x"));
     NONE(entire_model_save(m, NULL));
-    NONE(entire_session_last_error(NULL, NULL, 0, &n));
     entire_session_free(NULL);
 
     entire_budget budget = {{0}};

@@ -83,15 +83,6 @@ static void predictions(const entire_model *model) {
     CHECK(together[0] == 42 && together[7] == 42);
     inputs[5 * COLUMNS + 3] = -INFINITY;
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_model_predict(model, inputs + 5 * COLUMNS, COLUMNS, &seconds));
-
-    char text[24] = "untouched";
-    size_t length = 0;
-    OK(entire_model_last_error(model, NULL, 0, &length));
-    CHECK(length > 24);
-    OK(entire_model_last_error(model, text, sizeof text, NULL));
-    CHECK(strlen(text) == 23 && strncmp(text, "input 3", 7) == 0);
-    EXPECT(ENTIRE_NULL_ARGUMENT, entire_model_last_error(model, NULL, 5, &length));
-    EXPECT(ENTIRE_NULL_ARGUMENT, entire_model_last_error(model, NULL, 0, NULL));
 }
 
 static void encodings(const entire_model *model) {

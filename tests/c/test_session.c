@@ -88,13 +88,10 @@ static void observations(void) {
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id + 1, 0.01f, 0, &verdict));
     SAYS("plans came after it");
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_observe(session, plan.id, 0.01f, 4, &verdict));
+    SAYS("flags");
     CHECK(verdict == 77);
-    char text[200];
-    OK(entire_session_last_error(session, text, sizeof text, NULL));
-    CHECK(strstr(text, "flags"));
     OK(entire_session_observe(session, plan.id, 0.01f, ENTIRE_OBSERVE_UNUSUAL, &verdict));
-    OK(entire_session_last_error(session, text, sizeof text, NULL));
-    CHECK(text[0] == '\0' && verdict != 77);
+    CHECK(verdict != 77);
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id, 0.01f, 0, NULL));
     SAYS("observed before");
     plan = plan_of(session, &frame, 0.03f);

@@ -20,9 +20,7 @@ static void lobes(void) {
         CHECK(fabs((double)rgba[i][3] - o) < 1e-5);
     }
     EXPECT(ENTIRE_SIZE_MISMATCH, entire_transfer_function_table(tf, &rgba[0][0], 4 * ENTRIES - 1));
-    char text[100];
-    OK(entire_transfer_function_last_error(tf, text, sizeof text, NULL));
-    CHECK(strstr(text, "1023"));
+    SAYS("1023");
     entire_transfer_function_free(tf);
 
     OK(entire_transfer_function_from_lobes(NULL, 0, &tf));

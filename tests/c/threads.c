@@ -39,11 +39,9 @@ static void *work(void *argument) {
             OK(entire_session_plan(session, &frame, 0.02f, &plan));
             OK(entire_session_observe(session, plan.id, 0.01f + 0.001f * (float)(round % 7), 0, NULL));
             EXPECT(ENTIRE_SIZE_MISMATCH, entire_model_predict(model, inputs, (size_t)me, &seconds));
-            char mine[40], text[400];
+            char mine[40];
             snprintf(mine, sizeof mine, "%d inputs in 1 row", me);
             SAYS(mine);
-            OK(entire_model_last_error(model, text, sizeof text, NULL));
-            CHECK(strstr(text, "inputs in 1 row"));
         }
         if (round % 500 == 0) {
             float features[2];

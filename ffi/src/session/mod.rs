@@ -11,7 +11,7 @@ mod state;
 pub(crate) use {calibrate::*, observe::*, options::*, plan::*, settings::*, state::*};
 
 use crate::abi::{ByValue, read_struct};
-use crate::guard::{entry, freeing, last_error_of, making};
+use crate::guard::{entry, freeing, making};
 use crate::handle::{Held, borrow, handle};
 use crate::model::{entire_model, share};
 use crate::result::entire_result::{self, *};
@@ -20,7 +20,6 @@ use entire_steer::control::{Session, StepLimits};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use glam::Vec3;
 use options::{entire_session_options, hybrid_options, probe_of};
-use std::ffi::c_char;
 use std::sync::Arc;
 
 /// Predicts and steers one render loop. For one thread at a time; make one session for every loop.
@@ -78,22 +77,6 @@ pub unsafe extern "C" fn entire_session_new(
         made.set_limits(limits)?;
         Ok(Loop { session: made, model, volume: None, options })
     }))
-}
-
-/// Copies the text of the session's most recent failure into `buffer`, cut to `capacity` bytes with its
-/// closing NUL; empty if no call has failed since the last successful call that may change the session.
-/// `length`, if not NULL, receives the length of the whole text in bytes, without the NUL; `buffer` may be
-/// NULL with capacity 0 to query that length. On the thread whose call failed, entire_last_error is simpler.
-///
-/// Fails with ENTIRE_NULL_ARGUMENT.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_session_last_error(
-    session: *const entire_session,
-    buffer: *mut c_char,
-    capacity: usize,
-    length: *mut usize,
-) -> entire_result {
-    entry!(last_error_of(session, buffer, capacity, length))
 }
 
 /// Frees a session; NULL does nothing.

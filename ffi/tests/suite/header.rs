@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Functions of `entire.h`: a render loop needs no others. All other functions are in `advanced.h`.
-const RENDER_LOOP: [&str; 22] = [
+const RENDER_LOOP: [&str; 21] = [
     "entire_version",
     "entire_result_name",
     "entire_last_error",
@@ -28,7 +28,6 @@ const RENDER_LOOP: [&str; 22] = [
     "entire_session_set_limits",
     "entire_session_plan",
     "entire_session_observe",
-    "entire_session_last_error",
 ];
 
 /// The version macros, from the package's version.
