@@ -187,8 +187,6 @@ pub(crate) unsafe fn slice_mut<'a, T: Number>(
 pub(crate) trait Number: Copy {}
 impl Number for u32 {}
 impl Number for f32 {}
-impl Number for f64 {}
-impl Number for usize {}
 
 fn check_array<T>(at: *const T, len: usize, what: &str) -> Result<(), Failure> {
     if at.is_null() {

@@ -53,7 +53,5 @@ mod session;
 
 mod budget;
 
-mod schedule;
-
 #[cfg(test)]
 mod calls;

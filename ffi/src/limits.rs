@@ -19,19 +19,11 @@ pub const ENTIRE_MAX_TRANSFER_POINTS: usize = 1_048_576;
 pub const ENTIRE_MAX_MODEL_BYTES: usize = 2_147_483_647;
 /// Maximum number of bytes of a saved state.
 pub const ENTIRE_MAX_STATE_BYTES: usize = 16_777_216;
-/// Maximum number of tasks in entire_schedule.
-pub const ENTIRE_MAX_TASKS: usize = 16_777_216;
-/// Maximum number of nodes in entire_schedule.
-pub const ENTIRE_MAX_NODES: usize = 1_048_576;
-/// Maximum product of the numbers of tasks and nodes in entire_schedule, which compares each task on every
-/// node.
-pub const ENTIRE_MAX_TASKS_TIMES_NODES: u64 = 4_294_967_296;
 
 // The limits of the core and of this interface agree.
 const _: () = {
     assert!(ENTIRE_MAX_SIDE == entire_core::scene::MAX_VOLUME_EDGE);
     assert!(ENTIRE_MAX_REPEATED_VOXELS as u64 == entire_core::scene::MAX_REPEATED_VOXELS);
-    assert!(ENTIRE_MAX_NODES == entire_steer::schedule::MAX_NODES);
 };
 
 /// Refuses a count over its limit.
@@ -92,11 +84,11 @@ mod tests {
 
     #[test]
     fn refusals_name_the_limit() {
-        assert!(at_most("task_count", 7, 7, "ENTIRE_MAX_TASKS").is_ok());
-        let failure = at_most("task_count", 8, 7, "ENTIRE_MAX_TASKS").unwrap_err();
+        assert!(at_most("brick_count", 7, 7, "ENTIRE_MAX_BRICKS").is_ok());
+        let failure = at_most("brick_count", 8, 7, "ENTIRE_MAX_BRICKS").unwrap_err();
         assert_eq!(failure.code, ENTIRE_SIZE_MISMATCH);
         assert!(
-            failure.message.contains("task_count is 8") && failure.message.contains("7 (ENTIRE_MAX_TASKS)")
+            failure.message.contains("brick_count is 8") && failure.message.contains("7 (ENTIRE_MAX_BRICKS)")
         );
     }
 }

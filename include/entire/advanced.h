@@ -6,8 +6,7 @@
  *
  * A model's properties and its predictions outside of sessions; volumes of bricks and of time steps; Gaussian
  * lobes; corrections, plans over several settings and saved state; calibration from recorded frames and pictures;
- * one frame's budget for several passes; assignment of tasks to nodes; the log; limits. The conventions are those
- * of entire.h.
+ * one frame's budget for several passes; the log; limits. The conventions are those of entire.h.
  */
 
 
@@ -30,22 +29,6 @@
  * Maximum number of bytes of a saved state.
  */
 #define ENTIRE_MAX_STATE_BYTES 16777216
-
-/**
- * Maximum number of tasks in entire_schedule.
- */
-#define ENTIRE_MAX_TASKS 16777216
-
-/**
- * Maximum number of nodes in entire_schedule.
- */
-#define ENTIRE_MAX_NODES 1048576
-
-/**
- * Maximum product of the numbers of tasks and nodes in entire_schedule, which compares each task on every
- * node.
- */
-#define ENTIRE_MAX_TASKS_TIMES_NODES 4294967296
 
 /**
  * Maximum number of calls of entire_model_predict that run on one model at the same time without allocating;
@@ -1005,23 +988,6 @@ entire_result entire_budget_drew(struct entire_budget *budget,
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_budget_end(struct entire_budget *budget, float seconds, uint32_t usual);
-
-/**
- * Assigns tasks to nodes in order of decreasing time, each to the node that would finish it earliest.
- * `seconds` holds each task's time on a node of speed 1 and `speeds` each node's speed (2: takes half the
- * time); `speeds` may be NULL for nodes of speed 1. `node_of_task` receives the node of each task, counted
- * from 0. `makespan`, which may be NULL, receives the seconds until the last node is done.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times whose sum
- * overflows a double), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
- * ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_schedule(const double *seconds,
-                              size_t task_count,
-                              const double *speeds,
-                              size_t node_count,
-                              size_t *node_of_task,
-                              double *makespan);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -66,8 +66,6 @@ static size_t model_size;
 static const char *model_path;
 static uint8_t large[LARGE];
 static float rows[ROWS * COLUMNS], seconds[ROWS];
-static double times[1000];
-static size_t nodes[1000];
 static entire_model *model;
 static entire_volume *volume;
 static entire_transfer_function *tf;
@@ -158,10 +156,6 @@ static entire_result encode(void) {
     return entire_model_encode(model, volume, features, 2, &count);
 }
 
-static entire_result schedule(void) {
-    return entire_schedule(times, 1000, NULL, 100, nodes, NULL);
-}
-
 static entire_result save_state(void) {
     static uint8_t buffer[1 << 16];
     size_t count = 0;
@@ -242,7 +236,6 @@ static const struct {
     {"entire_volume_set_features", set_features, 0, ROWS * sizeof(float)},
     {"entire_volume_new", new_volume, 0, LARGE},
     {"entire_model_predict_batch", predict_batch, 0, ROWS * sizeof(float)},
-    {"entire_schedule", schedule, 0, 0},
     {"entire_model_open", open_model, 0, 0},
     {"entire_model_from_bytes", model_from_bytes, 0, 0},
     {"entire_transfer_function_from_lobes", lobes, 0, 0},
@@ -293,7 +286,6 @@ int main(int argc, char **argv) {
     model_bytes = read_file(argv[1], &model_size);
     for (int i = 0; i < LARGE; ++i) large[i] = (uint8_t)(i * 37);
     for (int i = 0; i < ROWS * COLUMNS; ++i) rows[i] = 0.01f * (float)(i % 100);
-    for (int i = 0; i < 1000; ++i) times[i] = 1 + i % 17;
     OK(entire_model_from_bytes(model_bytes, model_size, &model));
     volume = toy_volume();
     tf = toy_transfer_function();

@@ -165,13 +165,6 @@ int main(int argc, char **argv) {
     NONE(entire_budget_drew(&budget, NULL, 1, 1));
     NONE(entire_budget_end(NULL, 1, 1));
 
-    const double times[2] = {1, 2};
-    size_t nodes[2] = {9, 9};
-    double makespan = 9;
-    NONE(entire_schedule(NULL, 2, NULL, 2, nodes, &makespan));
-    NONE(entire_schedule(times, 2, NULL, 2, NULL, &makespan));
-    OK(entire_schedule(times, 2, NULL, 2, nodes, NULL));
-
     CHECK(!made_model && !made_volume && !made_tf && !made_session && n == 0 && f[0] == 0);
     entire_session_free(p);
     entire_transfer_function_free(t);

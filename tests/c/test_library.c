@@ -1,4 +1,4 @@
-/* Version, result names, last error, log callback, struct sizes, schedules, frame budgets. */
+/* Version, result names, last error, log callback, struct sizes, frame budgets. */
 #include "check.h"
 #include <math.h>
 
@@ -112,29 +112,6 @@ static void struct_sizes(void) {
     entire_session_free(session);
 }
 
-static void schedule(void) {
-    const double seconds[] = {2, 7, 3, 4, 6}, speeds[] = {1, 3}, bad[] = {1, -1};
-    size_t nodes[5];
-    double makespan = 0;
-    OK(entire_schedule(seconds, 5, NULL, 2, nodes, &makespan));
-    double loads[2] = {0, 0};
-    for (int i = 0; i < 5; ++i) {
-        CHECK(nodes[i] < 2);
-        loads[nodes[i]] += seconds[i];
-    }
-    CHECK(makespan == (loads[0] > loads[1] ? loads[0] : loads[1]) && makespan == 12);
-    OK(entire_schedule(seconds, 5, speeds, 2, nodes, &makespan));
-    CHECK(makespan < 12);
-    makespan = -5;
-    nodes[0] = 77;
-    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_schedule(seconds, 5, NULL, 0, nodes, &makespan));
-    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_schedule(bad, 2, NULL, 2, nodes, &makespan));
-    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_schedule(seconds, 5, bad, 2, nodes, &makespan));
-    EXPECT(ENTIRE_SIZE_MISMATCH, entire_schedule(seconds, SIZE_MAX, NULL, 2, nodes, &makespan));
-    EXPECT(ENTIRE_SIZE_MISMATCH, entire_schedule(seconds, 5, NULL, SIZE_MAX, nodes, &makespan));
-    CHECK(makespan == -5 && nodes[0] == 77);
-}
-
 /* Two volumes take 5 and 15 ms, and the other work of their window takes 5 ms. */
 static void budget(void) {
     entire_budget budget = {{0}};
@@ -173,7 +150,6 @@ int main(void) {
     CHECK(entire_last_error()[0] == '\0');
     log_callback();
     struct_sizes();
-    schedule();
     budget();
     return 0;
 }

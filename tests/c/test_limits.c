@@ -70,22 +70,6 @@ static void brick_sizes(void) {
 
 /* Counts beyond the limits are refused before the array is read: each array here has only one element. */
 static void counts(const char *path) {
-    const double second = 1;
-    size_t node = 7;
-    const size_t nodes[] = {(size_t)ENTIRE_MAX_NODES + 1, 1000000000, SIZE_MAX / 8, SIZE_MAX};
-    for (size_t i = 0; i < sizeof nodes / sizeof nodes[0]; ++i) {
-        EXPECT(ENTIRE_SIZE_MISMATCH, entire_schedule(&second, 1, NULL, nodes[i], &node, NULL));
-        SAYS("ENTIRE_MAX_NODES");
-        EXPECT(ENTIRE_SIZE_MISMATCH, entire_schedule(&second, 1, &second, nodes[i], &node, NULL));
-    }
-    EXPECT(ENTIRE_SIZE_MISMATCH, entire_schedule(&second, (size_t)ENTIRE_MAX_TASKS + 1, NULL, 1, &node, NULL));
-    SAYS("ENTIRE_MAX_TASKS");
-    EXPECT(ENTIRE_SIZE_MISMATCH, entire_schedule(&second, ENTIRE_MAX_TASKS, NULL, 257, &node, NULL));
-    SAYS("ENTIRE_MAX_TASKS_TIMES_NODES");
-    CHECK(node == 7);
-    OK(entire_schedule(&second, 1, NULL, ENTIRE_MAX_NODES, &node, NULL));
-    CHECK(node == 0);
-
     entire_transfer_function *tf = NULL;
     const size_t points = (size_t)ENTIRE_MAX_TRANSFER_POINTS + 1;
     const entire_gaussian_lobe lobe = {0.5f, 0.1f, 0.1f};
