@@ -6,5 +6,5 @@
  *
  * A model's properties and its predictions outside of sessions; volumes of bricks and of time steps; Gaussian
  * lobes; corrections, plans over several settings and saved state; calibration from recorded frames and pictures;
- * one frame's budget for several passes; the log; limits. The conventions are those of entire.h.
+ * one frame's budget for several passes; limits. The conventions are those of entire.h.
  */

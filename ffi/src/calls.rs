@@ -173,6 +173,51 @@ fn a_session_follows_a_volume_from_step_to_step() {
 }
 
 #[test]
+fn voxels_that_are_no_numbers_are_counted_before_and_after_a_scan() {
+    const COUNT: usize = 5 * 7 * 11;
+    let share = |volume: *const entire_volume| {
+        let mut info: entire_volume_info = crate::abi::ByValue::defaults();
+        // SAFETY: the volume is live, and `info` has room for the struct.
+        ok(unsafe { entire_volume_describe(volume, &raw mut info) });
+        info.non_finite_share
+    };
+    let of = |broken: usize| (broken as f64 / COUNT as f64) as f32;
+    let mut voxels: Vec<f64> = (0..COUNT).map(|i| (i * 37 % 256) as f64).collect();
+    // The last one is infinite as a 32-bit float.
+    (voxels[3], voxels[90], voxels[200]) = (f64::NAN, f64::NEG_INFINITY, 1e300);
+    let mut desc = init(entire_volume_desc_init);
+    (desc.scalar_type, desc.voxels) = (ENTIRE_SCALAR_F64, voxels.as_ptr().cast());
+    (desc.voxel_count, desc.dims) = (COUNT, [5, 7, 11]);
+    let bounds = [0.0, 1.0f32];
+    let mut bricks = init(entire_brick_desc_init);
+    (bricks.scalar_type, bricks.dims, bricks.brick_edge) = (ENTIRE_SCALAR_F32, [8; 3], [8; 3]);
+    (bricks.bounds, bricks.brick_count) = (bounds.as_ptr(), 1);
+    // SAFETY: every handle below is live, every array has the stated length, and every output has room for
+    // its result. After the voxels were changed, they are passed to the library again.
+    unsafe {
+        let floats = made(|out| entire_volume_new(&raw const desc, out));
+        assert_eq!(share(floats), of(3));
+        let session = made(|out| entire_session_new(null(), null(), out));
+        ok(entire_session_set_volume(session, floats));
+        assert_eq!(share(floats), of(3));
+        for broken in [2, 1] {
+            voxels[[90, 200][broken - 1]] = 7.0;
+            desc.voxels = voxels.as_ptr().cast();
+            ok(entire_volume_update(floats, &raw const desc));
+            assert_eq!(share(floats), of(broken));
+        }
+        let bytes = volume(&[7; COUNT], ENTIRE_VOXELS_COPY);
+        assert_eq!(share(bytes), 0.0);
+        let of_bricks = made(|out| entire_volume_from_bricks(&raw const bricks, out));
+        assert!(share(of_bricks).is_nan());
+        entire_session_free(session);
+        for volume in [floats, bytes, of_bricks] {
+            entire_volume_free(volume);
+        }
+    }
+}
+
+#[test]
 fn a_session_makes_a_model_of_what_it_observes() {
     let voxels: Vec<u8> = (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect();
     let mut frame = init(entire_frame_init);

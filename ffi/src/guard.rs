@@ -3,7 +3,6 @@
 
 use crate::abi::{check_pointer, write};
 use crate::handle::{Handle, Held, Status, borrow, give, release};
-use crate::log;
 use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
@@ -153,9 +152,8 @@ fn failed(failure: Failure, status: Option<&Status>) -> entire_result {
             status.mark_unusable();
         }
     }
-    // A panic while the failure is logged and copied must not reach C either.
+    // A panic while the text is copied must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
-        log::emit(log::ENTIRE_LOG_ERROR, &failure.message);
         let _ = TEXT.try_with(|slot| keep(&failure.message, &mut slot.borrow_mut()));
         let _ = FAILED.try_with(|failed| failed.set(true));
     }));

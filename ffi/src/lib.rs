@@ -37,8 +37,6 @@ mod limits;
 
 mod guard;
 
-mod log;
-
 mod pool;
 
 mod model;

@@ -7,7 +7,6 @@ use crate::frame::entire_shading;
 use crate::guard::{Outcome, entry, freeing, making, reading};
 use crate::handle::{Held, borrow, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
-use crate::log;
 use crate::pool::Pool;
 use crate::reserve;
 use crate::result::entire_result::{self, *};
@@ -205,10 +204,11 @@ impl Loaded {
     }
 }
 
-/// Returns a text of the model for C, or the failure if there is no memory for it.
+/// Returns a text of the model for C, or the failure if there is no memory for it. A NUL inside becomes the
+/// replacement character.
 fn kept_text(text: &str) -> Result<CString, Failure> {
     if text.contains('\0') {
-        return Ok(log::c_text(text));
+        return kept_text(&text.replace('\0', "\u{fffd}"));
     }
     let mut bytes = Vec::new();
     bytes.try_reserve_exact(text.len() + 1)?;
@@ -222,7 +222,7 @@ fn level() -> &'static (Level, CString) {
     static FOUND: OnceLock<(Level, CString)> = OnceLock::new();
     FOUND.get_or_init(|| {
         let level = Level::detect();
-        (level, log::c_text(&level.to_string()))
+        (level, CString::new(level.to_string()).unwrap_or_default())
     })
 }
 
@@ -330,12 +330,7 @@ pub unsafe extern "C" fn entire_model_from_bytes(
 /// Reads a model from the bytes of a file. `name` is the model's name in messages.
 pub(crate) fn load(bytes: &[u8], name: &str) -> Result<Loaded, Failure> {
     let model = Model::from_bytes(bytes).map_err(|e| Failure::from(e).within(name))?;
-    let loaded = Loaded::new(model, bytes)?;
-    if log::enabled(log::ENTIRE_LOG_INFO) {
-        let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
-        log::emit(log::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
-    }
-    Ok(loaded)
+    Loaded::new(model, bytes)
 }
 
 /// Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
@@ -584,4 +579,14 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_free(model: *mut entire_model) {
     entry!(freeing(model))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_with_a_nul_stays_readable() {
+        assert_eq!(kept_text("a\0b").unwrap().to_str().unwrap(), "a\u{fffd}b");
+    }
 }

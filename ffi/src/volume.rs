@@ -9,7 +9,6 @@ use crate::abi::{ByValue, by_value, check_output, init_struct, read_struct, slic
 use crate::guard::{changing, entry, freeing, guard, making, reading};
 use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
-use crate::log;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied, refuse};
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
@@ -154,6 +153,12 @@ pub struct entire_volume_info {
     pub has_voxels: u32,
     /// Number of precomputed features (entire_volume_set_features); 0 where there are none.
     pub feature_count: u32,
+    /// Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known.
+    /// Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
+    /// the high end.
+    pub non_finite_share: f32,
+    /// Must be ignored.
+    pub reserved: u32,
 }
 
 by_value!(entire_volume_info {
@@ -165,6 +170,8 @@ by_value!(entire_volume_info {
     scalar_type: 0,
     has_voxels: 0,
     feature_count: 0,
+    non_finite_share: f32::NAN,
+    reserved: 0,
 });
 
 /// Voxels, or bounds of bricks. Immutable except for its precomputed features and its time steps; may be used
@@ -233,18 +240,18 @@ impl Volume {
             return Ok(summary);
         }
         let summary = VolumeSummary::new(self.view()?)?;
-        warn_of_non_finite(&summary);
         Ok(self.summary.get_or_init(|| summary))
     }
-}
 
-fn warn_of_non_finite(summary: &VolumeSummary) {
-    if summary.non_finite_share() > 0.0 {
-        log::emit(
-            log::ENTIRE_LOG_WARNING,
-            "the volume has voxels that are NaN or infinite; NaN counts as the low end of the range, \
-             infinities as its ends",
-        );
+    /// Share of voxels that are NaN or infinite. They are counted if no summary has the share yet; NaN
+    /// without voxels.
+    fn non_finite_share(&self) -> f32 {
+        let Some(voxels) = &self.voxels else { return f32::NAN };
+        let summary = self.series.as_ref().and_then(|series| series.summary().ok());
+        match summary.or(self.summary.get()) {
+            Some(summary) => summary.non_finite_share(),
+            None => (voxels.view().non_finite() as f64 / voxels.shape.voxels as f64) as f32,
+        }
     }
 }
 
@@ -283,20 +290,8 @@ pub unsafe extern "C" fn entire_volume_new(
     entry!(making(volume, "volume (output)", || {
         let desc = read_struct(desc)?;
         let voxels = take_voxels(&desc)?;
-        log_volume(voxels.view());
         Ok(Volume { voxels: Some(voxels), scalar_type: desc.scalar_type, ..Volume::default() })
     }))
-}
-
-fn log_volume(view: &VolumeView<'_>) {
-    if log::enabled(log::ENTIRE_LOG_INFO) {
-        let ([x, y, z], (low, high)) = (view.shape().dims, view.range());
-        let name = view.scalars().scalar_type().to_string();
-        log::emit(
-            log::ENTIRE_LOG_INFO,
-            &format!("volume of {x} x {y} x {z} {name} voxels, range {low} to {high}"),
-        );
-    }
 }
 
 /// Copies or borrows the voxels that `desc` describes.
@@ -467,7 +462,9 @@ pub unsafe extern "C" fn entire_volume_set_features(
     }))
 }
 
-/// Reads the properties of a volume; set info->struct_size first.
+/// Reads the properties of a volume; set info->struct_size first. Reads all float voxels, to count those that
+/// are NaN or infinite, unless an earlier call has scanned them (entire_session_set_volume,
+/// entire_model_encode).
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
@@ -485,6 +482,7 @@ pub unsafe extern "C" fn entire_volume_describe(
             shape = Some(voxels.shape);
             out.range = voxels.range.into();
             out.has_voxels = 1;
+            out.non_finite_share = volume.non_finite_share();
         }
         if let Some(shape) = shape {
             out.dims = shape.dims;

@@ -6,7 +6,7 @@
  *
  * A model's properties and its predictions outside of sessions; volumes of bricks and of time steps; Gaussian
  * lobes; corrections, plans over several settings and saved state; calibration from recorded frames and pictures;
- * one frame's budget for several passes; the log; limits. The conventions are those of entire.h.
+ * one frame's budget for several passes; limits. The conventions are those of entire.h.
  */
 
 
@@ -75,18 +75,6 @@
  * Change flag: the camera jumped.
  */
 #define ENTIRE_CHANGE_CAMERA 32
-
-/**
- * Severity of a log message: one of the `ENTIRE_LOG_*` numbers.
- */
-typedef uint32_t entire_log_level;
-
-/**
- * Receives log messages. `message` is UTF-8 and valid only during the call. Runs on the thread whose call
- * logs, so it may run on several threads at the same time. Must return normally (no exception, no longjmp)
- * and must not call this library.
- */
-typedef void (*entire_log_callback)(void *user_data, entire_log_level level, const char *message);
 
 /**
  * Output quantity of a prediction network: one of the `ENTIRE_TARGET_*` numbers.
@@ -232,6 +220,16 @@ typedef struct entire_volume_info {
      * Number of precomputed features (entire_volume_set_features); 0 where there are none.
      */
     uint32_t feature_count;
+    /**
+     * Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known.
+     * Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
+     * the high end.
+     */
+    float non_finite_share;
+    /**
+     * Must be ignored.
+     */
+    uint32_t reserved;
 } entire_volume_info;
 
 /**
@@ -396,26 +394,6 @@ typedef struct entire_pass {
 } entire_pass;
 
 /**
- * Nothing is logged.
- */
-#define ENTIRE_LOG_OFF 0
-
-/**
- * A call failed; the text is that of its error.
- */
-#define ENTIRE_LOG_ERROR 1
-
-/**
- * A call succeeded, but its results may be inaccurate.
- */
-#define ENTIRE_LOG_WARNING 2
-
-/**
- * Rare events: a model was loaded, a volume was read.
- */
-#define ENTIRE_LOG_INFO 3
-
-/**
  * The model has no prediction network.
  */
 #define ENTIRE_TARGET_NONE 0
@@ -508,15 +486,6 @@ uint32_t entire_version_number(void);
  * `ENTIRE_ABI_VERSION` of the header.
  */
 uint32_t entire_abi_version(void);
-
-/**
- * Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`.
- * When the call returns, the earlier callback is no longer running and its `user_data` may be freed. Must
- * not be called from within a callback.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (an unknown level, or a call from within a callback).
- */
-entire_result entire_set_log(entire_log_callback callback, void *user_data, entire_log_level level);
 
 /**
  * The instruction set that evaluates models on this CPU: "scalar", "avx2" or "avx512", followed by its
@@ -638,7 +607,9 @@ entire_result entire_volume_from_bricks(const struct entire_brick_desc *desc, en
 entire_result entire_volume_set_features(entire_volume *volume, const float *features, size_t feature_count);
 
 /**
- * Reads the properties of a volume; set info->struct_size first.
+ * Reads the properties of a volume; set info->struct_size first. Reads all float voxels, to count those that
+ * are NaN or infinite, unless an earlier call has scanned them (entire_session_set_volume,
+ * entire_model_encode).
  *
  * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */

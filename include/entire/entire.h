@@ -24,7 +24,7 @@
  * documentation says and are never freed. The inputs of a call that makes a handle may be freed after the call,
  * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
- * Threads. The library starts no thread. The log callback is its only global state that callers can set.
+ * Threads. The library starts no thread and has no global state that callers can set.
  * Calls with a `const` handle may run at the same time on several threads with the same handle; all other
  * calls need exclusive use of their handles. In other words: share models, volumes and transfer functions
  * once they are made; give every render loop a session of its own.
@@ -60,10 +60,9 @@
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
  *
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
- * not allocate, lock or call the system when they succeed and no log callback is set. For
- * entire_model_predict this holds while at most ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the
- * same time; further calls allocate. Equal model, inputs, correction and SIMD level (entire_simd_level) give equal
- * bits.
+ * not allocate, lock or call the system when they succeed. For entire_model_predict this holds while at most
+ * ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time; further calls allocate. Equal model,
+ * inputs, correction and SIMD level (entire_simd_level) give equal bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
  * with its place in the error text; the handle then refuses every call but entire_<noun>_free.

@@ -218,7 +218,7 @@ static void call(void) {
     entire_plan plan = {.struct_size = struct_size(sizeof plan), .id = 777};
     const size_t slot = one_in(6) ? 0 : below(SLOTS);
     uint8_t bytes[8192];
-    const size_t entry = one_in(3) ? 14 + below(3) : below(31);
+    const size_t entry = one_in(3) ? 14 + below(3) : below(30);
     switch (entry) {
     case 0:
         entire_model_free(models[slot]);
@@ -301,7 +301,8 @@ static void call(void) {
         break;
     case 12: {
         entire_volume_info info = {.struct_size = struct_size(sizeof info)};
-        note(entire_volume_describe(volume, &info));
+        if (note(entire_volume_describe(volume, &info)) == ENTIRE_OK)
+            CHECK(!info.has_voxels || (info.non_finite_share >= 0 && info.non_finite_share <= 1));
         break;
     }
     case 13:
@@ -366,10 +367,7 @@ static void call(void) {
     case 26:
         note(entire_frame_init(&frame, struct_size(sizeof frame) == sizeof frame ? sizeof frame : 3));
         break;
-    case 27:
-        note(entire_set_log(NULL, NULL, (uint32_t)below(6)));
-        break;
-    case 28: {
+    case 27: {
         note(entire_session_record(session, one_in(2) ? model : NULL, one_in(3) ? bits() : 8 + below(40)));
         note(entire_session_recorded_count(session, &n));
         for (int i = 0; i < 6; i++)
@@ -378,7 +376,7 @@ static void call(void) {
         note(entire_session_quality(session, q, q + 1, one_in(5) ? NULL : q + 2, q + 3));
         break;
     }
-    case 29: {
+    case 28: {
         entire_model *made = NULL;
         entire_calibration_report report = {.struct_size = struct_size(sizeof report)};
         if (note(entire_session_calibrate(session, &made, one_in(2) ? NULL : &report)) == ENTIRE_OK) {

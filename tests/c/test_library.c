@@ -1,4 +1,4 @@
-/* Version, result names, last error, log callback, struct sizes, frame budgets. */
+/* Version, result names, last error, struct sizes, frame budgets. */
 #include "check.h"
 #include <math.h>
 
@@ -14,7 +14,7 @@ _Static_assert(sizeof(void *) != 8 || sizeof(entire_model_info) == 56, "entire_m
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_input_group) == 32, "entire_input_group");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_desc) == 104, "entire_volume_desc");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_brick_desc) == 88, "entire_brick_desc");
-_Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_info) == 72, "entire_volume_info");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_info) == 80, "entire_volume_info");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_frame) == 144, "entire_frame");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_session_options) == 48, "entire_session_options");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_plan) == 48, "entire_plan");
@@ -35,46 +35,6 @@ _Static_assert(sizeof(void *) != 8 ||
                     offsetof(entire_volume_desc, dims) == 32 && offsetof(entire_volume_desc, strides) == 56 &&
                     offsetof(entire_volume_desc, spacing) == 80 && offsetof(entire_volume_desc, range) == 92),
                "entire_volume_desc's fields");
-
-typedef struct {
-    int calls;
-    entire_log_level last_level;
-    char last[400];
-    entire_result reentered;
-} heard;
-
-static void listen(void *user_data, entire_log_level level, const char *message) {
-    heard *log = user_data;
-    log->calls += 1;
-    log->last_level = level;
-    snprintf(log->last, sizeof log->last, "%s", message);
-    log->reentered = entire_set_log(NULL, NULL, ENTIRE_LOG_OFF);
-}
-
-static void log_callback(void) {
-    heard log = {0};
-    entire_model *model = NULL;
-    OK(entire_set_log(listen, &log, ENTIRE_LOG_INFO));
-    EXPECT(ENTIRE_IO, entire_model_open("no such file", &model));
-    CHECK(log.calls == 1 && log.last_level == ENTIRE_LOG_ERROR && strstr(log.last, "no such file"));
-    CHECK(log.reentered == ENTIRE_INVALID_ARGUMENT);
-
-    entire_volume_free(toy_volume());
-    CHECK(log.calls == 2 && log.last_level == ENTIRE_LOG_INFO && strstr(log.last, "5 x 7 x 11"));
-
-    OK(entire_set_log(listen, &log, ENTIRE_LOG_ERROR));
-    entire_volume_free(toy_volume());
-    CHECK(log.calls == 2);
-
-    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_set_log(listen, &log, 4));
-    log.calls = 0;
-    OK(entire_set_log(NULL, NULL, ENTIRE_LOG_INFO));
-    EXPECT(ENTIRE_IO, entire_model_open("no such file", &model));
-    CHECK(log.calls == 0 && model == NULL);
-    OK(entire_set_log(listen, &log, ENTIRE_LOG_OFF));
-    EXPECT(ENTIRE_IO, entire_model_open("no such file", &model));
-    CHECK(log.calls == 0);
-}
 
 /* Calls of a program that was compiled with another version of a struct, so that `struct_size` differs. */
 static void struct_sizes(void) {
@@ -148,7 +108,6 @@ int main(void) {
     CHECK(strcmp(entire_result_name(ENTIRE_IO), "ENTIRE_IO") == 0);
     CHECK(strcmp(entire_result_name(12345), "unknown result") == 0);
     CHECK(entire_last_error()[0] == '\0');
-    log_callback();
     struct_sizes();
     budget();
     return 0;

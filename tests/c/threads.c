@@ -9,16 +9,10 @@ static entire_model *model;
 static entire_volume *volume;
 static entire_transfer_function *tf;
 static float wanted[64];
-static int logged[THREADS];
 
 static void inputs_of(int i, float *inputs) {
     const float values[COLUMNS] = {0.1f, -0.2f, 20, (float)i, 3, 256, 128, 0.5f, 0.02f, 0.4f, 1 + 0.1f * (float)i};
     memcpy(inputs, values, sizeof values);
-}
-
-static void listen(void *user_data, entire_log_level level, const char *message) {
-    (void)level, (void)message;
-    __atomic_fetch_add((int *)user_data, 1, __ATOMIC_RELAXED);
 }
 
 static void *work(void *argument) {
@@ -47,7 +41,6 @@ static void *work(void *argument) {
             float features[2];
             size_t count = 0;
             OK(entire_model_encode(model, volume, features, 2, &count));
-            OK(entire_set_log(round % 1000 ? listen : NULL, &logged[me], ENTIRE_LOG_ERROR));
         }
     }
     entire_session_free(session);
@@ -71,7 +64,6 @@ int main(int argc, char **argv) {
         CHECK(pthread_create(&threads[i], NULL, work, &numbers[i]) == 0);
     }
     for (int i = 0; i < THREADS; ++i) CHECK(pthread_join(threads[i], NULL) == 0);
-    OK(entire_set_log(NULL, NULL, ENTIRE_LOG_OFF));
     entire_transfer_function_free(tf);
     entire_volume_free(volume);
     entire_model_free(model);

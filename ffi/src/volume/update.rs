@@ -1,6 +1,6 @@
 //! The next time step of a volume.
 
-use super::{Volume, entire_volume, entire_volume_desc, log_volume, take_voxels, warn_of_non_finite};
+use super::{Volume, entire_volume, entire_volume_desc, take_voxels};
 use crate::abi::{read_struct, slice};
 use crate::guard::{Outcome, changing, entry};
 use crate::reserve;
@@ -79,22 +79,17 @@ unsafe fn update(
     // SAFETY: the caller guarantees that `desc.voxels` is NULL or valid for `voxel_count` elements.
     let voxels = unsafe { take_voxels(&desc)? };
     let next = *voxels.view();
-    let (mut series, first) = match volume.series.take() {
-        Some(series) => (series, false),
+    let mut series = match volume.series.take() {
+        Some(series) => series,
         // The series refuses a time step of other sizes, spacing or range than the volume's.
-        None => (Box::new(SummarySeries::new(volume.view()?)?), true),
+        None => Box::new(SummarySeries::new(volume.view()?)?),
     };
-    match series.update(&next, changed, Executor::Serial) {
-        Ok(summary) if first => warn_of_non_finite(summary),
-        Ok(_) => {}
-        Err(error) => {
-            // A series that ran out of memory has no summary; the next use makes a new summary from the
-            // volume's voxels.
-            volume.series = series.summary().is_ok().then_some(series);
-            return Err(error.into());
-        }
+    if let Err(error) = series.update(&next, changed, Executor::Serial) {
+        // A series that ran out of memory has no summary; the next use makes a new summary from the volume's
+        // voxels.
+        volume.series = series.summary().is_ok().then_some(series);
+        return Err(error.into());
     }
-    log_volume(&next);
     volume.series = Some(series);
     volume.summary = OnceLock::new();
     volume.features = None;

@@ -88,9 +88,7 @@ fn declared(header: &str) -> (BTreeSet<String>, BTreeSet<String>) {
         let name_before = |end: char| {
             line.split_once(end).and_then(|(before, _)| before.rsplit([' ', '*']).next()).map(str::to_owned)
         };
-        if line.starts_with("typedef void (*") {
-            types.extend(line.split(['*', ')']).nth(1).map(str::to_owned));
-        } else if line.starts_with("typedef ") || line.starts_with('}') {
+        if line.starts_with("typedef ") || line.starts_with('}') {
             types.extend(name_before(';'));
         } else {
             functions.extend(name_before('('));
