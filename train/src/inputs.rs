@@ -56,8 +56,8 @@ impl Layout {
     /// Returns a layout for a new model. `lobes` is the number of Gaussian lobes of the transfer functions.
     ///
     /// # Errors
-    /// When a group appears twice or none is given, volume features are requested without an encoder, or
-    /// there are no lobes.
+    /// When a group appears twice or none is given, volume features are requested without an encoder, lobes
+    /// are requested and `lobes` is 0, or scene features are requested and none is named.
     pub fn new(
         groups: &[GroupKind],
         scene_features: Vec<SceneFeature>,

@@ -147,7 +147,9 @@ impl Report {
     pub(crate) fn text(&self) -> String {
         let rendered = match self.rounds {
             0 => String::new(),
-            rounds => format!(", {rounds} rounds, {} warm-up renderings discarded", self.warm_ups),
+            rounds => {
+                format!(", rendered in {rounds} batches, {} warm-up renderings discarded", self.warm_ups)
+            }
         };
         let (frames, volumes, shading, clock) = (self.frames, self.volumes, self.shading, self.clock);
         let measured =

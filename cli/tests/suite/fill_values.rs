@@ -106,7 +106,7 @@ fn bytes_of_a_narrow_range_are_said_and_can_be_spanned() {
     let reading = Reading { range: Range::Data, ..Reading::default() };
     let volume = Volume::open_as(folder.path().join("dim.nrrd"), &reading, None).unwrap();
     assert_eq!((volume.view().range(), volume.data()), ((3.0, 17.0), &VolumeData::U8(bytes)));
-    // Equal bytes have no range to span.
+    // If all bytes are equal, no note recommends `--range data`.
     let same = byte_nrrd([16; 3], std::iter::repeat_n(204, 4096));
     std::fs::write(folder.path().join("dim.nrrd"), same).unwrap();
     assert_eq!(drawn(&[]), (true, String::new()));

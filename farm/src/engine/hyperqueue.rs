@@ -79,8 +79,8 @@ impl HyperQueue {
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
         ensure!(
             options.worker_limit.is_none_or(|limit| longest_bundle(limit) > 0.0),
-            "the time limit of a worker is {} s, but the start of a bundle alone takes about 1 s; give a longer limit \
-             with --time-limit",
+            "the time limit of a worker is {} s, of which 1 s and 2 % are reserved for the time before its first \
+             bundle; give a longer limit with --time-limit",
             options.worker_limit.unwrap_or(0.0)
         );
         let config = json!({

@@ -160,8 +160,8 @@ impl<'a> Stream<'a> {
             }
         } else if line.len() > MAX_LINE {
             bail!(
-                "{}header line at byte {} is longer than {MAX_LINE} bytes; this is not the text header that its \
-                 first bytes announce",
+                "{}header line at byte {} is longer than {MAX_LINE} bytes; the file begins like one with a text \
+                 header, but this header is damaged",
                 self.prefix(),
                 self.read - line.len() as u64
             );

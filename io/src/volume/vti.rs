@@ -485,7 +485,9 @@ fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Re
         Some(text) => {
             let stated = text.trim().parse::<u64>().ok();
             // Some versions of VTK write 0 or nothing for plain scalars.
-            stated.with_context(|| format!("array {shown:?}: NumberOfComponents is {text:?}"))?.max(1)
+            stated
+                .with_context(|| format!("array {shown:?}: NumberOfComponents {text:?} is no number"))?
+                .max(1)
         }
     };
     // Returns the place of the text up to the next tag.

@@ -183,8 +183,8 @@ pub(crate) struct Encoders {
     pub(crate) epochs: usize,
     /// Epochs without a better validation loss after which training stops.
     pub(crate) patience: usize,
-    /// Input side and number of features of the main encoder. All parts of the study that do not compare
-    /// encoders use this encoder.
+    /// The main encoder: side of its input in voxels, and number of its features. All parts of the study that
+    /// do not compare encoders use this encoder.
     pub(crate) main: (usize, usize),
     /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main encoder.
     pub(crate) shipped: Vec<PathBuf>,

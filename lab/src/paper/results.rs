@@ -219,7 +219,8 @@ pub(crate) struct Material {
     pub(crate) pictures: BTreeMap<String, String>,
 }
 
-/// Reads the results of every step from a folder, and missing ones from a file written by [`keep`].
+/// Reads the results of all parts of the study from a folder. Results that are missing in the folder are read
+/// from a file written by [`keep`].
 pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
     let kept = kept.map(read).transpose()?.unwrap_or_default();
     let all = read_all(out, kept.all)?;

@@ -200,7 +200,7 @@ impl<'a> Course<'a> {
         Self { recorded, calibrated, trials }
     }
 
-    /// True if the path has no useful target.
+    /// True if the path is played with no target: none was found that allowed steps can meet.
     pub(crate) fn is_empty(&self) -> bool {
         self.trials[0].is_empty()
     }

@@ -549,8 +549,8 @@ impl Volume {
         self.0.view.range()
     }
 
-    /// float : The reference step, in the unit of the spacing: the smallest voxel spacing. Ray steps of plans
-    /// are multiples of it.
+    /// float : The reference step, in the unit of the spacing: the smallest voxel spacing. Plans give ray steps
+    /// in units of this length.
     #[getter]
     fn reference_step(&self) -> f32 {
         self.0.spacing().min_element()

@@ -90,8 +90,8 @@ pub struct FittedQuality {
     /// all settings that take at most the same time. Errors are interpolated between drawn settings.
     /// Geometric mean over frame times; 1 is the best value.
     pub over_best: f64,
-    /// As `over_best`, for settings that coarsen only the ray step, over the frame times that such settings
-    /// reach; `None` if they reach none of these times.
+    /// As `over_best`, but only for settings that coarsen the ray step alone. The mean is over those frame
+    /// times of `over_best` that such settings reach; `None` if they reach none.
     pub step_over_best: Option<f64>,
     /// Time at the coarsest step and full image size, as a share of the time at full quality.
     pub step_least_time: f64,

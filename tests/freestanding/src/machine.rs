@@ -177,11 +177,11 @@ unsafe extern "C" fn bcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
     unsafe { memcmp(a, b, count) }
 }
 
-/// The precompiled library names this symbol, but never calls it: panics abort.
+/// Rust's precompiled `core` and `alloc` refer to this symbol, but never call it: panics abort.
 #[unsafe(no_mangle)]
 extern "C" fn rust_eh_personality() {}
 
-/// The precompiled library names this symbol, but never calls it: panics abort.
+/// Rust's precompiled `core` and `alloc` refer to this symbol, but never call it: panics abort.
 #[unsafe(no_mangle)]
 extern "C" fn _Unwind_Resume() -> ! {
     exit(102)

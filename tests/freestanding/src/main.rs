@@ -2,7 +2,8 @@
 //!
 //! Built with the profile `freestanding` on x86-64 Linux, with `ENTIRE_FREESTANDING_MODEL` naming a model
 //! file to embed, it has its own entry point, a fixed arena as its only memory, its own panic handler, and
-//! two system calls (write, exit). Built in any other way, it does nothing.
+//! two system calls (write, exit). With the variable but another profile, it does not compile. Without the
+//! variable, or on another system, it does nothing.
 #![cfg_attr(freestanding, no_std)]
 #![cfg_attr(freestanding, no_main)]
 
