@@ -153,8 +153,9 @@ pub struct entire_volume_info {
     pub has_voxels: u32,
     /// Number of precomputed features (entire_volume_set_features); 0 where there are none.
     pub feature_count: u32,
-    /// Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known.
-    /// Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
+    /// Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known, and
+    /// before entire_session_set_volume, entire_session_set_time_step or entire_volume_update has read the
+    /// voxels. Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
     /// the high end.
     pub non_finite_share: f32,
     /// Must be ignored.
@@ -243,15 +244,10 @@ impl Volume {
         Ok(self.summary.get_or_init(|| summary))
     }
 
-    /// Share of voxels that are NaN or infinite. They are counted if no summary has the share yet; NaN
-    /// without voxels.
+    /// Share of voxels that are NaN or infinite; NaN before the voxels are scanned.
     fn non_finite_share(&self) -> f32 {
-        let Some(voxels) = &self.voxels else { return f32::NAN };
         let summary = self.series.as_ref().and_then(|series| series.summary().ok());
-        match summary.or(self.summary.get()) {
-            Some(summary) => summary.non_finite_share(),
-            None => (voxels.view().non_finite() as f64 / voxels.shape.voxels as f64) as f32,
-        }
+        summary.or(self.summary.get()).map_or(f32::NAN, VolumeSummary::non_finite_share)
     }
 }
 
@@ -462,9 +458,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
     }))
 }
 
-/// Reads the properties of a volume; set info->struct_size first. Reads all float voxels, to count those that
-/// are NaN or infinite, unless an earlier call has scanned them (entire_session_set_volume,
-/// entire_model_encode).
+/// Reads the properties of a volume; set info->struct_size first.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]

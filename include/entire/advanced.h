@@ -221,8 +221,9 @@ typedef struct entire_volume_info {
      */
     uint32_t feature_count;
     /**
-     * Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known.
-     * Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
+     * Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known, and
+     * before entire_session_set_volume, entire_session_set_time_step or entire_volume_update has read the
+     * voxels. Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
      * the high end.
      */
     float non_finite_share;
@@ -607,9 +608,7 @@ entire_result entire_volume_from_bricks(const struct entire_brick_desc *desc, en
 entire_result entire_volume_set_features(entire_volume *volume, const float *features, size_t feature_count);
 
 /**
- * Reads the properties of a volume; set info->struct_size first. Reads all float voxels, to count those that
- * are NaN or infinite, unless an earlier call has scanned them (entire_session_set_volume,
- * entire_model_encode).
+ * Reads the properties of a volume; set info->struct_size first.
  *
  * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */

@@ -193,7 +193,7 @@ enum entire_result
      */
     ENTIRE_IO = 102,
     /**
-     * A bug in the library. Every further call on the handle returns this code, except entire_<noun>_free.
+     * A bug in the library. Every further call on the handle fails with this code, except entire_<noun>_free.
      */
     ENTIRE_PANIC = 103,
     /**
