@@ -10,7 +10,8 @@
 //!
 //! A pointer is NULL or valid for the access that the function's documentation states, for the length that is
 //! given with it; a handle comes from this library and was not freed; a handle that is not `const` is used by
-//! one thread at a time. Functions state only additional conditions.
+//! one thread at a time. Objects that a call writes do not overlap its other arguments. Borrowed voxels stay
+//! readable as long as the documentation of the function says. Functions state only additional conditions.
 #![allow(non_camel_case_types, reason = "C names, written here as the header has them")]
 #![allow(
     unreachable_pub,

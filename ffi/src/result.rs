@@ -36,7 +36,7 @@ pub enum entire_result {
     ENTIRE_STRUCT_SIZE = 101,
     /// A file cannot be read or written.
     ENTIRE_IO = 102,
-    /// A bug in the library. Every further call on the handle returns this code, except entire_<noun>_free.
+    /// A bug in the library. Every further call on the handle fails with this code, except entire_<noun>_free.
     ENTIRE_PANIC = 103,
     /// There is not enough memory for the call.
     ENTIRE_OUT_OF_MEMORY = 104,

@@ -160,8 +160,8 @@ impl<'a> Stream<'a> {
             }
         } else if line.len() > MAX_LINE {
             bail!(
-                "{}header line at byte {} is longer than {MAX_LINE} bytes; the file begins like one with a text \
-                 header, but this header is damaged",
+                "{}header line at byte {} is longer than {MAX_LINE} bytes; this is not a text header; check the \
+                 file",
                 self.prefix(),
                 self.read - line.len() as u64
             );

@@ -226,8 +226,8 @@ def hold(
     coarsest : float, optional
         Coarsest step in voxels. Default 8.
     moving : callable, optional
-        Returns true if a frame is to be steered; other frames are drawn at the visual's own step. Default: all
-        frames are steered.
+        Returns true if a frame is to be steered; other frames are drawn at the visual's own step, with
+        the same pixels as without steering. Default: all frames are steered.
 
     Returns
     -------

@@ -269,7 +269,7 @@ class Steering:
 
     @contextlib.contextmanager
     def still(self) -> Iterator[None]:
-        """Context in which VTK draws frames without steering, for screenshots and movies.
+        """Context in which frames have the same pixels as without steering, for screenshots and movies.
 
         Examples
         --------
