@@ -23,8 +23,7 @@ std::vector<float> make_voxels() {
     return v;
 }
 
-// Casts parallel rays along z, rotated about y by `degrees`. Each sample is the nearest voxel; samples are blended
-// front to back, and opaque rays end early. Returns the mean opacity of the rays.
+// Returns the mean opacity of parallel rays along z, rotated about y by `degrees`. Opaque rays end early.
 float draw(const std::vector<float> &voxels, const std::vector<float> &rgba, float degrees, float step) {
     const float c = std::cos(degrees * 0.0174533f), s = std::sin(degrees * 0.0174533f);
     float sum = 0;
