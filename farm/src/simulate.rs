@@ -21,8 +21,6 @@ pub struct World {
     pub speeds: Vec<f64>,
     /// Latency of each bundle on its slot, seconds.
     pub latency: f64,
-    /// Time in which the engine sends a bundle, seconds. Bundles are sent one after another.
-    pub dispatch: f64,
     /// True if each bundle is sent to a given slot, which keeps its volume.
     pub bound: bool,
     /// Mean number of failures of a slot per hour. At a failure, the slot's bundle is lost.
@@ -79,7 +77,6 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
     let mut held: Vec<Option<usize>> = vec![None; slots];
     let mut loaded: HashSet<(usize, usize)> = HashSet::new();
     let mut idle: Vec<usize> = Vec::new();
-    let mut engine_free = 0.0f64;
     while let Some(((Time(now), _), event)) = events.pop_first() {
         let mut asks: Vec<usize> = Vec::new();
         match event {
@@ -121,8 +118,7 @@ pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome
                 continue;
             };
             out.bundles += 1;
-            engine_free = engine_free.max(now) + world.dispatch;
-            let mut at = engine_free + world.latency;
+            let mut at = now + world.latency;
             planner.begun(sent.bundle, at);
             let lost_at = if world.failures_per_hour > 0.0 {
                 let unit = ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;

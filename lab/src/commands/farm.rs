@@ -1,5 +1,5 @@
-//! `entire-lab farm`: comparison of methods of load balancing; `farm-bars`, `farm-simulate` and `farm-stand-in`: the parts
-//! of `make bars-farm`.
+//! `entire-lab farm`: comparison of methods of load balancing; `farm-bars`, `farm-simulate` and
+//! `farm-stand-in`: the parts of `make bars-farm`.
 
 use crate::bars;
 use crate::farm::{bars as studies, compare, second_measurement, tasks_of_trace};
@@ -23,8 +23,8 @@ use std::time::{Duration, Instant};
 
 /// Compare methods of load balancing on a render farm of 2 to 64 nodes, by measured times.
 ///
-/// The tasks come from a list (see `entire schedule`) with predicted and measured times, or are the frames of a
-/// recorded path, predicted by a model fitted to other volumes.
+/// The tasks come from a list (see `entire schedule`) with predicted and measured times, or are the frames of
+/// a recorded path, predicted by a model fitted to other volumes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab farm tasks.csv --report out/farm
@@ -37,8 +37,8 @@ pub(crate) struct Options {
     /// Take the frames of a recorded path at the reference step as tasks.
     #[arg(long, value_name = "TRACE.json", conflicts_with = "tasks")]
     pub(crate) trace: Option<PathBuf>,
-    /// Recorded frames of other volumes with the same transfer function, such as frames that the farm rendered
-    /// before. The analytic model is fitted to them and predicts --trace.
+    /// Recorded frames of other volumes with the same transfer function, such as frames that the farm
+    /// rendered before. The analytic model is fitted to them and predicts --trace.
     #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
     pub(crate) training: Vec<PathBuf>,
     /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. Steering uses
@@ -113,10 +113,7 @@ pub(crate) struct SimulateOptions {
     /// Time that a slot needs for each bundle in addition to its tasks, seconds.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub(crate) latency: f64,
-    /// Time that the engine needs to dispatch a bundle, seconds; bundles are dispatched one after the other.
-    #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
-    pub(crate) dispatch: f64,
-    /// Overhead per bundle that the planner assumes, seconds; default: --latency plus --dispatch.
+    /// Overhead per bundle that the planner assumes, seconds; default: --latency.
     #[arg(long, value_name = "SECONDS")]
     pub(crate) overhead: Option<f64>,
     /// Send tasks in the order of the list.
@@ -145,17 +142,14 @@ pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     let setting = Setting {
         slots: options.slots,
         bound: false,
-        overhead: options.overhead.unwrap_or(options.latency + options.dispatch),
+        overhead: options.overhead.unwrap_or(options.latency),
         limit: None,
         order: if plain { Order::Arrival } else { Order::Longest },
         learn: !options.uniform,
     };
     let mut planner = studies::plan(&base, &volume, Loads::known(load.clone()), setting);
-    let world = World {
-        latency: options.latency,
-        dispatch: options.dispatch,
-        ..studies::world(truth.clone(), volume, load, options.slots)
-    };
+    let world =
+        World { latency: options.latency, ..studies::world(truth.clone(), volume, load, options.slots) };
     let out = simulate(&mut planner, &world, &[]);
     let bound = lower_bound(&truth, &world.speeds)?;
     let json = serde_json::json!({
