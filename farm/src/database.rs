@@ -316,8 +316,8 @@ pub fn plan_after(
     planner
 }
 
-/// Returns a planner of a job, with an empty queue. `base`: for every task, ln of the seconds that are expected
-/// before any task is measured.
+/// Returns a planner of a job, with an empty queue. `base`: for every task, ln of the seconds that are
+/// expected before any task is measured.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
     let has_model = job.predict.model.is_some() || job.predict.list.is_some();

@@ -23,8 +23,9 @@ pub(crate) struct Ask<'a> {
     /// Overhead of a bundle, seconds.
     pub(crate) overhead: f64,
     pub(crate) slots: usize,
-    /// Time limit of a bundle, seconds. A bundle of several tasks is expected to take at most half of it without
-    /// overhead and loading, and at most all of it with them. A bundle of a single task may exceed it.
+    /// Time limit of a bundle, seconds. A bundle of several tasks is expected to take at most half of it
+    /// without overhead and loading, and at most all of it with them. A bundle of a single task may exceed
+    /// it.
     pub(crate) limit: f64,
     /// True if expected times are only assumed: no model or list gives them, and few tasks were measured. A
     /// bundle then has at most a quarter of a slot's share of the waiting tasks, and only `limit` restricts
@@ -86,7 +87,8 @@ pub enum Order {
     Longest,
     /// In the order of the job.
     Arrival,
-    /// In the order of the job, with all tasks taken as equally long, as by a scheduler without predictions.
+    /// In the order of the job, as [`Order::Arrival`]. The driver also ignores predictions and takes all
+    /// tasks as equally long.
     Uniform,
 }
 

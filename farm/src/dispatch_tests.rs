@@ -102,8 +102,9 @@ fn a_node_stays_with_its_volume_where_loading_costs() {
 #[test]
 fn orders_are_those_of_a_plain_search() {
     // A search through all waiting tasks finds the one with the longest expected time; each answer must be
-    // this task. Of tasks with equal times, it is the one with the lowest index of its volume, then the lowest
-    // number. Many times are equal. Between the answers, times are corrected and tasks are queued again.
+    // this task. Of tasks with equal times, it is the one with the lowest index of its volume, then the
+    // lowest number. Many times are equal. Between the answers, times are corrected and tasks are queued
+    // again.
     let n = 900u32;
     let seconds =
         |round: u32| (0..n).map(|t| 0.5 + ((t * 7919 + round * 31) % 97) as f32 / 8.0).collect::<Vec<_>>();

@@ -2,7 +2,7 @@
 
 use super::database::{Database, Options, planner};
 use super::dispatch::Order;
-use super::engine::{self, Bundle, Engine, Event, STILLBORN, Traits};
+use super::engine::{self, Bundle, Engine, Event, Properties, STILLBORN};
 use super::job::Job;
 use super::planner::{Planner, Setting, State};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, unix_now};
@@ -108,7 +108,7 @@ pub fn run(
 ) -> Result<Summary> {
     let job = database.job;
     let engine = start(database.run)?;
-    let Traits { name, slots, bound, limit, .. } = engine.traits();
+    let Properties { name, slots, bound, limit, .. } = engine.properties();
     if !bound {
         // Workers of the previous run may have finished images while `start` cleared their queue.
         database.take_over()?;
@@ -315,7 +315,7 @@ impl Drive<'_, '_> {
             return Ok(false);
         }
         let now = unix_now();
-        let Traits { slots, bound, limit, waiting, .. } = self.engine.traits();
+        let Properties { slots, bound, limit, waiting, .. } = self.engine.properties();
         let mut bundles = Vec::new();
         if bound {
             for slot in self.planner.free_slots() {
@@ -495,7 +495,7 @@ impl Drive<'_, '_> {
         if !self.at.contains_key(&bundle) && !why.is_empty() {
             self.stillborn += 1;
             ensure!(
-                self.stillborn <= STILLBORN * self.engine.traits().slots,
+                self.stillborn <= STILLBORN * self.engine.properties().slots,
                 "{} bundles in a row ended before a worker began a task; the last one: {why}",
                 self.stillborn
             );
@@ -526,7 +526,7 @@ impl Drive<'_, '_> {
     /// Measures the overhead of bundles that are not bound to slots: idle seconds of slots / number of ended
     /// bundles. [`Planner::ended`] measures the overhead of bound bundles.
     fn measure_overhead(&mut self, now: f64) {
-        let Traits { slots, bound, .. } = self.engine.traits();
+        let Properties { slots, bound, .. } = self.engine.properties();
         let Some(first) = self.first.filter(|_| !bound) else { return };
         if self.planner.pending() == 0 {
             self.idle_from.get_or_insert(now);

@@ -1,5 +1,5 @@
 use super::*;
-use crate::engine::{Places, Traits};
+use crate::engine::{Places, Properties};
 use crate::predict;
 use std::path::PathBuf;
 
@@ -38,8 +38,8 @@ impl Fake {
 }
 
 impl Engine for Fake {
-    fn traits(&self) -> Traits {
-        Traits { name: "fake", slots: 1, ..Traits::default() }
+    fn properties(&self) -> Properties {
+        Properties { name: "fake", slots: 1, ..Properties::default() }
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {

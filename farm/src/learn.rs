@@ -61,7 +61,7 @@ fn normal_below(x: f64) -> f64 {
 }
 
 /// Features of a job's tasks.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Shape {
     /// ln of the base seconds, by task.
     base: Vec<f32>,
@@ -181,7 +181,7 @@ struct Seen {
 }
 
 /// The model of a job's times.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Learner {
     shape: Shape,
     mean_base: f64,
@@ -224,12 +224,20 @@ impl Learner {
         let mut new = Self {
             shape,
             mean_base,
+            seen: Vec::new(),
             refit_at: 1,
+            used_nodes: 0.0,
+            fitted: 0,
             beta: vec![0.0; d],
+            factor: Vec::new(),
             effects: vec![0.0; volumes],
+            precisions: Vec::new(),
+            sums: Vec::new(),
             sigma2: PRIOR_SDS.0.powi(2),
             tau2: before.powi(2),
-            ..Self::default()
+            drift: 0.0,
+            nodes: Vec::new(),
+            residuals: Vec::new(),
         };
         new.refit();
         new

@@ -200,11 +200,14 @@ impl Worker {
         };
         let png = match drawn {
             Some(png) => png,
-            None => std::fs::read(&part).with_context(|| {
-                format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
-            })?,
+            None => {
+                let png = std::fs::read(&part).with_context(|| {
+                    format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
+                })?;
+                let _ = std::fs::remove_file(&log);
+                png
+            }
         };
-        let _ = std::fs::remove_file(&log);
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
             bail!(

@@ -1,6 +1,6 @@
 //! HyperQueue, through its Python package: a small driver script, run with the user's Python.
 
-use super::{Bundle, Engine, Event, Places, Traits};
+use super::{Bundle, Engine, Event, Places, Properties};
 use crate::command::leader;
 use crate::session::forward;
 use crate::spool::{Spool, tail};
@@ -62,8 +62,8 @@ enum Said {
     },
 }
 
-/// The longest time request of a bundle, for workers with a time limit (both in seconds). A bundle that requests the
-/// whole limit never starts, since some of this time has passed when the bundle is submitted.
+/// The longest time request of a bundle, for workers with a time limit (both in seconds). A bundle that
+/// requests the whole limit never starts, since some of this time has passed when the bundle is submitted.
 fn longest_bundle(limit: f64) -> f64 {
     0.98 * limit - 1.0
 }
@@ -126,10 +126,10 @@ impl HyperQueue {
 }
 
 impl Engine for HyperQueue {
-    fn traits(&self) -> Traits {
+    fn properties(&self) -> Properties {
         let slots = self.options.workers;
         let limit = self.options.worker_limit.map(longest_bundle);
-        Traits { name: "hyperqueue", slots, bound: false, limit, waiting: (slots / 4).max(1) }
+        Properties { name: "hyperqueue", slots, bound: false, limit, waiting: (slots / 4).max(1) }
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
@@ -139,7 +139,7 @@ impl Engine for HyperQueue {
             self.places.write_order(bundle, self.run)?;
             self.priority -= 1;
             // A time request has no effect on workers without a time limit.
-            let request = self.traits().limit.map(|limit| bundle.upper_s.min(limit).max(0.0));
+            let request = self.properties().limit.map(|limit| bundle.upper_s.min(limit).max(0.0));
             all.push(json!({
                 "bundle": number,
                 "args": self.places.worker(number)?,

@@ -1,7 +1,7 @@
 //! Workers that are persistent processes of this machine. They keep their volume, and get bundles through a
 //! pipe.
 
-use super::{Bundle, Engine, Event, Places, STILLBORN, Traits};
+use super::{Bundle, Engine, Event, Places, Properties, STILLBORN};
 use crate::command::leader;
 use crate::record::Line;
 use anyhow::{Context, Result, ensure};
@@ -144,8 +144,8 @@ impl Local {
 }
 
 impl Engine for Local {
-    fn traits(&self) -> Traits {
-        Traits { name: "local", slots: self.workers.len(), bound: true, ..Traits::default() }
+    fn properties(&self) -> Properties {
+        Properties { name: "local", slots: self.workers.len(), bound: true, ..Properties::default() }
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {

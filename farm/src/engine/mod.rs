@@ -56,7 +56,7 @@ pub enum Event {
 
 /// Properties of an engine.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Traits {
+pub struct Properties {
     /// Name of the engine.
     pub name: &'static str,
     /// Number of bundles that run at once.
@@ -74,7 +74,7 @@ pub struct Traits {
 /// the database's folder; that folder must be reachable from every node under the same path.
 pub trait Engine {
     /// Properties of the engine.
-    fn traits(&self) -> Traits;
+    fn properties(&self) -> Properties;
     /// Sends bundles, the most urgent first. A bundle that the engine refuses is lost.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! Slurm, through its commands: sbatch, squeue, scontrol, scancel, sinfo.
 
-use super::{Bundle, Engine, Event, Places, Traits, utf8};
+use super::{Bundle, Engine, Event, Places, Properties, utf8};
 use crate::command::quoted;
 use crate::record::Line;
 use crate::spool::{Spool, tail};
@@ -180,8 +180,9 @@ impl Slurm {
         Ok(Self { places, run, options, name, slots, limit, spool, open, refused, looked, silent })
     }
 
-    /// True if a bundle that sbatch refuses counts as failed: the controller answers, and no job of this run is
-    /// queued or running. Else the controller is silent, or a limit on the number of jobs is the likely reason.
+    /// True if a bundle that sbatch refuses counts as failed: the controller answers, and no job of this run
+    /// is queued or running. Else the controller is silent, or a limit on the number of jobs is the likely
+    /// reason.
     fn refusals_count(&self) -> bool {
         self.silent.is_none() && self.open.is_empty()
     }
@@ -271,9 +272,9 @@ fn alive(state: &str) -> bool {
 }
 
 impl Engine for Slurm {
-    fn traits(&self) -> Traits {
+    fn properties(&self) -> Properties {
         let (slots, limit) = (self.slots, self.limit);
-        Traits { name: "slurm", slots, bound: false, limit, waiting: slots }
+        Properties { name: "slurm", slots, bound: false, limit, waiting: slots }
     }
 
     fn submit(&mut self, bundles: &[Bundle]) -> Result<()> {
