@@ -60,20 +60,20 @@ impl ControllerKind {
 
     /// The title in charts and tables.
     pub const fn title(self) -> &'static str {
-        self.shown().0
+        self.title_and_color().0
     }
 
-    /// The color, the same in all charts.
-    pub(crate) const fn color(self) -> usize {
-        self.shown().1
-    }
+    /// Color of controllers without one of their own.
+    pub(crate) const OTHER_COLOR: usize = 9;
 
-    const fn shown(self) -> (&'static str, usize) {
+    /// Returns the title, and the index of the color in the palette of [`entire_report`], the same in all
+    /// charts.
+    pub(crate) const fn title_and_color(self) -> (&'static str, usize) {
         match self {
             Self::Fixed => ("fixed step", 5),
             Self::Olp => ("OLP (mean of 3)", 1),
-            Self::Last => ("last frame", 9),
-            Self::LargerOfTwo => ("larger of 2", 9),
+            Self::Last => ("last frame", Self::OTHER_COLOR),
+            Self::LargerOfTwo => ("larger of 2", Self::OTHER_COLOR),
             Self::Pid => ("PID", 3),
             Self::Algorithm1 => ("Algorithm 1", 2),
             Self::Hybrid => ("entire", 0),
@@ -81,7 +81,7 @@ impl ControllerKind {
             Self::VtkFixedPoint => ("VTK fixed-point", 7),
             Self::VtkJs => ("vtk.js", 6),
             Self::Unreal => ("Unreal", 8),
-            Self::Filament => ("Filament", 9),
+            Self::Filament => ("Filament", Self::OTHER_COLOR),
         }
     }
 

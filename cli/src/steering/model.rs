@@ -65,7 +65,8 @@ impl SteeringModel {
         self.quality_with(samples.into_iter().map(|s| (s, self.volume_features())))
     }
 
-    /// As [`SteeringModel::quality`], for samples of several volumes, each with VolumeNet's output for its volume.
+    /// As [`SteeringModel::quality`], for samples of several volumes, each with VolumeNet's output for its
+    /// volume.
     ///
     /// # Errors
     /// As [`SteeringModel::quality`].

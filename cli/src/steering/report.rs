@@ -63,9 +63,11 @@ pub(crate) struct Story {
     pub(crate) provenance: Provenance,
 }
 
-/// Title and color of a controller.
-fn shown(name: &str) -> (String, usize) {
-    ControllerKind::from_name(name).map_or((name.to_owned(), 9), |k| (k.title().to_owned(), k.color()))
+/// Returns the title of a controller, and the index of its color in the palette of [`entire_report`].
+fn title_and_color(name: &str) -> (String, usize) {
+    let kind = ControllerKind::from_name(name);
+    let (title, color) = kind.map_or((name, ControllerKind::OTHER_COLOR), |k| k.title_and_color());
+    (title.to_owned(), color)
 }
 
 /// Returns the name of the setting that a controller chooses.
@@ -97,7 +99,7 @@ pub(crate) fn table(playback: &Playback, metrics: &[Metrics]) -> Table {
         (|m| m.mean_psnr, 1.0),
     ];
     for (controller, (name, m)) in playback.names.iter().zip(metrics).enumerate() {
-        let mut row = vec![shown(name).0.into(), acts_on(playback, controller).into()];
+        let mut row = vec![title_and_color(name).0.into(), acts_on(playback, controller).into()];
         row.extend(figures.iter().map(|(value, factor)| {
             let value = value(m) * factor;
             value.is_finite().then(|| format!("{value:.1}")).into()
@@ -223,7 +225,7 @@ fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
 
 fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) -> Mark) -> Chart {
     for (c, name) in playback.names.iter().enumerate() {
-        let (title, color) = shown(name);
+        let (title, color) = title_and_color(name);
         chart = chart.series(Series::new(title, mark(c)).color(color));
     }
     chart
@@ -307,7 +309,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
             .rule(Rule::Horizontal(1.0, "exact".into()));
         let mut chart = with_switches(chart, &playback.switches);
         for c in predicting {
-            let (title, color) = shown(&playback.names[c]);
+            let (title, color) = title_and_color(&playback.names[c]);
             let ratio = |r: &Record| f64::from(r.predicted) / r.seconds;
             chart = chart.series(Series::new(title, Mark::Line(numbered(c, &ratio))).color(color));
         }
@@ -344,7 +346,12 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
                 let likeness = if r.psnr >= BEST_PSNR { "equal".into() } else { format!("{:.1} dB", r.psnr) };
                 pictures.push((
                     encode_png(image)?,
-                    format!("{}: {}, {:.1} ms, {likeness}", shown(name).0, setting(r), r.seconds * 1e3),
+                    format!(
+                        "{}: {}, {:.1} ms, {likeness}",
+                        title_and_color(name).0,
+                        setting(r),
+                        r.seconds * 1e3
+                    ),
                 ));
             }
         }

@@ -160,7 +160,7 @@ impl Rule for Pid {
         self.step
     }
 
-    fn learn(&mut self, observed: &Observed) {
+    fn learn(&mut self, observed: &Observed) -> Verdict {
         // The error is clamped, so that a single stall does not dominate the integral for a hundred frames.
         let error = ((observed.seconds - observed.target) / observed.target).clamp(-1.0, 10.0);
         self.integral = (self.integral + error).clamp(-20.0, 20.0);
@@ -169,5 +169,6 @@ impl Rule for Pid {
         let [p, i, d] = Self::GAINS;
         self.step =
             (observed.step * (1.0 + p * error) + i * self.integral + d * difference).clamp(1.0e-3, 1.0e4);
+        Verdict::Learned
     }
 }

@@ -22,7 +22,7 @@ pub(crate) trait Rule: Sized {
     fn step(&mut self, target: f32, limits: StepLimits) -> f32;
 
     /// Updates the rule by a frame's time.
-    fn learn(&mut self, observed: &Observed);
+    fn learn(&mut self, observed: &Observed) -> Verdict;
 }
 
 /// A rule as a controller.
@@ -38,8 +38,7 @@ impl<R: Rule> Controller for Reactive<R> {
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
-        self.0.learn(observed);
-        Verdict::Learned
+        self.0.learn(observed)
     }
 
     fn reset(&mut self) {
@@ -72,8 +71,9 @@ impl Rule for VtkGpu {
         step
     }
 
-    fn learn(&mut self, observed: &Observed) {
+    fn learn(&mut self, observed: &Observed) -> Verdict {
         self.last = observed.seconds;
+        Verdict::Learned
     }
 }
 
@@ -102,8 +102,9 @@ impl Rule for VtkFixedPoint {
         step
     }
 
-    fn learn(&mut self, observed: &Observed) {
+    fn learn(&mut self, observed: &Observed) -> Verdict {
         self.last = observed.seconds;
+        Verdict::Learned
     }
 }
 
@@ -135,10 +136,11 @@ impl Rule for VtkJs {
         limits.clamp(if self.scale > 1.5 { self.scale } else { 1.0 })
     }
 
-    fn learn(&mut self, observed: &Observed) {
+    fn learn(&mut self, observed: &Observed) -> Verdict {
         // Browsers show a frame at the next refresh of the display, at most 60 times per second.
         self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
         self.frames += 1.0;
+        Verdict::Learned
     }
 }
 
@@ -210,10 +212,10 @@ impl Rule for Unreal {
         step
     }
 
-    fn learn(&mut self, observed: &Observed) {
+    fn learn(&mut self, observed: &Observed) -> Verdict {
         self.frames = self.frames.saturating_add(1);
         if self.frames == 1 {
-            return;
+            return Verdict::Ignored;
         }
         if self.len == WINDOW {
             self.times.copy_within(1.., 0);
@@ -223,6 +225,7 @@ impl Rule for Unreal {
         self.len += 1;
         self.since_change = self.since_change.saturating_add(1);
         self.over = if observed.seconds > observed.target { self.over.saturating_add(1) } else { 0 };
+        Verdict::Learned
     }
 }
 
@@ -268,12 +271,13 @@ impl Rule for Filament {
         step
     }
 
-    fn learn(&mut self, observed: &Observed) {
+    fn learn(&mut self, observed: &Observed) -> Verdict {
         if self.len == self.times.len() {
             self.times.copy_within(1.., 0);
             self.len -= 1;
         }
         self.times[self.len] = observed.seconds;
         self.len += 1;
+        Verdict::Learned
     }
 }
