@@ -1,4 +1,4 @@
-//! Renders the chosen frames in rounds. Each round renders one batch of frames in several passes.
+//! Renders the chosen frames in rounds, and the frames of each round in several passes.
 
 mod pictures;
 
@@ -22,11 +22,11 @@ use std::time::Instant;
 /// frame is not slower than the second one.
 const LONG: f64 = 0.12;
 
-/// Noise of a batch (see [`Measuring::spread`]) below which the batch gets no further pass, once it had the
+/// Noise of a round (see [`Measuring::spread`]) below which the round gets no further pass, once it had the
 /// minimum number of passes.
 const ENOUGH: f64 = 0.02;
 
-/// Minimum and maximum number of passes over a batch.
+/// Minimum and maximum number of passes of a round.
 const PASSES: (usize, usize) = (2, 4);
 
 /// Initial estimate of the time to pass another volume to the renderer, seconds.
@@ -109,11 +109,11 @@ impl<'a> Measuring<'a> {
         }
     }
 
-    /// Renders batch after batch until the time is over, the maximum number of frames is reached, or `stop`
+    /// Renders round after round until the time is over, the maximum number of frames is reached, or `stop`
     /// returns true.
     pub(crate) fn run(&mut self) -> Result<()> {
         let mut design = Design::new(self.pool, &self.pool.prior.costs.seconds);
-        // The prior predicts seconds of another machine. The first batch is small and measures the ratio of
+        // The prior predicts seconds of another machine. The first round is small and measures the ratio of
         // the two machines' times.
         let mut share = 0.12;
         while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
@@ -130,18 +130,18 @@ impl<'a> Measuring<'a> {
             let budget = share * self.left() - passes * self.switch * groups as f64 * share.min(0.6);
             let most = self.settings.frames - self.visits.len();
             let most = if self.rounds == 0 { most.min((self.settings.frames / 4).max(12)) } else { most };
-            let batch = design.choose(self.pool, &seconds, budget.max(0.5), most);
-            if batch.is_empty() {
+            let round = design.choose(self.pool, &seconds, budget.max(0.5), most);
+            if round.is_empty() {
                 break;
             }
             self.rounds += 1;
             for pass in 0..PASSES.1 {
                 if pass >= PASSES.0
-                    && (self.spread(&batch) < ENOUGH || self.left() < 0.1 * self.settings.seconds)
+                    && (self.spread(&round) < ENOUGH || self.left() < 0.1 * self.settings.seconds)
                 {
                     break;
                 }
-                self.pass(&batch, pass)?;
+                self.pass(&round, pass)?;
             }
             self.learn_speed();
             share = if self.rounds == 1 { 0.6 } else { 0.95 };
@@ -149,11 +149,11 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// Renders the frames of a batch, volume by volume. Every second pass takes the volumes in reverse order,
+    /// Renders the frames of a round, volume by volume. Every second pass takes the volumes in reverse order,
     /// so that a drift of the machine's speed is not mistaken for a difference between volumes.
-    fn pass(&mut self, batch: &[usize], pass: usize) -> Result<()> {
+    fn pass(&mut self, round: &[usize], pass: usize) -> Result<()> {
         let mut groups: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
-        for &i in batch {
+        for &i in round {
             let c = &self.pool.candidates[i];
             groups.entry((c.volume, c.factor)).or_default().push(i);
         }
@@ -241,10 +241,10 @@ impl<'a> Measuring<'a> {
         Ok(repeats)
     }
 
-    /// Returns the noise of a batch: the standard deviation of ln(median time of a frame's repeats), or a
+    /// Returns the noise of a round: the standard deviation of ln(median time of a frame's repeats), or a
     /// quarter of the drift between passes if that is larger; infinite if no frame was repeated.
-    fn spread(&self, batch: &[usize]) -> f64 {
-        let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
+    fn spread(&self, round: &[usize]) -> f64 {
+        let frames: Vec<TimedFrame> = round.iter().filter_map(|&i| self.frame(i)).collect();
         let noise = self.noise(&frames);
         noise.map_or(f64::INFINITY, |n| n.log_sd_of_median.max(n.drift.unwrap_or(0.0) / 4.0))
     }
@@ -255,7 +255,7 @@ impl<'a> Measuring<'a> {
             .keys()
             .filter_map(|&i| Some(self.frame(i)?.seconds(Clock::Wall)? / self.pool.expected[i]))
             .collect();
-        // The scale is 10 % above the median ratio, so that batches of slower frames do not overrun the time.
+        // The scale is 10 % above the median ratio, so that rounds of slower frames do not overrun the time.
         if let Some(scale) = median(&mut ratios) {
             self.scale = 1.1 * scale;
         }

@@ -81,7 +81,8 @@ impl Settings {
         }
     }
 
-    /// Writes a volume of `edge`³ bytes into a folder; `value` gives each voxel from its index. Returns the file.
+    /// Writes a volume of `edge`³ bytes into a folder; `value` gives each voxel from its index. Returns the
+    /// file.
     pub(crate) fn write_volume(folder: &Path, edge: usize, value: impl Fn(usize) -> u8) -> PathBuf {
         let path = folder.join("v.nrrd");
         let header = "NRRD0004\ntype: uint8\ndimension: 3\nencoding: raw\n";
@@ -103,8 +104,8 @@ pub(crate) struct Calibrated {
 /// Name and model file of a prior.
 pub type NamedPrior = (String, ModelFile);
 
-/// True if a calibration can take the model as prior, and so adapt it to another machine. Other models are adapted by
-/// fine-tuning.
+/// True if a calibration can take the model as prior, and so adapt it to another machine. Other models are
+/// adapted by fine-tuning.
 pub fn can_be_prior(file: &ModelFile) -> bool {
     PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok()
 }
@@ -123,8 +124,8 @@ fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
     (priors.iter().map(|p| p.1.clone()).collect(), names)
 }
 
-/// The reason why a calibration of `seconds` drew too few frames, and the remedy. The first `choosing` seconds were spent
-/// on the choice of frames.
+/// The reason why a calibration of `seconds` drew too few frames, and the remedy. The first `choosing`
+/// seconds were spent on the choice of frames.
 fn too_short(seconds: f64, choosing: f64) -> String {
     let measured = (1.0 - PICTURES_SHARE) * seconds - FIT_SECONDS - choosing;
     let needed = MEASUREMENT_SECONDS.max(2.0 * measured) + FIT_SECONDS + choosing;

@@ -33,7 +33,7 @@ pub struct Report {
     pub frames: usize,
     /// Number of volumes that the frames show.
     pub volumes: usize,
-    /// Number of batches of frames; 0 where nothing was rendered.
+    /// Number of rounds in which frames were rendered; 0 where nothing was rendered.
     pub rounds: usize,
     /// Renderings that were discarded as warm-up.
     pub warm_ups: usize,
@@ -148,7 +148,7 @@ impl Report {
         let rendered = match self.rounds {
             0 => String::new(),
             rounds => {
-                format!(", rendered in {rounds} batches, {} warm-up renderings discarded", self.warm_ups)
+                format!(", rendered in {rounds} rounds, {} warm-up renderings discarded", self.warm_ups)
             }
         };
         let (frames, volumes, shading, clock) = (self.frames, self.volumes, self.shading, self.clock);

@@ -27,12 +27,12 @@ use std::path::{Path, PathBuf};
 /// Fit a model to this machine in a minute and a half.
 ///
 /// Renders frames that are chosen by optimal design of experiments, discards warm-up renderings, and repeats
-/// passes until the spread of repeats is small. Then it fits unit costs to the measured times, with the shipped
-/// models of the shading mode as prior (on a GPU, typical costs of a GPU): a few frames determine the speed of
-/// this machine, hundreds of frames determine each unit cost. Prints the error on held-out volumes, and warns
-/// if other programs used the machine. Ctrl-C ends the measurement, and the model is fitted to the frames
-/// measured until then. `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the model by
-/// themselves.
+/// passes until the spread of repeats is small. Then it fits unit costs to the measured times, with the
+/// shipped models of the shading mode as prior (on a GPU, typical costs of a GPU): a few frames determine the
+/// speed of this machine, hundreds of frames determine each unit cost. Prints the error on held-out volumes,
+/// and warns if other programs used the machine. Ctrl-C ends the measurement, and the model is fitted to the
+/// frames measured until then. `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the
+/// model by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate
@@ -240,8 +240,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Returns the priors with their names: the model of --prior, else the shipped priors of the shading mode for a
-/// renderer with these typical costs.
+/// Returns the priors with their names: the model of --prior, else the shipped priors of the shading mode for
+/// a renderer with these typical costs.
 fn priors_of(options: &Options, shading: Shading, typical: &UnitCosts) -> Result<Vec<NamedPrior>> {
     match &options.prior {
         Some(path) => Ok(vec![(path.display().to_string(), read_model_file(path)?.0)]),

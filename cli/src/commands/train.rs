@@ -51,8 +51,8 @@ pub(crate) struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub(crate) data: Vec<PathBuf>,
-    /// Table of compared pictures: a quality law (picture error over ray step and image size) is fitted to it and
-    /// stored in the model file, for steering that coarsens both.
+    /// Table of compared pictures: a quality law (picture error over ray step and image size) is fitted to it
+    /// and stored in the model file, for steering that coarsens both.
     ///
     /// Columns: scene, step (multiple of the finest step), image_sample_distance (pixels), seconds, error (0
     /// for equal pictures). Each scene is drawn at the same settings, full quality among them.
@@ -313,8 +313,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Returns the requested clock, else the clock of the model that training starts from, else [`Clock::Auto`] for frames
-/// of a GPU and processor time for others, as [`entire_io::clock::for_training`] chooses.
+/// Returns the requested clock, else the clock of the model that training starts from, else [`Clock::Auto`]
+/// for frames of a GPU and processor time for others, as [`entire_io::clock::for_training`] chooses.
 fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>, Model)>) -> Result<Clock> {
     let base = base.and_then(|(name, model)| Some((name.to_string(), entire_io::clock::of(model)?)));
     let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
@@ -374,7 +374,7 @@ fn check_used(recipe: &Recipe) -> Result<()> {
     Ok(())
 }
 
-/// RMSE, RMSE/SD, mean absolute error, median error and 95th percentile in %, R² of the logarithms.
+/// Returns RMSE, RMSE/SD, mean absolute error, median error and 95th percentile in %, R² of the logarithms.
 fn figures(m: &Metrics) -> [String; 6] {
     let [rmse, mae] = [m.rmse, m.mae].map(|seconds| format!("{seconds:.3e}"));
     let [median, p95] = [format!("{:.2}", 100.0 * m.mdape), format!("{:.1}", 100.0 * m.p95)];
