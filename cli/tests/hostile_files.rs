@@ -86,7 +86,9 @@ fn bound(input: &[u8]) -> usize {
 
 #[derive(Clone, Debug)]
 enum Change {
-    /// Replaces this many bytes at a position.
+    /// Flips the bits of a mask in a byte.
+    Flip(prop::sample::Index, u8),
+    /// Replaces this many bytes at a position; near the end, only those that exist.
     Replace(prop::sample::Index, usize, Vec<u8>),
     Double(prop::sample::Index, usize),
     /// Replaces the n-th number by a word.
@@ -100,7 +102,7 @@ fn change() -> impl Strategy<Value = Change> {
     use prop::sample::Index;
     let words: Vec<&str> = WORDS.split(' ').collect();
     prop_oneof![
-        3 => (any::<Index>(), any::<u8>()).prop_map(|(at, byte)| Change::Replace(at, 1, vec![byte])),
+        3 => (any::<Index>(), 1u8..).prop_map(|(at, mask)| Change::Flip(at, mask)),
         1 => any::<Index>().prop_map(|at| Change::Replace(at, usize::MAX, Vec::new())),
         1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Replace(at, n, Vec::new())),
         1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Double(at, n)),
@@ -115,9 +117,14 @@ fn apply(input: &mut Vec<u8>, change: &Change) {
         return;
     }
     match change {
+        Change::Flip(at, mask) => {
+            let at = at.index(input.len());
+            input[at] ^= mask;
+        }
         Change::Replace(at, n, bytes) => {
             let at = at.index(input.len());
-            input.splice(at..at.saturating_add(*n).min(input.len()), bytes.iter().copied());
+            let end = at.saturating_add(*n).min(input.len());
+            input.splice(at..end, bytes.iter().copied().take(end - at));
         }
         Change::Double(at, n) => {
             let at = at.index(input.len());

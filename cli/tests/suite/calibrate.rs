@@ -1,5 +1,5 @@
-//! `entire calibrate` with the raycaster's CPU version stores a model of the machine in the folder in which the
-//! other commands look for it.
+//! `entire calibrate` with the raycaster's CPU version stores a model of the machine in the folder in which
+//! the other commands look for it.
 
 use crate::support::*;
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};

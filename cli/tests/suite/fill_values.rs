@@ -46,8 +46,8 @@ fn fill_values_do_not_decide_the_range() {
     assert!(nan.notes()[0].contains("1920 of 7680 voxels are NaN or infinite"), "{:?}", nan.notes());
 }
 
-/// The voxels that replace fill values are not taken for fill values themselves, whatever their number. Only bytes get
-/// the note on a narrow range.
+/// The voxels that replace fill values are not taken for fill values themselves, whatever their number. Only
+/// bytes get the note on a narrow range.
 #[test]
 fn hidden_fill_values_are_not_looked_for_again() {
     let folder = tempfile::tempdir().unwrap();

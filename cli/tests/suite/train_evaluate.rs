@@ -235,6 +235,7 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     assert!(text_of(&data, "factor.md").contains(adapt), "{}", text_of(&data, "factor.md"));
     assert_eq!(m.scene_features.len(), net.layers[0].inputs);
     let shown = works(&data, "evaluate --quiet --model costs.safetensors --data t.csv");
+    assert!(shown.lines().any(|line| line.starts_with("member ")), "{shown}");
     assert!(shown.contains("blobs/m02"), "{shown}");
     assert!(shown.contains("noise floor, from repeats of a frame"), "{shown}");
 }
