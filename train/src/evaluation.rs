@@ -171,7 +171,7 @@ pub fn warm_latency(
                 volume_features: Some(&code),
                 lobes: Some(&f.scene.lobes),
             };
-            layout.write(&inputs, &mut row)?;
+            layout.write(std::hint::black_box(&inputs), &mut row)?;
             hold(&mut row);
             let mut seconds = [net.predict(&row, &mut scratch)];
             check_predictions(&mut seconds)?;

@@ -26,6 +26,7 @@ use entire_io::dataset::{Table, TimedFrame};
 use entire_steer::predict::{InputRange, check_predictions};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
+use std::borrow::Cow;
 
 /// Context of fitting and prediction: the data and the machine.
 pub struct FitContext<'a> {
@@ -67,9 +68,9 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
 /// As [`predict_rows`], with the model's network already built.
 fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
-    let mut rows = rows.to_vec();
+    let mut rows = Cow::Borrowed(rows);
     if let Some(range) = InputRange::of(model, width)? {
-        rows.chunks_exact_mut(width).for_each(|row| range.hold(row));
+        rows.to_mut().chunks_exact_mut(width).for_each(|row| range.hold(row));
     }
     let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
     check_predictions(&mut seconds)?;

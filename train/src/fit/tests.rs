@@ -261,3 +261,11 @@ fn an_analytic_fit_that_is_stopped_gives_no_model() {
     let said = made(&|| true).unwrap_err().to_string();
     assert!(said.contains("nothing was written"), "{said}");
 }
+
+#[test]
+fn the_default_recipe_is_that_of_a_command_line_without_options() {
+    let recipe = Recipe::default();
+    assert_eq!((recipe.kind, &recipe.layers[..]), (Kind::Prednet, &[64, 64][..]));
+    assert_eq!((recipe.inputs, recipe.clip), (vec!["scene_features".to_owned()], 1.0));
+    assert_eq!((recipe.epochs, recipe.learning_rate), (200, None));
+}

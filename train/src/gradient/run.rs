@@ -30,8 +30,8 @@ fn seconds_of(target: Target, value: f64) -> f64 {
 /// Frames for training or validation.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<'a> {
-    /// One row per frame, [frames, width] by rows. The columns have the order of the model's input groups; the values
-    /// are not standardized.
+    /// One row per frame, [frames, width] by rows. The columns have the order of the model's input groups;
+    /// the values are not standardized.
     pub inputs: &'a [f32],
     /// Seconds of each frame, finite and positive.
     pub seconds: &'a [f64],

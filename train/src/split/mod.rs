@@ -109,8 +109,8 @@ impl Split {
         Ok(split)
     }
 
-    /// Returns the splits by which a model was trained, as its file states them: its own, then those of the models that
-    /// it was fine-tuned from. Empty if the file states none.
+    /// Returns the splits by which a model was trained, as its file states them: its own, then those of the
+    /// models that it was fine-tuned from. Empty if the file states none.
     pub fn all_of(model: &Model) -> Vec<Self> {
         let stated = model.metadata.get(Key::Provenance.name());
         let Some(origin) = stated.and_then(|text| serde_json::from_str::<Value>(text).ok()) else {
