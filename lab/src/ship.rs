@@ -1,4 +1,5 @@
-//! Ships the models of a study: writes model files with their cards. The models are evaluated with the weights as stored.
+//! Ships the models of a study: writes model files with their cards. The models are evaluated with the
+//! weights as stored.
 
 use crate::study::{
     Findings, Intervals, Runner, SELECTED, SENTENCE, STUDY_KEY, Set, SetTables, Ship, SplitResult, Study,
@@ -60,6 +61,8 @@ pub(crate) fn ship(
             let judged_as =
                 model.prednet.as_ref().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;
+            // This also reads the tables of `bounds` and `other_steps`, of which only the names are used
+            // here.
             let tables = SetTables::read(set)?;
             let crossed = found.crossed(&set.name, predictor).is_some();
             let figures = judge(&file, study, set, &tables, runner, crossed)?;

@@ -19,8 +19,8 @@ use entire_io::options::thread_pool;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Folder of the recorded paths for the paper's use case 1, steering. `make steer-traces STEER_OUT=data/steer` records
-/// them.
+/// Folder of the recorded paths for the paper's use case 1, steering. `make steer-traces
+/// STEER_OUT=data/steer` records them.
 const RECORDED: &str = "data/steer";
 
 /// Reproduce every table and figure of the paper, beside our results.
@@ -303,12 +303,12 @@ fn report_all(paper: &Paper, out: &Path, how: &HowToReport) -> Result<()> {
     let started = Instant::now();
     let material = results::material(paper, out, how.kept.as_deref())?;
     if let Some(path) = &how.keep {
-        results::keep(&material, path)?;
+        results::keep_material(&material, path)?;
         println!("wrote {}", path.display());
     }
     if let Some(pages) = &how.book {
         report::write_book(paper, &material, pages)?;
-        println!("wrote {}", pages.join(report::PAGE).display());
+        println!("wrote {}", pages.join(report::BOOK_PAGE).display());
     }
     let found = report::write(paper, &material, out, started)?;
     println!("wrote {}", out.join("report.html").display());

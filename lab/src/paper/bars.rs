@@ -3,8 +3,7 @@
 use super::description::{BASE_MODE, DataSet, Panel, Paper, Rule, YT};
 use super::encode::{ALL, SHIPPED};
 use super::judge::{NETWORK, OURS};
-use super::results::Reconstruction;
-use super::results::Results;
+use super::results::{Reconstruction, Results};
 use super::train::FEATURE_VECTOR;
 use super::trials::AS_IT_IS;
 use super::{cases, control, interval};
@@ -57,8 +56,12 @@ pub(crate) fn bars(
     for (set, limit) in &limits.over_constant {
         let name = format!("{set}/network-over-constant");
         let bar = at_most(name, over_constant(set, BASE_MODE), *limit);
-        let tried = || on_fewer_frames(paper, all, set).or_else(|| by_one_network(paper, all, set));
-        out.push(match bar.value.is_none().then(tried).flatten() {
+        let note = if bar.value.is_none() {
+            on_fewer_frames(paper, all, set).or_else(|| by_one_network(paper, all, set))
+        } else {
+            None
+        };
+        out.push(match note {
             Some(note) => bar.with_note(note),
             None => bar,
         });
@@ -138,8 +141,9 @@ pub(crate) fn bars(
     out
 }
 
-/// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it, on the paper's split of
-/// a data set. `None` if the volumes have no variants of different sparsity: without them, volumes hardly differ.
+/// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it, on the paper's
+/// split of a data set. `None` if the volumes have no variants of different sparsity: without them, volumes
+/// hardly differ.
 fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
     let found = find(all, Panel::Ablation, &set.name, BASE_MODE).filter(|_| set.variants)?;
     let rmse = |name: &str| Some(found.row(set.rule.split(), name)?.rmse);

@@ -1,5 +1,5 @@
-//! The report: every table and figure of the paper beside ours, with the command that makes it. It is a page of HTML,
-//! and a page of the book.
+//! The report: every table and figure of the paper beside ours, with the command that makes it. It is a page
+//! of HTML, and a page of the book.
 
 use super::bars::bars;
 use super::description::{Label, Paper};
@@ -135,7 +135,7 @@ pub(super) fn numbers_table(numbers: &super::description::Numbers) -> Table {
     table
 }
 
-pub(crate) const PAGE: &str = "paper-tables.md";
+pub(crate) const BOOK_PAGE: &str = "paper-tables.md";
 
 /// Folder of the page's charts and pictures, relative to the page.
 const IMAGES: &str = "images/paper";
@@ -231,7 +231,7 @@ pub(crate) fn write_book(paper: &Paper, material: &Material, pages: &Path) -> Re
         }
         let _ = write!(out, "\n## Not measured\n\n{}", table.to_markdown());
     }
-    write_whole(&pages.join(PAGE), out.as_bytes())
+    write_whole(&pages.join(BOOK_PAGE), out.as_bytes())
 }
 
 /// Returns the tables and charts of a section as Markdown, and writes the charts into `images`. Their file

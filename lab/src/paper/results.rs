@@ -1,5 +1,5 @@
-//! Results of the study, in one small file for each part of the study, data set and mode; and the file that holds all
-//! inputs of the report.
+//! Results of the study, in one small file for each part of the study, data set and mode. One further file
+//! holds all inputs of the report.
 
 use super::description::{Panel, Paper};
 use super::encode::{ALL, Encoder, Provenance, Record, SHIPPED};
@@ -220,9 +220,9 @@ pub(crate) struct Material {
 }
 
 /// Reads the results of all parts of the study from a folder. Results that are missing in the folder are read
-/// from a file written by [`keep`].
+/// from a file written by [`keep_material`].
 pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
-    let kept = kept.map(read).transpose()?.unwrap_or_default();
+    let kept = kept.map(read_material).transpose()?.unwrap_or_default();
     let all = read_all(out, kept.all)?;
     let asked = &paper.encoders;
     let mut reconstructions = Vec::new();
@@ -262,14 +262,14 @@ fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
     Ok(Some(Reconstruction { encoder, record: Record { provenance, seconds: 0.0 } }))
 }
 
-fn read(path: &Path) -> Result<Material> {
+fn read_material(path: &Path) -> Result<Material> {
     let bytes = read_decompressed(path).with_context(|| format!("cannot read {}", path.display()))?;
     serde_json::from_slice(&bytes)
         .with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
 /// Writes all inputs of the report into one compressed file, which [`material`] can read.
-pub(crate) fn keep(material: &Material, path: &Path) -> Result<()> {
+pub(crate) fn keep_material(material: &Material, path: &Path) -> Result<()> {
     make_folder_of(path)?;
     write_whole(path, &gzip(&serde_json::to_vec(material)?)?)
 }

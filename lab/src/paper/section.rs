@@ -1,5 +1,5 @@
-//! A section of the report, the texts and tables that several sections share, and the sections with the errors of all data
-//! sets.
+//! A section of the report, the texts and tables that several sections share, and the sections with the
+//! errors of all data sets.
 
 use super::description::{BY_VOLUMES, Paper, Rule};
 use super::interval;
@@ -97,19 +97,19 @@ pub(super) fn errors_table(r: &Results) -> Table {
 }
 
 /// The paper's rule for test volumes, for captions.
-const RULE: &str = "random volumes of MAESTROeX, and a left-out ensemble member each of Nyx and Castro";
+const TEST_RULE: &str = "random volumes of MAESTROeX, and a left-out ensemble member each of Nyx and Castro";
 
 /// Adds the tables and the chart of prediction errors by data set and renderer.
 pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     let mut parts = Vec::new();
-    let headline = table(paper, of, |rule| rule, &mut parts);
+    let headline = errors_by_data_set(paper, of, |rule| rule, &mut parts);
     if parts.is_empty() {
         return;
     }
     s.summary = parts.join("; ");
-    s.tables.push((headline, format!("The test volumes follow the paper's rule: {RULE}.")));
+    s.tables.push((headline, format!("The test volumes follow the paper's rule: {TEST_RULE}.")));
     let mut others = Vec::new();
-    let other = table(paper, of, Rule::other, &mut others);
+    let other = errors_by_data_set(paper, of, Rule::other, &mut others);
     if !others.is_empty() {
         let what = "The test volumes follow the other split of each data set, on which the paper does not \
                     test: random volumes of Nyx and Castro, and a left-out member of MAESTROeX.";
@@ -165,7 +165,12 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
 
 /// Returns a table with a row for every data set and mode that was tested on the split. `split` returns the
 /// split for the data set's rule. Appends each row's ratios to `parts`.
-fn table(paper: &Paper, of: &[&Results], split: fn(Rule) -> Rule, parts: &mut Vec<String>) -> Table {
+fn errors_by_data_set(
+    paper: &Paper,
+    of: &[&Results],
+    split: fn(Rule) -> Rule,
+    parts: &mut Vec<String>,
+) -> Table {
     let mut table = Table::headed(
         "data set, renderer | tested on | #training frames | #test frames | #network: RMSE, s | \
          #network: SD of the RMSE over runs, s (runs) | #network: time of a prediction, ms | \
@@ -237,6 +242,6 @@ pub(super) fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
     let what = "Each box shows percentiles of a predictor's squared errors for one data set and one \
                 renderer, over all runs";
-    s.charts.push((chart, format!("{what}. The test volumes follow the paper's rule: {RULE}.")));
+    s.charts.push((chart, format!("{what}. The test volumes follow the paper's rule: {TEST_RULE}.")));
     s.summary = format!("{} distributions of times and squared errors", shown.len());
 }

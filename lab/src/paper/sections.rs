@@ -6,8 +6,9 @@ use super::description::{BY_VOLUMES, Label, Panel, Paper};
 use super::encode::{ALL, SHIPPED};
 use super::interval;
 use super::judge::{NETWORK, OURS};
-use super::results::Material;
-use super::results::{CONSTANT, Curve, DRAWN_CHART, LVRP, ORBIT_CHART, Results, Row, SORTED, box_of};
+use super::results::{
+    CONSTANT, Curve, DRAWN_CHART, LVRP, Material, ORBIT_CHART, Results, Row, SORTED, box_of,
+};
 use super::section::{
     Section, distributions, errors_table, mode_in_words, over, overall, ratio, seconds, title, with_interval,
 };
@@ -63,7 +64,8 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
     s
 }
 
-/// The split of the results that a section shows: the paper's if the results hold it, else that by random volumes.
+/// The split of the results that a section shows: the paper's if the results hold it, else that by random
+/// volumes.
 fn split_of(paper: &Paper, r: &Results) -> &'static str {
     let rule = paper.rule(&r.set).split();
     if r.rows.iter().any(|x| x.split == rule) { rule } else { BY_VOLUMES }

@@ -1,6 +1,6 @@
-//! Fine-tuning: the network is pre-trained on all data sets together and adapted to other renderers, machines and kinds
-//! of volumes with few frames. It is compared with networks trained from scratch and with unit costs,
-//! which are calibrated to the same frames.
+//! Fine-tuning: the network is pre-trained on all data sets together and adapted to other renderers, machines
+//! and kinds of volumes with few frames. It is compared with networks trained from scratch and with unit
+//! costs, which are calibrated to the same frames.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -34,6 +34,15 @@ struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
     judged: TimedFrames<'a>,
+    /// Name under which the results are stored: [`TOGETHER`] or [`MACHINES`].
+    set: &'static str,
+}
+
+/// Indices of the tables of another renderer or machine: the first is for training, the last for testing.
+struct Found {
+    name: String,
+    first: usize,
+    last: usize,
     /// Name under which the results are stored: [`TOGETHER`] or [`MACHINES`].
     set: &'static str,
 }
@@ -73,8 +82,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         note(&format!("no frames in mode {mode}; nothing to pre-train on"));
         return Ok(());
     }
-    // Another renderer or machine: name, indices of the tables for training and for testing, set of its results.
-    let mut others: Vec<(String, usize, usize, &'static str)> = Vec::new();
+    let mut others: Vec<Found> = Vec::new();
     let shipped = open_model(&paper.encoders.shipped[0])?;
     let code = code_column(&encoder_id(shipped.volumenet.as_ref().context("no VolumeNet")?), 0);
     let here = machine(&tables[0]).map(str::to_owned);
@@ -108,14 +116,14 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         }
         let name =
             if set == TOGETHER && elsewhere { format!("{name}, another machine") } else { name.clone() };
-        others.push((name, first, first + found.len() - 1, set));
+        others.push(Found { name, first, last: first + found.len() - 1, set });
         tables.extend(found);
     }
     let mark = identity(work, Panel::Tuning, TOGETHER, &tables, &Low::new())?;
     let tests = pieces.iter().any(|(p, _)| all[*p].set.only_tests);
     let mut todo: Vec<&'static str> = Vec::new();
     for set in [TOGETHER, MACHINES] {
-        let any = others.iter().any(|o| o.3 == set) || (set == TOGETHER && tests);
+        let any = others.iter().any(|o| o.set == set) || (set == TOGETHER && tests);
         if any && !kept(work.out, Panel::Tuning, set, mode, &mark)? {
             todo.push(set);
         }
@@ -147,7 +155,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             }
         }
     }
-    for (name, first, last, set) in &others {
+    for Found { name, first, last, set } in &others {
         // Of a table of another machine, only frames of the pre-training data sets are used. Then the machine
         // is the only difference from the pre-training.
         let known = |f: &TimedFrame| {

@@ -1,5 +1,5 @@
-//! Trials: traces with targets, played under every controller; and sessions without a model that start anywhere on a
-//! path, as in a program that knows only its own frame times.
+//! Trials: traces with targets, played under every controller; and sessions without a model that start
+//! anywhere on a path, as in a program that knows only its own frame times.
 
 use super::{LIMITS, Replayable, Replayed, Tally, replay, worth_playing};
 use crate::fitted::Calibrated;
@@ -30,7 +30,8 @@ pub(crate) struct Outcome {
     pub(crate) tallies: Vec<Tally>,
 }
 
-/// Returns trials of every trace with each of its useful targets ([`worth_playing`]), and with a series of these.
+/// Returns trials of every trace with each of its useful targets ([`worth_playing`]), and with a series of
+/// these.
 pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)]) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {
@@ -48,8 +49,9 @@ pub(crate) fn trials(traces: &[Replayable], targets: &[(f64, &str)]) -> Vec<Tria
     out
 }
 
-/// Returns the trials of [`trials`], and one further trial with its [`own_target`] for every trace without a useful
-/// target. Also returns the names of the traces for which this target is not useful either; they have no trial.
+/// Returns the trials of [`trials`], and one further trial with its [`own_target`] for every trace without a
+/// useful target. Also returns the names of the traces for which this target is not useful either; they have
+/// no trial.
 pub(crate) fn trials_of_all(traces: &[Replayable], targets: &[(f64, &str)]) -> (Vec<Trial>, Vec<String>) {
     let (mut out, mut unplayed) = (trials(traces, targets), Vec::new());
     for (i, trace) in traces.iter().enumerate() {
@@ -179,11 +181,12 @@ impl Player {
 }
 
 /// Number of frames from the start of a session to the start of the next session.
-const EVERY: usize = 8;
+const START_EVERY: usize = 8;
 
-/// Frame ranges of sessions with `frames` frames each that start at regular intervals on a path of `n` frames.
+/// Frame ranges of sessions with `frames` frames each that start at regular intervals on a path of `n`
+/// frames.
 pub(crate) fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usize>> {
-    (0..(n + 1).saturating_sub(frames)).step_by(EVERY).map(move |start| start..start + frames)
+    (0..(n + 1).saturating_sub(frames)).step_by(START_EVERY).map(move |start| start..start + frames)
 }
 
 pub(crate) fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {

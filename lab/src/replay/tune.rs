@@ -30,7 +30,8 @@ const SURE: f64 = 2.0;
 /// Factors on a constant that are tried.
 const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 
-/// Promised limit of every error except misses. The steering bars have the same limit for distance and loss of quality.
+/// Promised limit of every error except misses. The steering bars have the same limit for distance and loss
+/// of quality.
 const PROMISED: f64 = 0.08;
 /// Promised limit of the share of frames over 1.1 targets: that of the steering bars.
 const PROMISED_MISSES: f64 = 0.03;
@@ -200,7 +201,8 @@ impl<'a> Course<'a> {
         Self { recorded, calibrated, trials }
     }
 
-    /// True if the path is played with no target: none was found that allowed steps can meet.
+    /// True if the path has no useful target ([`worth_playing`](super::worth_playing)), that is one that some
+    /// allowed step meets in at least half of the frames.
     pub(crate) fn is_empty(&self) -> bool {
         self.trials[0].is_empty()
     }
@@ -255,8 +257,9 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// The difference of two costs: its mean over the recorded paths and its standard error. Courses are the paths, then
-/// the same paths with each disturbance, which are not independent: a path's difference is the mean over its courses.
+/// The difference of two costs: its mean over the recorded paths and its standard error. Courses are the
+/// paths, then the same paths with each disturbance, which are not independent: a path's difference is the
+/// mean over its courses.
 fn difference(paths: usize, before: &[Cost], after: &[Cost]) -> (f64, f64) {
     let mut d = vec![0.0; paths];
     for (i, (b, a)) in before.iter().zip(after).enumerate() {

@@ -183,8 +183,8 @@ impl Noise {
     }
 }
 
-/// Plays scenes under methods: on a scripted clock or, if `real` has a renderer and its clock, those that can be played
-/// on a real renderer. `soak` is the number of disturbed frames in scene 27.
+/// Plays scenes under methods: on a scripted clock or, if `real` has a renderer and its clock, those that can
+/// be played on a real renderer. `soak` is the number of disturbed frames in scene 27.
 pub(crate) fn run(
     scenes: &[usize],
     methods: &[ControllerKind],
@@ -198,13 +198,20 @@ pub(crate) fn run(
     progress.set_length(scenes.len() as u64);
     for number in scenes {
         for &method in methods {
-            let mut twin = CpuRaycaster::new();
-            let mut machine = match &mut real {
-                Some((renderer, clock)) => world::Machine { renderer: *renderer, clock: Some(*clock) },
-                None => world::Machine { renderer: &mut twin, clock: None },
-            };
-            let by_law = if machine.clock.is_none() { law::play(number, method, soak) } else { None };
-            out.push(by_law.map_or_else(|| world::play(number, method, &mut machine), Ok)?);
+            out.push(match &mut real {
+                Some((renderer, clock)) => {
+                    let mut machine = world::Machine { renderer: *renderer, clock: Some(*clock) };
+                    world::play(number, method, &mut machine)?
+                }
+                None => match law::play(number, method, soak) {
+                    Some(verdict) => verdict,
+                    None => {
+                        let mut twin = CpuRaycaster::new();
+                        let mut machine = world::Machine { renderer: &mut twin, clock: None };
+                        world::play(number, method, &mut machine)?
+                    }
+                },
+            });
         }
         progress.inc(1);
     }

@@ -1,5 +1,5 @@
-//! Trains every predictor of a study on every set and tests it. A stored model is used again if all inputs of its
-//! training are the same.
+//! Trains every predictor of a study on every set, tests it, and calibrates it to other data. A stored model
+//! is used again if all inputs of its training are the same.
 
 use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
@@ -168,8 +168,8 @@ impl Runner<'_> {
         Ok(StudyPredictor::Model(Box::new(KeptModel { model: file.to_model()?, file, path })))
     }
 
-    /// Cross-validates a predictor: each fold of `judged` is predicted by a model that was trained on the frames of
-    /// `all` in other folds. `None` if there are too few groups.
+    /// Cross-validates a predictor: each fold of `judged` is predicted by a model that was trained on the
+    /// frames of `all` in other folds. `None` if there are too few groups.
     pub(super) fn crossed<'f>(
         &self,
         key: &str,
@@ -441,8 +441,9 @@ fn calibrated(on: &OnSet<'_>, predictor: &str, file: &ModelFile, out: &mut Findi
     Ok(())
 }
 
-/// Divides frames into two parts without a common ensemble member (without a common volume if there are fewer than two
-/// members), so that no model is tested on data that it was adapted to. `None` with fewer than two volumes.
+/// Divides frames into two parts without a common ensemble member (without a common volume if there are fewer
+/// than two members), so that no model is tested on data that it was adapted to. `None` with fewer than two
+/// volumes.
 fn halves<'a>(all: &TimedFrames<'a>) -> Option<[TimedFrames<'a>; 2]> {
     let by = all.groups_at_least(2);
     let groups: BTreeSet<String> = all.frames.iter().map(|f| by.group(&f.scene)).collect();
