@@ -50,8 +50,8 @@ pub trait Host: Send + Sync {
     /// Name and title of every controller.
     fn controllers(&self) -> Vec<(&'static str, &'static str)>;
 
-    /// Writes a picture as a PNG file without its opacity: its colors are blended over black. An existing file
-    /// stays until the new one is complete.
+    /// Writes a picture as a PNG file without its opacity: its colors are blended over black. An existing
+    /// file stays until the new one is complete.
     ///
     /// # Errors
     /// When the file cannot be written; the message names the file.

@@ -80,9 +80,9 @@ impl Calibrated {
     }
 }
 
-/// Returns one calibration sample for each frame of the timing tables, with the name of its volume. Frames with the same
-/// volume, camera, image size and transfer function have the same scene number. Scene features come from the default
-/// probe.
+/// Returns one calibration sample for each frame of the timing tables, with the name of its volume. Frames
+/// with the same volume, camera, image size and transfer function have the same scene number. Scene features
+/// come from the default probe.
 pub(crate) fn samples_by_volume(tables: &[PathBuf]) -> Result<Vec<(String, Sample)>> {
     let tables = read_tables(tables)?;
     let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();

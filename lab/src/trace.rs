@@ -217,7 +217,8 @@ fn record_on(
             let rendered = renderer.render(&Frame { step: 1.0, ..frame }.checked()?).with_context(place)?;
             reference = Some(rendered.image);
         }
-        // Each repeat is a round over the whole grid, so that a disturbance does not hit all repeats of one point.
+        // Each repeat is a round over the whole grid, so that a disturbance does not hit all repeats of one
+        // point.
         for round in 0..recording.repeats {
             for point in &mut points {
                 let (width, height) = scaled_size(full, point.scale);
@@ -261,7 +262,8 @@ impl Curve {
         Self::over(points.iter().filter(|p| p.scale == 1.0).map(|p| (f64::from(p.step), p)).collect())
     }
 
-    /// The curve over image resolution, from a frame's points at the reference step; `None` without smaller images.
+    /// The curve over image resolution, from a frame's points at the reference step; `None` without smaller
+    /// images.
     pub fn of_images(points: &[TracePoint]) -> Option<Self> {
         let mut images: Vec<(f64, &TracePoint)> = points
             .iter()
@@ -335,8 +337,8 @@ impl Curve {
         self.residuals[(which % self.residuals.len() as u64) as usize]
     }
 
-    /// Step of an oracle: the finest step within the limits whose seconds do not exceed the target; the coarsest step
-    /// if there is none.
+    /// Step of an oracle: the finest step within the limits whose seconds do not exceed the target; the
+    /// coarsest step if there is none.
     pub fn oracle(&self, target: f64, finest: f64, coarsest: f64) -> f64 {
         if self.seconds(finest) <= target {
             return finest;
@@ -408,7 +410,8 @@ mod tests {
             TracePoint { step: 2.0, ..image(0.7, 1.5) },
         ];
         let c = Curve::of_images(&frame).unwrap();
-        // The images have a fourth and a hundredth of the pixels; s is interpolated between points like a step.
+        // The images have a fourth and a hundredth of the pixels; s is interpolated between points like a
+        // step.
         assert!((c.seconds(4.0) - 1.0).abs() < 1e-9 && (c.seconds(2.0) - 2.0).abs() < 1e-9);
         assert!((c.coarsest() - 100.0).abs() < 1e-4 && (c.seconds(400.0) - 0.2).abs() < 1e-9);
         assert!((c.ssim(4.0) - 0.5).abs() < 1e-9 && (c.ssim(1.0) - 1.0).abs() < 1e-9);

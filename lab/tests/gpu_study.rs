@@ -1,6 +1,6 @@
-//! `entire-lab gpu-study` as a process, on a Vulkan driver or else on the CPU version of the raycaster: pictures of all
-//! shading modes are compared, steps for which no time is left are skipped and named, finished steps are kept, and
-//! a second run of the command continues.
+//! `entire-lab gpu-study` as a process, on a Vulkan driver or else on the CPU version of the raycaster:
+//! pictures of all shading modes are compared, steps for which no time is left are skipped and named,
+//! finished steps are kept, and a second run of the command continues.
 
 use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};

@@ -192,8 +192,8 @@ impl Swapchain {
     /// Returns the index of the next image to draw into; `None` if the surface has changed. `longest`: time
     /// limit, nanoseconds.
     pub(super) fn acquire(&mut self, longest: u64) -> Result<Option<u32>> {
-        // SAFETY: the semaphore is unsignaled: the previous frame has waited for it and is done. If a frame is
-        // not submitted, its swapchain is dropped, and the next swapchain has a new semaphore.
+        // SAFETY: the semaphore is unsignaled: the previous frame has waited for it and is done. If a frame
+        // is not submitted, its swapchain is dropped, and the next swapchain has a new semaphore.
         let found = unsafe {
             self.functions.acquire_next_image(self.handle, longest, self.acquired, vk::Fence::null())
         };

@@ -21,9 +21,9 @@ use std::time::{Duration, Instant};
 
 /// Measure a device: pictures, rates, timing tables, models and steering, in one report.
 ///
-/// Takes at most --seconds. A step that runs out of time is cut short or skipped, and the report names it; the same
-/// command with the same --out completes the missing steps. Needs no network: `make gpu-study-folder` puts everything
-/// into one folder that can be copied to another machine.
+/// Takes at most --seconds. A step that runs out of time is cut short or skipped, and the report names it;
+/// the same command with the same --out completes the missing steps. Needs no network: `make
+/// gpu-study-folder` puts everything into one folder that can be copied to another machine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab gpu-study --out out/gpu-study

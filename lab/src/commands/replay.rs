@@ -24,8 +24,8 @@ pub(crate) struct Paths {
     /// The recorded paths (`entire-lab record`).
     #[arg(value_name = "TRACE.json", required = true)]
     pub(crate) traces: Vec<PathBuf>,
-    /// Timing tables of random scenes, each at several steps (`entire-lab record --calibration`). Unit costs and
-    /// the curve of frame time over step (the paper's G) are fitted to them.
+    /// Timing tables of random scenes, each at several steps (`entire-lab record --calibration`). Unit costs
+    /// and the curve of frame time over step (the paper's G) are fitted to them.
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", required = true)]
     pub(crate) calibration: Vec<PathBuf>,
     /// Target frame times.

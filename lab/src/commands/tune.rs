@@ -50,8 +50,8 @@ pub(crate) struct Options {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Returns a table with one row per constant: the increase of the paths' cost if this constant alone is set to
-/// a value at which it has no effect.
+/// Returns a table with one row per constant: the increase of the paths' cost if this constant alone is set
+/// to a value at which it has no effect.
 fn worth_table(worth: &[Removed]) -> Table {
     let mut table =
         Table::headed("constant | #value | #value without effect | #cost increase | #standard error");

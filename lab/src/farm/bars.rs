@@ -1,6 +1,6 @@
-//! The bars of `entire farm` that need no engine (a program that runs tasks on nodes, such as Slurm): schedules
-//! of recorded frames, loading of volumes, predicted end times, planning of a million tasks. Simulated runs use
-//! the same planner as runs on real engines.
+//! The bars of `entire farm` that need no engine (a program that runs tasks on nodes, such as Slurm):
+//! schedules of recorded frames, loading of volumes, predicted end times, planning of a million tasks.
+//! Simulated runs use the same planner as runs on real engines.
 
 use super::search::{Problem, best_of, shuffled};
 use super::tasks::{HELD_OUT, tasks_of_table};

@@ -1,5 +1,5 @@
-//! Reference for schedulers: a local search with many random starts. It knows the measured times and the times to
-//! load volumes.
+//! Reference for schedulers: a local search with many random starts. It knows the measured times and the
+//! times to load volumes.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

@@ -119,7 +119,8 @@ impl Found {
         self.outcomes.0.iter().filter(|o| !o.state.is_over()).count()
     }
 
-    /// Largest difference of any picture from the CPU version's, on a scale of 0 to 255; `None` if none was drawn.
+    /// Largest difference of any picture from the CPU version's, on a scale of 0 to 255; `None` if none was
+    /// drawn.
     pub(crate) fn worst_picture(&self) -> Option<u8> {
         self.pictures.iter().map(|d| d.largest).max()
     }

@@ -193,9 +193,9 @@ pub(crate) fn switches(out: &Path, volume: &Path, device: (&str, &str), target: 
     step("switches".into(), 90.0, false, steer)
 }
 
-/// Runs a step's command, at most until its time limit or the deadline; leaves the step out if the deadline is less
-/// than a second away. At the limit, the command is asked to end, as by Ctrl-C, and killed if it does not end. Its
-/// output goes to `OUT/logs/NAME.txt`.
+/// Runs a step's command, at most until its time limit or the deadline; leaves the step out if the deadline
+/// is less than a second away. At the limit, the command is asked to end, as by Ctrl-C, and killed if it does
+/// not end. Its output goes to `OUT/logs/NAME.txt`.
 ///
 /// # Errors
 /// When the command cannot be started, or the user asked to stop.

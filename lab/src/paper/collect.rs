@@ -219,8 +219,8 @@ fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Ve
     Ok(tables)
 }
 
-/// Collects missing frames: first as many of every volume as a held-out volume needs, then the remaining frames of
-/// training volumes. So a collection that is stopped early holds frames for every split.
+/// Collects missing frames: first as many of every volume as a held-out volume needs, then the remaining
+/// frames of training volumes. So a collection that is stopped early holds frames for every split.
 pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     make_folder(&work.out.join("tables"))?;
     let template = "collect [{bar:30}] {pos}/{len}, {eta} left  {wide_msg}";

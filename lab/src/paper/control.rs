@@ -30,8 +30,8 @@ const DRAWN: [(&str, &str); 4] = [
 /// Name of the hybrid controller with the predictor that was fitted to the calibration frames.
 const OURS: &str = "ours";
 
-/// A chart with a value per frame: title, axis, value of the controller for a frame, name of the reference (the
-/// target or the oracle), value of the reference for a frame.
+/// A chart with a value per frame: title, axis, value of the controller for a frame, name of the reference
+/// (the target or the oracle), value of the reference for a frame.
 type Drawing = (&'static str, &'static str, fn(&Row) -> f64, &'static str, fn(&Row) -> f64);
 
 const CHARTS: [Drawing; 3] = [

@@ -15,8 +15,8 @@ pub(super) const BY_MEMBERS: &str = "members";
 /// Name of the test on volumes of another kind than the training volumes, such as scans.
 pub(super) const BY_MODALITY: &str = "modality";
 
-/// Contents of a description file. Paths are relative to the file's folder. The key `base` names a description in the
-/// same folder, whose values are used for all other keys that the file lacks.
+/// Contents of a description file. Paths are relative to the file's folder. The key `base` names a
+/// description in the same folder, whose values are used for all other keys that the file lacks.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Paper {
@@ -80,8 +80,8 @@ pub(crate) struct InMode {
 pub(crate) struct FrameCounts {
     /// Frames of a training volume.
     pub(crate) training: u32,
-    /// Frames of a validation or test volume. As many frames of every volume are also drawn at low resolution; the
-    /// line by which the proxy predicts is fitted to these frames.
+    /// Frames of a validation or test volume. As many frames of every volume are also drawn at low
+    /// resolution; the line by which the proxy predicts is fitted to these frames.
     pub(crate) held_out: u32,
     /// Frames of an experiment with one varied parameter.
     pub(crate) varied: u32,
@@ -186,7 +186,8 @@ pub(crate) struct Encoders {
     /// The main encoder: side of its input in voxels, and number of its features. All parts of the study that
     /// do not compare encoders use this encoder.
     pub(crate) main: (usize, usize),
-    /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main encoder.
+    /// Files of shipped encoders, for splits without trained encoders. The first has the size of the main
+    /// encoder.
     pub(crate) shipped: Vec<PathBuf>,
     pub(crate) capacity: Capacity,
 }
@@ -308,7 +309,8 @@ pub(crate) enum Validation {
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub(crate) enum Panel {
-    /// The network, our predictor and both baselines on every data set and mode; by volumes, members and modality.
+    /// The network, our predictor and both baselines on every data set and mode; by volumes, members and
+    /// modality.
     #[default]
     Overall,
     /// The network without one of its inputs, each input in turn.
@@ -389,8 +391,8 @@ pub(crate) struct Limits {
     pub(crate) lvrp_voxels: f64,
     /// RMSE of our predictor divided by the network's.
     pub(crate) ours_over_network: f64,
-    /// Error without the feature vector divided by the error with it, on volumes that differ in sparsity: in the
-    /// ablation, and in the experiment that varies the volume alone.
+    /// Error without the feature vector divided by the error with it, on volumes that differ in sparsity: in
+    /// the ablation, and in the experiment that varies the volume alone.
     pub(crate) feature_vector: (f64, f64),
     /// Peak signal-to-noise ratio of reconstructed held-out volumes, dB.
     pub(crate) psnr: f64,

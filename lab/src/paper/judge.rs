@@ -102,7 +102,8 @@ impl At<'_> {
         Ok(())
     }
 
-    /// Measurement of latencies on a volume of the data set, enlarged as for rendering; `None` for frames of yt.
+    /// Measurement of latencies on a volume of the data set, enlarged as for rendering; `None` for frames of
+    /// yt.
     pub(super) fn bench(&self) -> Result<Option<Bench>> {
         if !RAYCASTER_MODES.contains(&self.mode) {
             return Ok(None);

@@ -106,7 +106,8 @@ fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()
     Ok(())
 }
 
-/// Name of the volume of which a volume is a variant: `t0010.nrrd` for `t0010.s50.nrrd`, with the same folders.
+/// Name of the volume of which a volume is a variant: `t0010.nrrd` for `t0010.s50.nrrd`, with the same
+/// folders.
 fn original(name: &str) -> String {
     let (folder, file) = name.split_at(name.rfind('/').map_or(0, |slash| slash + 1));
     match (file.split_once('.'), file.rsplit_once('.')) {
@@ -115,8 +116,9 @@ fn original(name: &str) -> String {
     }
 }
 
-/// Returns two disjoint tenths of some volumes, each of at least one volume with its variants. Volumes are taken in
-/// the order of a hash of their names, so that the choice is pseudo-random but depends on the names alone.
+/// Returns two disjoint tenths of some volumes, each of at least one volume with its variants. Volumes are
+/// taken in the order of a hash of their names, so that the choice is pseudo-random but depends on the names
+/// alone.
 fn tenths<'a>(names: impl Iterator<Item = &'a String>) -> (BTreeSet<String>, BTreeSet<String>) {
     let mut originals: BTreeMap<String, Vec<&String>> = BTreeMap::new();
     for name in names {

@@ -36,7 +36,8 @@ pub(crate) fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     for kind in ControllerKind::value_variants().iter().filter(|k| **k != ControllerKind::Hybrid) {
         others.push(of(*kind)?);
     }
-    // In calm phases the hybrid is compared with the best reactive rule, which may differ from score to score.
+    // In calm phases the hybrid is compared with the best reactive rule, which may differ from score to
+    // score.
     let reactive = REACTIVE.into_iter().map(&of).collect::<Result<Vec<_>>>()?;
     let calm_least =
         |figure: fn(&Three) -> f64| reactive.iter().map(|s| figure(&s.calm)).fold(f64::INFINITY, f64::min);

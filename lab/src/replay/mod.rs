@@ -1,4 +1,5 @@
-//! Replay of traces: controllers act on recorded time curves and are scored beside an oracle that knows the curves.
+//! Replay of traces: controllers act on recorded time curves and are scored beside an oracle that knows the
+//! curves.
 
 mod bars;
 mod disturbance;
@@ -41,8 +42,8 @@ pub struct Replayable {
     pub path: FlightPath,
     /// Time and quality of each frame over the ray step.
     pub curves: Vec<Curve>,
-    /// Time and quality of each frame over image resolution, at the reference step; `None` if some frame was drawn
-    /// without smaller images.
+    /// Time and quality of each frame over image resolution, at the reference step; `None` if some frame was
+    /// drawn without smaller images.
     pub images: Option<Vec<Curve>>,
     /// Summary of each volume.
     pub summaries: Vec<VolumeSummary>,
@@ -162,10 +163,10 @@ fn mix(a: u64, b: u64) -> u64 {
     h ^ (h >> 32)
 }
 
-/// Plays a range of the frames of a trace with `targets` (one per frame of the trace); the session starts at the
-/// first frame of the range. `codes` are VolumeNet's outputs for the trace's volumes, or empty. The noise of a frame is
-/// the same for every controller: `seed` selects one of the repeats that measured it. `limits` are those of the ray
-/// step.
+/// Plays a range of the frames of a trace with `targets` (one per frame of the trace); the session starts at
+/// the first frame of the range. `codes` are VolumeNet's outputs for the trace's volumes, or empty. The noise
+/// of a frame is the same for every controller: `seed` selects one of the repeats that measured it. `limits`
+/// are those of the ray step.
 ///
 /// # Errors
 /// When the number of targets is wrong, when a prediction fails (the error names the frame), and when the
@@ -245,7 +246,8 @@ pub fn replay(
     Ok(out)
 }
 
-/// True for a useful target of a trace: some allowed step meets it exactly in at least half of the trace's frames.
+/// True for a useful target of a trace: some allowed step meets it exactly in at least half of the trace's
+/// frames.
 fn worth_playing(recorded: &Replayable, target: f64) -> bool {
     let (finest, coarsest) = (f64::from(LIMITS.finest), f64::from(LIMITS.coarsest));
     let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();

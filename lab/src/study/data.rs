@@ -70,8 +70,8 @@ pub(super) struct SetData<'a> {
     /// Frames that determine upper bounds.
     pub(super) bounds: TimedFrames<'a>,
     pub(super) splits: Vec<TimedFrames<'a>>,
-    /// Median error and RMSE/SD of a perfect predictor on the frames of the training tables, due to the noise of
-    /// the measured times.
+    /// Median error and RMSE/SD of a perfect predictor on the frames of the training tables, due to the noise
+    /// of the measured times.
     pub(super) noise: [f64; 2],
 }
 

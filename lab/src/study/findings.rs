@@ -58,8 +58,8 @@ pub(crate) struct Fit {
     /// Errors in cross-validation: on frames of ensemble members that the predictor was trained without.
     pub(crate) crossed: Option<Metrics>,
     pub(crate) crossed_intervals: Option<Intervals>,
-    /// Median error and RMSE/SD of a perfect predictor on the frames of the cross-validation, due to the noise of
-    /// the measured times.
+    /// Median error and RMSE/SD of a perfect predictor on the frames of the cross-validation, due to the
+    /// noise of the measured times.
     pub(crate) noise: [f64; 2],
     pub(crate) folds: usize,
     /// Number of fitted parameters: weights, biases, and unit costs.
@@ -123,7 +123,8 @@ impl Findings {
         self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
     }
 
-    /// Errors of a predictor in cross-validation, and the number of folds; `None` if it was not cross-validated.
+    /// Errors of a predictor in cross-validation, and the number of folds; `None` if it was not
+    /// cross-validated.
     pub(crate) fn crossed(&self, set: &str, predictor: &str) -> Option<(&Metrics, usize)> {
         self.fit(set, predictor).and_then(|f| Some((f.crossed.as_ref()?, f.folds)))
     }
@@ -152,8 +153,8 @@ impl Fit {
     }
 }
 
-/// Returns median error and RMSE/SD of a perfect predictor of measured times, due to their noise. Frames that were
-/// measured once are left out. `passes` is as in [`noise_floor`].
+/// Returns median error and RMSE/SD of a perfect predictor of measured times, due to their noise. Frames that
+/// were measured once are left out. `passes` is as in [`noise_floor`].
 pub(super) fn noise_of(
     part: &TimedFrames<'_>,
     clock: Clock,

@@ -1,5 +1,6 @@
-//! Studies: a JSON file names data sets, splits and predictors. Every predictor is trained on the training tables of
-//! every set and tested on every split. Trained models are stored, so that a stopped study can be continued.
+//! Studies: a JSON file names data sets, splits and predictors. Every predictor is trained on the training
+//! tables of every set and tested on every split. Trained models are stored, so that a stopped study can be
+//! continued.
 
 mod bars;
 #[cfg(test)]

@@ -1,6 +1,6 @@
-//! Replays of recorded paths: rules that act on image resolution get the times of smaller images, rules that act on the ray
-//! step those of coarser steps; and a session without a model learns the costs of an unknown renderer (recorded times of
-//! software Vulkan, process-CPU time).
+//! Replays of recorded paths: rules that act on image resolution get the times of smaller images, rules that
+//! act on the ray step those of coarser steps; and a session without a model learns the costs of an unknown
+//! renderer (recorded times of software Vulkan, process-CPU time).
 
 use crate::recorded;
 use entire_cli::steering::contenders::{ControllerKind, contender};

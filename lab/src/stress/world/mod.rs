@@ -1,5 +1,5 @@
-//! Scenes of real geometry: the CPU version of the raycaster counts the work of each frame, and a law converts the
-//! counts to seconds. The predictor was fitted to frames of an ordinary volume.
+//! Scenes of real geometry: the CPU version of the raycaster counts the work of each frame, and a law
+//! converts the counts to seconds. The predictor was fitted to frames of an ordinary volume.
 
 mod scenes;
 
@@ -22,7 +22,8 @@ const COARSEST: f32 = 12.0;
 /// Standard deviation of the scripted clock's noise, in ln(seconds).
 const SIGMA: f64 = 0.02;
 
-/// Seconds of a frame on the scripted machine, whose unit costs have other ratios than the predictor's defaults.
+/// Seconds of a frame on the scripted machine, whose unit costs have other ratios than the predictor's
+/// defaults.
 fn law(pixels: f64, counts: &WorkCounts) -> f64 {
     let n = |v: u64| v as f64;
     5e-5 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
@@ -31,8 +32,8 @@ fn law(pixels: f64, counts: &WorkCounts) -> f64 {
 pub(crate) struct Machine<'a> {
     /// The renderer; the CPU version on the scripted clock.
     pub(crate) renderer: &'a mut dyn Renderer,
-    /// Clock of a real renderer. `None` for the scripted clock: the renderer counts work and `law` converts it to
-    /// seconds, the same in every run.
+    /// Clock of a real renderer. `None` for the scripted clock: the renderer counts work and `law` converts
+    /// it to seconds, the same in every run.
     pub(crate) clock: Option<Clock>,
 }
 
