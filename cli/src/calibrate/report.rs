@@ -64,7 +64,7 @@ pub struct Report {
 /// Fit of the quality law to compared pictures.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Pictures {
-    /// Error measure between a picture and the picture at full quality.
+    /// Error measure between a picture and the picture at full quality: always `rmse`, for readers of the file.
     pub error: &'static str,
     /// The law, and the picture error of the steps and image sizes that it chooses.
     #[serde(flatten)]
