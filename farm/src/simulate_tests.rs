@@ -39,7 +39,7 @@ fn without_costs_it_is_the_plain_queue() {
     let seconds = times(300);
     let mut p = planner(&seconds, &vec![0; 300], vec![0.0], 7, false);
     let out = simulate(&mut p, &world(seconds.clone(), 7), &[]);
-    let order = entire_steer::schedule::longest_first(&seconds).unwrap();
+    let order = crate::list::longest_first(&seconds).unwrap();
     let queue = simulate_queue(&order, &seconds, &[], &[1.0; 7]).unwrap();
     assert!((out.makespan - queue.makespan).abs() < 1e-6, "{} {}", out.makespan, queue.makespan);
     assert_eq!(out.ran.len(), 300);

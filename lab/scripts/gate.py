@@ -36,6 +36,9 @@ SKIPPING = ("change", "nightly")
 NOISE_SECONDS = 20
 # Renamed and divided tests: old name, new name or names.
 RENAMED = {
+    "grahams_worst_case_is_met_exactly": "exchanges_repair_grahams_worst_case",
+    "nonsense_is_refused_with_the_culprit_named": "nonsense_is_refused",
+    "no_assignment_beats_the_bound": "longest_first_is_within_grahams_bound_of_the_optimum",
     "the_counter_counts": "an_allocation_aborts_the_process",
     "several_machines_make_one_prior_and_a_factor_stands_alone": "several_machines_make_one_prior",
     "a_frame_is_measured_with_the_probe_of_the_prior": "a_frame_is_measured_when_it_is_added",

@@ -82,7 +82,6 @@ pub mod features;
 mod memory;
 pub mod numeric;
 pub mod predict;
-pub mod schedule;
 
 pub use control::{Plan, Session};
 pub use entire_core::{Error, ErrorKind, Result};

@@ -1,10 +1,9 @@
 //! `entire schedule`: assignment of tasks to nodes, in order, and the predicted end.
 
 use anyhow::{Context, Result, bail, ensure};
-use entire_farm::list::lower_bound;
+use entire_farm::list::{MAX_NODES, lower_bound};
 use entire_farm::{By, Method, plan, play, read_tasks, times};
 use entire_io::files::{ensure_not_input, make_folder_of, write_json, write_whole};
-use entire_steer::schedule::MAX_NODES;
 use serde_json::json;
 use std::path::PathBuf;
 

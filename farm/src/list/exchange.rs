@@ -1,7 +1,7 @@
 //! Improvement of an assignment by moves and exchanges.
 
+use super::Assignment;
 use anyhow::Result;
-use entire_steer::schedule::Assignment;
 
 const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the makespan.

@@ -1,16 +1,18 @@
 //! Task lists, and their assignment to nodes.
 
+mod assignment;
 mod exchange;
 mod queue;
 #[cfg(test)]
 mod tests;
 
+pub use assignment::{Assignment, MAX_NODES, assign_longest_first, longest_first};
 pub use queue::{Span, Timeline, simulate_queue};
 
 use anyhow::{Context, Result, ensure};
+use assignment::check;
 use entire_io::dataset::Groups;
 use entire_io::files::{decode_text, read_bytes};
-use entire_steer::schedule::{Assignment, assign_longest_first, longest_first};
 use exchange::exchange;
 use queue::run;
 use serde::{Deserialize, Serialize};
@@ -165,8 +167,7 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
 /// # Errors
 /// When a time is negative or not finite, a speed is not finite and positive, or there is no node.
 pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
-    // This call only checks the speeds.
-    assign_longest_first(&[], speeds)?;
+    check(times, speeds)?;
     let order = longest_first(times)?;
     let mut fastest = speeds.to_vec();
     fastest.sort_by(|a, b| b.total_cmp(a));

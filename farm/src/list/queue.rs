@@ -1,7 +1,7 @@
 //! Dynamic queues: a free node takes the next task.
 
+use super::assignment::check;
 use anyhow::{Result, bail};
-use entire_steer::schedule::{assign_longest_first, longest_first};
 
 /// Time span and node of a task.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,7 +27,7 @@ pub struct Timeline {
 
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
 /// `times` are the true times on a node of speed 1, without loading; predictions determine only the order.
-/// Arrival order is `0..n`; [`longest_first`] returns the order of predicted times, longest first. `loads`
+/// Arrival order is `0..n`; [`super::longest_first`] returns the order of predicted times, longest first. `loads`
 /// has the volume of each task, and the seconds to load it on a node that had no task or whose previous task
 /// was on another volume; they do not depend on the node's speed. `loads` is empty if no task loads a volume.
 ///
@@ -73,14 +73,6 @@ pub(super) fn run(
     }
     let makespan = free.into_iter().fold(0.0, f64::max);
     Timeline { spans, makespan }
-}
-
-/// Checks that times are finite and not negative, and speeds finite and positive.
-fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
-    // The results are not used.
-    assign_longest_first(&[], speeds)?;
-    longest_first(times)?;
-    Ok(())
 }
 
 fn check_order(order: &[usize], tasks: usize) -> Result<()> {

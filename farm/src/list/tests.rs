@@ -91,6 +91,44 @@ fn nonsense_is_refused() {
     {
         assert!(simulate_queue(&[0], times, &[], speeds).is_err(), "{times:?} {speeds:?}");
     }
+    let many = vec![1.0; MAX_NODES + 1];
+    assert!(assign_longest_first(&[1.0], &many[1..]).is_ok());
+    assert!(assign_longest_first(&[1e308; 2], &[4.0, 2.0]).is_ok());
+    for (times, speeds, expected) in [
+        (&[1.0][..], &[][..], "no nodes"),
+        (&[1.0, f64::NAN], &[1.0], "task 1"),
+        (&[-1.0], &[1.0], "task 0"),
+        (&[1.0], &[1.0, 0.0], "node 1"),
+        (&[1e308; 2], &[2.0, 1.0], "add up to more"),
+        (&[1.0], &many, "1048577 nodes, but at most 1048576"),
+    ] {
+        let message = assign_longest_first(times, speeds).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+    let assigned = |node_of: &[usize]| Assignment { node_of: node_of.to_vec(), nodes: 1 };
+    assert_eq!(assigned(&[]).makespan(&[], &[1.0]).unwrap(), 0.0);
+    for (node_of, expected) in [(&[0, 0][..], "1 times and 1 speeds"), (&[5], "names node 5; its 1 nodes")] {
+        let message = assigned(node_of).makespan(&[1.0], &[1.0]).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn equal_times_are_dealt_out_in_turn() {
+    // Nodes are also taken in turn if the tasks take no time.
+    for seconds in [1.0, 0.0] {
+        let a = assign_longest_first(&[seconds; 10], &ones(4)).unwrap();
+        let mut counts = [0; 4];
+        a.node_of.iter().for_each(|&n| counts[n] += 1);
+        assert_eq!(counts, [3, 3, 2, 2]);
+    }
+}
+
+#[test]
+fn fast_nodes_get_more() {
+    let a = assign_longest_first(&[1.0; 30], &[2.0, 1.0]).unwrap();
+    assert_eq!(a.node_of.iter().filter(|&&n| n == 0).count(), 20);
+    assert_eq!(a.makespan(&[1.0; 30], &[2.0, 1.0]).unwrap(), 10.0);
 }
 
 #[test]
@@ -160,7 +198,7 @@ proptest! {
     }
 
     #[test]
-    fn no_assignment_beats_the_bound(times in prop::collection::vec(0.01f64..10.0, 1..9), nodes in 1usize..4) {
+    fn longest_first_is_within_grahams_bound_of_the_optimum(times in prop::collection::vec(0.01f64..10.0, 1..9), nodes in 1usize..4) {
         // The shortest makespan of all assignments.
         let all = nodes.pow(times.len() as u32);
         let best = (0..all)
@@ -170,6 +208,8 @@ proptest! {
             })
             .fold(f64::INFINITY, f64::min);
         prop_assert!(lower_bound(&times, &ones(nodes)).unwrap() <= best * (1.0 + 1e-12));
+        let got = assign_longest_first(&times, &ones(nodes)).unwrap().makespan(&times, &ones(nodes)).unwrap();
+        prop_assert!(got <= best * (4.0 / 3.0 - 1.0 / (3.0 * nodes as f64)) + 1e-9);
     }
 
     #[test]

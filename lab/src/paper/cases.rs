@@ -5,8 +5,8 @@ use super::judge::{NETWORK, OURS};
 use super::results::{Fact, MEASURED, ORBIT_CHART, Results, percentiles, read_all, write};
 use anyhow::Result;
 use entire_farm::Task;
+use entire_farm::list::assign_longest_first;
 use entire_io::files::{fnv1a_text, make_folder_of, write_whole};
-use entire_steer::schedule::assign_longest_first;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

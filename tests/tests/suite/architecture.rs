@@ -181,7 +181,6 @@ const STEER: &Rooms = &[
     ("adapt", &["numeric", "predict"]),
     ("calibrate", &["features", "memory", "numeric", "predict"]),
     ("control", &["adapt", "calibrate", "features", "predict"]),
-    ("schedule", &[]),
 ];
 
 const IO: &Rooms = &[
