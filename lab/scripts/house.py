@@ -152,7 +152,7 @@ def missing_names(pages):
     header = "".join((ROOT / "include/entire" / name).read_text(encoding="utf-8") for name in ("entire.h", "advanced.h"))
     known = set(re.findall(r"\w+", header))
     # Modules and packages of other languages.
-    known |= {"entire_vtk", "entire_paraview", "entire_core", "entire_steer", "entire_static"}
+    known |= {"entire_vtk", "entire_paraview", "entire_core", "entire_steer", "entire_farm", "entire_static"}
     for page in pages:
         code = page.spans() + [line for _, _, lines in page.blocks for line in lines]
         for name in set(re.findall(r"\b(?:entire_[a-z0-9_]*[a-z0-9]|ENTIRE_(?:OBSERVE|CHANGE|UNIT|CAMERA|VOXELS)_\w+)\b", "\n".join(code))):
