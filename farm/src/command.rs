@@ -72,6 +72,35 @@ pub(crate) fn kill(child: &mut Child) {
     let _ = child.wait();
 }
 
+/// A shell in the process group of a [`leader`]. Its standard input ends when this process ends, even if this
+/// process is killed; the shell then kills the group. If the guard is dropped, only the shell ends.
+pub(crate) struct Guard(Child);
+
+impl Guard {
+    /// Guards the group of `leader`; `None` if no shell can be started, or the system has no process groups.
+    #[cfg(unix)]
+    pub(crate) fn of(leader: &Child) -> Option<Self> {
+        use std::process::Stdio;
+        let mut shell = Command::new("sh");
+        std::os::unix::process::CommandExt::process_group(&mut shell, i32::try_from(leader.id()).ok()?);
+        shell.args(["-c", "read -r _; kill -KILL 0"]).stdin(Stdio::piped());
+        shell.stdout(Stdio::null()).stderr(Stdio::null()).spawn().ok().map(Self)
+    }
+
+    #[cfg(not(unix))]
+    pub(crate) fn of(_: &Child) -> Option<Self> {
+        None
+    }
+}
+
+impl Drop for Guard {
+    fn drop(&mut self) {
+        // The shell is killed while its input is still open, so it kills nothing.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// Waits until a process has ended; needs Linux's folder `/proc`.
 #[cfg(test)]
 #[cfg(unix)]
@@ -98,6 +127,24 @@ mod tests {
             let said = format!("{:#}", check(text).unwrap_err());
             assert!(said.contains(word), "{text}: {said}");
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_group_ends_with_the_process_that_guards_it() {
+        use std::io::{BufRead, BufReader};
+        let mut program = leader("sh");
+        program.args(["-c", "sleep 1000 & echo $!; wait"]).stdout(std::process::Stdio::piped());
+        let mut child = program.spawn().unwrap();
+        let mut pid = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut pid).unwrap();
+        drop(Guard::of(&child).unwrap());
+        assert!(child.try_wait().unwrap().is_none());
+        let mut guard = Guard::of(&child).unwrap();
+        // When a process ends, the system closes this pipe.
+        drop(guard.0.stdin.take());
+        wait_for_end(&pid);
+        assert!(!child.wait().unwrap().success());
     }
 
     #[cfg(unix)]

@@ -1,7 +1,7 @@
 //! A persistent renderer: it reads a task per line of its standard input and answers each with a line of its
 //! standard output. Other output goes to the task's log.
 
-use super::command::{kill, leader};
+use super::command::{Guard, kill, leader};
 use super::record::Order;
 use super::spool::tail;
 use anyhow::{Context, Result, bail, ensure};
@@ -45,6 +45,7 @@ struct Running {
     child: Child,
     input: ChildStdin,
     lines: mpsc::Receiver<String>,
+    _guard: Option<Guard>,
 }
 
 impl Drop for Running {
@@ -68,11 +69,12 @@ impl Session {
             .stderr(Stdio::piped())
             .spawn()
             .with_context(|| format!("cannot start {program:?}; check the renderer's command"))?;
+        let guard = Guard::of(&child);
         let (send, lines) = mpsc::channel();
         forward(child.stderr.take().context("no standard error")?, send.clone());
         forward(child.stdout.take().context("no standard output")?, send);
         let input = child.stdin.take().context("no standard input")?;
-        Ok(Running { child, input, lines })
+        Ok(Running { child, input, lines, _guard: guard })
     }
 
     /// Renders a task to `out`. If the program was started for this task and reports the seconds of the

@@ -1,7 +1,7 @@
 //! A worker: renders the tasks of bundles, one after another. For each task, it writes first the complete
 //! image, then the answer to the spool. Image and answer remain if the worker is killed.
 
-use super::command::{fill, kill, leader};
+use super::command::{Guard, fill, kill, leader};
 use super::engine::utf8;
 use super::job::{Draw, Renderer, draw_settings, frame};
 use super::record::{Answer, BundleOrder, Line, Order, run_number, unix_now};
@@ -282,6 +282,7 @@ fn run(command: &[String], limit: Option<Duration>, order: &Order, out: &Path, l
         .stderr(file)
         .spawn()
         .with_context(|| format!("cannot start {program:?}; check the renderer's command"))?;
+    let _guard = Guard::of(&child);
     let status = match limit {
         None => child.wait()?,
         Some(limit) => match wait_at_most(&mut child, limit)? {
