@@ -49,6 +49,10 @@ const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
 
+/// Longest expected time of a task, seconds. JSON has no infinite numbers, which a list in a wrong unit would
+/// give.
+const LONGEST: f64 = 1e9;
+
 /// Returns a random number from the standard normal distribution (Box and Muller 1958).
 pub(crate) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
@@ -294,7 +298,7 @@ impl Learner {
     /// Expected seconds on a node of speed 1.
     pub fn seconds(&self, task: usize) -> f64 {
         let log = f64::from(self.shape.base[task]) + self.log_of(&self.beta, &self.effects, task);
-        (log + 0.5 * self.sigma2 / self.calm(task).powi(2)).exp()
+        (log + 0.5 * self.sigma2 / self.calm(task).powi(2)).exp().min(LONGEST)
     }
 
     pub(crate) fn all_seconds(&self) -> Vec<f32> {
@@ -535,7 +539,7 @@ impl Learner {
             self.sigma2.sqrt() * normal(rng)
         };
         let log = self.log_of(&draw.beta, &draw.effects, task);
-        (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp()
+        (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp().min(LONGEST)
     }
 
     /// As [`Learner::drawn_seconds`], for a task that has run for `seconds` and is not finished. Returns a

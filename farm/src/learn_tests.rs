@@ -130,3 +130,13 @@ fn a_task_that_still_runs_is_drawn_longer_and_says_how_probable_that_is() {
     }
     assert!(all[0] > 0.999 && all[4] < 0.01, "{all:?}");
 }
+
+#[test]
+fn a_list_in_a_wrong_unit_gives_no_infinite_times() {
+    for base in [1e12, 1e300] {
+        let shape = Shape::of_volumes(&[base; 2], &[0; 2]).with_constant(CONSTANT_SD_WITH_MODEL);
+        let mut learner = Learner::new(shape);
+        learner.observe(0, 0, 0.01);
+        assert!(learner.all_seconds()[1].is_finite() && learner.upper(&[1], 0.99).is_finite(), "{base}");
+    }
+}
