@@ -200,13 +200,9 @@ impl Worker {
         };
         let png = match drawn {
             Some(png) => png,
-            None => {
-                let png = std::fs::read(&part).with_context(|| {
-                    format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
-                })?;
-                let _ = std::fs::remove_file(&log);
-                png
-            }
+            None => std::fs::read(&part).with_context(|| {
+                format!("the renderer succeeded but wrote no image; its output is in {}", log.display())
+            })?,
         };
         check_png(&png, order.size)?;
         if let Some(what) = identity::changed(&order.volume, &order.files)? {
@@ -219,6 +215,8 @@ impl Worker {
         let whole = folder.path().join("whole.png");
         write_whole(&whole, &png)?;
         std::fs::rename(&whole, &out).with_context(|| format!("cannot write {}", out.display()))?;
+        // The driver keeps the log of a task that is given up.
+        let _ = std::fs::remove_file(&log);
         Ok((painted, png.len() as u64, crc32fast::hash(&png)))
     }
 }
@@ -379,6 +377,22 @@ mod tests {
         assert_eq!((first.error, &second.error), (None, &None));
         let neither = second.end - second.begin - second.seconds - second.load_s;
         assert!(neither > 0.99, "{second:?}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_output_of_a_program_stays_if_its_image_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let state = dir.path().join(".farm");
+        for folder in ["parts", "logs"] {
+            std::fs::create_dir_all(state.join(folder)).unwrap();
+        }
+        let command = ["sh", "-c", "echo because; echo no image > \"$0\"", "{out}"].map(str::to_owned);
+        let painter = Painter::Program(command.to_vec(), None);
+        let mut worker = Worker { state, output: dir.path().to_owned(), node: "n".into(), painter };
+        let error = worker.answer(&an_order("v"), 1).error.unwrap();
+        assert!(error.contains("no PNG"), "{error}");
+        assert_eq!(tail(&worker.state.join("logs/7.log")), "because");
     }
 
     #[cfg(unix)]
