@@ -168,6 +168,22 @@ fn a_plan_for_another_farm_has_no_task_that_was_given_up() {
 }
 
 #[test]
+fn a_report_counts_no_task_as_given_up_that_the_job_has_no_longer() {
+    let (dir, job) = setting(1);
+    run_on(&mut Database::open(&job, &Options::default()).unwrap(), 1).unwrap();
+    let (page, file) = (dir.path().join("r.html"), dir.path().join("job.toml"));
+    let said = || {
+        crate::report::write(&Job::open(&file).unwrap(), &page).unwrap();
+        std::fs::read_to_string(&page).unwrap()
+    };
+    assert!(said().contains("1 tasks are quarantined"));
+    // With another command, the tasks have other ids.
+    let text = std::fs::read_to_string(&file).unwrap().replace("draw", "paint");
+    std::fs::write(&file, text).unwrap();
+    assert!(said().contains("0 tasks are quarantined"));
+}
+
+#[test]
 fn the_room_for_a_failed_task_is_that_of_its_image() {
     assert_eq!(probe_bytes(0, [16, 16]), 1 << 18);
     assert_eq!(probe_bytes(3 << 20, [16, 16]), 6 << 20);
