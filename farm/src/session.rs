@@ -123,8 +123,8 @@ impl Session {
             fields.remove("files");
         }
         value["out"] = out.to_str().context("the image's path is not UTF-8")?.into();
-        let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
         let (clock, limit) = (Instant::now(), self.limit);
+        let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
         let is_late = || limit.is_some_and(|l| clock.elapsed() >= l);
         loop {
             // The limit holds also for a program that prints without pause.
@@ -144,7 +144,16 @@ impl Session {
                 }
             };
             match serde_json::from_str::<Reply>(&line) {
-                Ok(reply) if reply.task == order.task => return Ok(reply),
+                Ok(reply) if reply.task == order.task => {
+                    let (took, load_s) = (clock.elapsed().as_secs_f64(), reply.load_s.unwrap_or(0.0));
+                    ensure!(
+                        (0.0..=took).contains(&load_s) && reply.seconds.is_none_or(|s| s >= 0.0),
+                        "the renderer answered after {took:.3} s with load_s = {load_s} and seconds = {}; both are \
+                         seconds of this task",
+                        reply.seconds.unwrap_or(0.0)
+                    );
+                    return Ok(reply);
+                }
                 _ => writeln!(log_file, "{line}")?,
             }
         }
@@ -181,6 +190,17 @@ mod tests {
         let reply = session.ask(&an_order(&"v".repeat(1 << 20)), &dir.path().join("i.png"), &log).unwrap();
         assert_eq!(reply.task, "7");
         assert_eq!(std::fs::read_to_string(&log).unwrap(), "one\ntwo\n");
+    }
+
+    #[test]
+    fn times_that_a_task_cannot_have_are_an_error() {
+        let dir = tempfile::tempdir().unwrap();
+        for times in ["\"load_s\": 300", "\"load_s\": -5", "\"seconds\": -1"] {
+            let mut session = shell(&format!("read -r _; echo '{{\"task\": \"7\", {times}}}'; read -r _"));
+            let said = session.ask(&an_order("v"), &dir.path().join("i.png"), &dir.path().join("log"));
+            let said = said.unwrap_err().to_string();
+            assert!(said.contains("seconds of this task"), "{times}: {said}");
+        }
     }
 
     #[test]
