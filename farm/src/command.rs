@@ -17,6 +17,11 @@ pub(crate) fn check(argument: &str) -> Result<()> {
     fill(argument, |name| NAMES.split(' ').any(|known| known == name).then_some("")).map(|_| ())
 }
 
+/// True if a checked argument has this placeholder.
+pub(crate) fn has(argument: &str, name: &str) -> bool {
+    fill(argument, |found| (found != name).then_some("")).is_err()
+}
+
 /// Returns an argument with its placeholders replaced by the texts that `value` returns for their names.
 /// Inserted text is not expanded again.
 ///
@@ -123,6 +128,7 @@ mod tests {
         assert_eq!(fill("--out={out}", value).unwrap(), "--out=a {task} b.png");
         assert_eq!(fill("{{{task}}}", value).unwrap(), "{7}");
         assert_eq!(fill("plain", value).unwrap(), "plain");
+        assert_eq!(["a{out}", "{{out}}", "{task}"].map(|text| has(text, "out")), [true, false, false]);
         for (text, word) in [("{oot}", "{oot}"), ("{out", "single"), ("a}b", "single"), ("{a{b}", "single")] {
             let said = format!("{:#}", check(text).unwrap_err());
             assert!(said.contains(word), "{text}: {said}");

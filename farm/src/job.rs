@@ -325,9 +325,9 @@ impl Job {
 fn volume_hashes(volumes: &[VolumeFile], renderer: &Renderer) -> Vec<u64> {
     let mut same: HashMap<String, usize> = HashMap::new();
     // True if the renderer gets the name or the time step of a volume, besides the path of its file.
-    let [gets_name, gets_time] = ["{volume_name}", "{time}"].map(|word| match renderer {
+    let [gets_name, gets_time] = ["volume_name", "time"].map(|name| match renderer {
         Renderer::Entire { .. } => false,
-        Renderer::Command { command, .. } => command.iter().any(|a| a.contains(word)),
+        Renderer::Command { command, .. } => command.iter().any(|a| command::has(a, name)),
         Renderer::Session { .. } | Renderer::Pvbatch { .. } => true,
     });
     let text = |v: &VolumeFile| {
@@ -487,7 +487,7 @@ fn renderer(mut renderer: Renderer, folder: &Path) -> Result<Renderer> {
             check_program(command, *timeout_s)?;
             command.iter().try_for_each(|argument| command::check(argument))?;
             ensure!(
-                command.iter().any(|a| a.contains("{out}")),
+                command.iter().any(|a| command::has(a, "out")),
                 "renderer: no argument of the command holds {{out}}, where the image goes; add it"
             );
         }

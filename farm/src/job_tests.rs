@@ -118,6 +118,7 @@ fn every_mistake_is_named() {
         ("poses = [[1, 2, 3]]", "poses = [[1, 2, -3]]", "cameras: view 13"),
         ("{volume}", "{volum}", "{volum}"),
         ("--out={out}", "--out", "{out}"),
+        ("--out={out}", "--out={{out}}", "{out}"),
         ("kind = \"command\"", "kind = \"comand\"", "comand"),
         ("lobes = [[0.5, 0.1, 0.2]]", "lobes = [[0.5, -0.1, 0.2]]", "transfer a"),
         ("lobes = [[0.5, 0.1, 0.2]]", "", "either lobes or points"),
