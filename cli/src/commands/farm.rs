@@ -7,6 +7,7 @@ use entire_farm::database::{self, Database};
 use entire_farm::dispatch::Order;
 use entire_farm::engine::{Bundle, Engine, HyperQueue, Local, Places, Slurm};
 use entire_farm::job::Job;
+use entire_farm::list::MAX_NODES;
 use entire_farm::planner::{Planner, Setting, State};
 use entire_farm::show::{duration, parse_duration};
 use entire_farm::worker::Worker;
@@ -128,7 +129,8 @@ pub(crate) struct WorkerOptions {
 
 pub(crate) fn run(options: &Options, program: &[OsString]) -> Result<()> {
     let job = Job::open(&options.job)?;
-    ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");
+    let given = options.slots.unwrap_or(1);
+    ensure!((1..=MAX_NODES).contains(&given), "--slots is {given}; it must lie in 1 to {MAX_NODES}");
     for (option, value, what) in
         [("--price", options.price, "number"), ("--overhead", options.overhead, "number of seconds")]
     {

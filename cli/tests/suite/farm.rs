@@ -296,6 +296,8 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     assert_eq!(template["steps"][0]["script"]["actions"]["onRun"]["timeout"], 90, "{said}");
     refuses(dir.path(), &["farm", "none.toml"], &["cannot read the job file none.toml"]);
     refuses(dir.path(), &["farm", "job.toml", "--slots", "0"], &["--slots is 0"]);
+    let many = words("farm job.toml --dry-run --slots 1000000000000");
+    refuses(dir.path(), &many, &["--slots is 1000000000000", "1 to 1048576"]);
     succeeds(dir.path(), &["farm", "job.toml", "--dry-run", "--save-tasks", "new/tasks.csv"]);
     for (more, parts) in [
         (&["--cpus", "2"][..], ["--cpus has no effect with --engine local", "--engine hyperqueue"]),
