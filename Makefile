@@ -48,4 +48,4 @@ check: ## Check format, lints and documentation, as CI does
 .PHONY: clean
 clean: ## Remove all build outputs and reports
 	$(CARGO) clean
-	rm -rf out
+	rm -rf out fuzz/target
