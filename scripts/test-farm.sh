@@ -11,6 +11,10 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
+case ${1:-} in
+    "" | --full | python) ;;
+    *) echo "test-farm.sh: found word \"$1\"; use --full, python or nothing" >&2; exit 2 ;;
+esac
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 work=$(mktemp -d)
 slurm=
