@@ -92,7 +92,7 @@ pub fn duration(seconds: f64) -> String {
     match seconds {
         x if !x.is_finite() => "unknown".into(),
         x if x < 99.5 => format!("{x:.1} s"),
-        x if x < 3600.0 => format!("{}:{:02} min", s / 60, s % 60),
+        _ if s < 3600 => format!("{}:{:02} min", s / 60, s % 60),
         x if x < 172_800.0 => format!("{}:{:02} h", s / 3600, s % 3600 / 60),
         x => format!("{:.1} days", x / 86400.0),
     }
@@ -119,9 +119,13 @@ mod tests {
 
     #[test]
     fn durations_go_both_ways() {
-        for (seconds, text) in
-            [(8.54, "8.5 s"), (187.0, "3:07 min"), (7500.0, "2:05 h"), (302_400.0, "3.5 days")]
-        {
+        for (seconds, text) in [
+            (8.54, "8.5 s"),
+            (187.0, "3:07 min"),
+            (3599.6, "1:00 h"),
+            (7500.0, "2:05 h"),
+            (302_400.0, "3.5 days"),
+        ] {
             assert_eq!(duration(seconds), text);
         }
         assert_eq!(parse_duration("1.5h"), Ok(5400.0));
