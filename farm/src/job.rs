@@ -167,9 +167,7 @@ impl Job {
             predict.probe_side.unwrap_or(0)
         );
         let mut names = HashSet::new();
-        if let Some(volume) =
-            volumes.iter().find(|v| !names.insert(format!("{} {} {}", v.name, v.time, v.reading.key())))
-        {
+        if let Some(volume) = volumes.iter().find(|v| !names.insert((v.name.as_str(), v.time))) {
             bail!(
                 "volumes: {} has the name {} of an earlier entry; give it another `name`",
                 volume.path.display(),
@@ -461,9 +459,14 @@ fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {
 }
 
 fn transfers(entries: &[TransferEntry]) -> Result<Vec<NamedTransfer>> {
-    let mut out = Vec::new();
+    let mut out: Vec<NamedTransfer> = Vec::new();
     for entry in entries {
         check_name("transfer: name", &entry.name)?;
+        ensure!(
+            out.iter().all(|earlier| earlier.name != entry.name),
+            "transfer: two entries have the name {}; give each a name of its own",
+            entry.name
+        );
         let value = match (&entry.lobes, &entry.points) {
             (Some(lobes), None) => serde_json::json!({ "lobes": lobes.iter().map(|[c, w, h]|
                 serde_json::json!({"center": c, "width": w, "height": h})).collect::<Vec<_>>() }),

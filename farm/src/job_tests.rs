@@ -117,6 +117,12 @@ fn every_mistake_is_named() {
         ("steps = [1.0, 2.0]", "steps = []", "steps is empty"),
         ("poses = [[1, 2, 3]]", "poses = [[1, 2, -3]]", "cameras: view 13"),
         ("{volume}", "{volum}", "{volum}"),
+        ("name = \"b\"", "name = \"a\"", "two entries have the name a"),
+        (
+            "series = true",
+            "series = true\nname = \"s\"\nrange = [0.0, 9.0]\n[[volumes]]\nfiles = [\"step*.raw\"]\nseries = true",
+            "give it another `name`",
+        ),
         ("--out={out}", "--out", "{out}"),
         ("--out={out}", "--out={{out}}", "{out}"),
         ("kind = \"command\"", "kind = \"comand\"", "comand"),
