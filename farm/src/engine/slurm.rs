@@ -136,6 +136,12 @@ fn longest_request(listed: &str, named: Option<&str>) -> Option<f64> {
     limits.map(|l| l.into_iter().fold(0.0, f64::max)).filter(|l| *l > 0.0)
 }
 
+/// Longest time of a bundle without [`GRACE`], seconds, for a limit of the request in seconds. Slurm counts whole
+/// minutes.
+fn longest_bundle(limit: f64) -> f64 {
+    60.0 * (limit / 60.0).floor() - GRACE
+}
+
 /// Returns a time request in sbatch's format: `seconds` and [`GRACE`], rounded up to whole minutes.
 fn request(seconds: f64) -> String {
     (((seconds + GRACE) / 60.0).ceil().max(1.0) as u64).to_string()
@@ -160,12 +166,12 @@ impl Slurm {
         ensure!(slots > 0, "sinfo lists no node; give the number of bundles that run at once with --slots");
         let listed = ask("sinfo", &["-h", "-o", "%P %l"], None)?;
         let named = partitions(&options.sbatch, std::env::var("SBATCH_PARTITION").ok());
-        let limit = options.limit.or(longest_request(&listed, named.as_deref())).map(|l| l - GRACE);
+        let limit = options.limit.or(longest_request(&listed, named.as_deref()));
+        let limit = limit.map(longest_bundle);
         ensure!(
             limit.is_none_or(|l| l > 0.0),
-            "the time limit of a bundle is {} s, but the start and end of a bundle alone take {GRACE} s; \
-             give a longer limit with --time-limit",
-            limit.unwrap_or(0.0) + GRACE
+            "the time limit of a bundle is less than a minute, Slurm's unit of time limits; give a longer limit \
+             with --time-limit"
         );
         let new = Self::new(places, run, options, slots, limit)?;
         new.clear_queue()?;
@@ -375,6 +381,9 @@ mod tests {
         assert_eq!(request(45.0), "1");
         assert_eq!(request(46.0), "2");
         assert_eq!(request(3600.0), "61");
+        // No request exceeds the limit.
+        assert_eq!([60.0, 90.0, 3600.0].map(|limit| request(longest_bundle(limit))), ["1", "1", "60"]);
+        assert!(longest_bundle(59.0) < 0.0);
     }
 
     #[test]
