@@ -255,6 +255,24 @@ fn choose_takes_the_first_setting_that_fits() {
 }
 
 #[test]
+fn the_own_step_of_a_frame_whose_setting_is_chosen_changes_no_plan() {
+    let played = |step: f32| {
+        let f = Frame { step, ..frame(20.0, 30.0, 2.0) };
+        let settings = [1.0f32, 6.0].map(|step| Setting { step, ..Setting::from(&f) });
+        let mut session = ready_session();
+        for _ in 0..12 {
+            let plan = session.choose(&f, &settings, 0.02).unwrap().1;
+            session.observe(plan.id, 0.005 + 0.06 / plan.step, ObserveFlags::default()).unwrap();
+        }
+        std::format!("{:?}", session.plan(&f, 0.02).unwrap())
+    };
+    let expected = played(6.0);
+    for step in [1.0 / 64.0, 1.0, 4096.0] {
+        assert_eq!(played(step), expected, "{step}");
+    }
+}
+
+#[test]
 fn options_that_steering_cannot_hold_to_are_refused() {
     let good = HybridOptions::default();
     assert_eq!(good.checked(), Ok(good));

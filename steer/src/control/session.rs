@@ -382,6 +382,9 @@ impl Session {
         let Some((index, terms, p)) = best else {
             bail!(InvalidArgument, "no setting could be predicted");
         };
+        // The frame is drawn with the chosen step, not its own, so the next plan starts from that step.
+        self.controller.withdraw();
+        self.begin(changes, Setting { step: settings[index].step, ..Setting::from(&widest) })?;
         let decision = Decision::of(settings[index].step, p, reason);
         let drawn = (decision.step, 1.0, self.coarsening.last);
         let plan = self.note(frame, target, changes, terms, decision, drawn);
