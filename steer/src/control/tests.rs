@@ -335,6 +335,20 @@ fn no_saved_state_with_a_flipped_bit_a_cut_or_more_bytes_is_loaded() {
 }
 
 #[test]
+fn a_prediction_after_a_load_is_that_of_the_next_plan() {
+    let f = frame(20.0, 30.0, 2.0);
+    let mut session = ready_session();
+    session.set_enabled(false);
+    draw(&mut session, &f, 0.02, 0.013, 10);
+    session.set_transfer(&TransferFunction::Gaussian(lobes(0.3, 0.9)).to_table().unwrap(), None).unwrap();
+    draw(&mut session, &f, 0.02, 0.03, 10);
+    let state = session.save_state();
+    session.load_state(&state).unwrap();
+    let (predicted, planned) = (session.predict(&f).unwrap(), session.plan(&f, 0.02).unwrap());
+    assert_eq!((predicted.seconds, predicted.upper), (planned.seconds, planned.upper));
+}
+
+#[test]
 fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
     let named = |costs: Option<f64>, renderer: &str, clock: &str| {
         let model = match costs {

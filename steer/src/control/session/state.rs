@@ -132,6 +132,8 @@ impl Session {
         }
         self.controller.load(r.0)?;
         self.pending.fill(None);
+        // The state holds no last frame, so the next frame continues none, as after a reset.
+        self.changes.first = true;
         Ok(())
     }
 }
