@@ -75,8 +75,8 @@ by_value!(entire_calibration_report {
 /// plan every frame as it was drawn, and observe its time.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a frame count outside 8 to 65536), ENTIRE_UNSUPPORTED (a prior that is
-/// not an analytic model), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model handle that is unusable),
-/// ENTIRE_NULL_ARGUMENT.
+/// not an analytic model), ENTIRE_INVALID_MODEL (a prior whose metadata are damaged), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_record(
     session: *mut entire_session,
@@ -177,9 +177,8 @@ pub unsafe extern "C" fn entire_session_recorded_count(
 /// probe rays changes with the model. If the model takes volume features, set the volume again. The session
 /// holds a reference to the model.
 ///
-/// Fails with ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with
-/// an input group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
-/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT (`model` may not be NULL here).
+/// Fails for a model as entire_session_new does, and with ENTIRE_OUT_OF_MEMORY and ENTIRE_NULL_ARGUMENT
+/// (`model` may not be NULL here).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_model(
     session: *mut entire_session,

@@ -47,9 +47,10 @@ impl Loop {
 /// defaults. The session holds a reference to the model.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates or probe settings that are out of range),
-/// ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_MISSING_INPUT (a model with an input
-/// group that this version does not know), ENTIRE_PANIC (a model handle that is unusable),
-/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// ENTIRE_UNSUPPORTED (a model without a prediction network, or with a scene feature or order of lobes that
+/// this version does not know), ENTIRE_MISSING_INPUT (a model with an input group that this version does not
+/// know), ENTIRE_INVALID_MODEL (a model whose metadata are damaged), ENTIRE_PANIC (a model handle that is
+/// unusable), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_new(
     model: *const entire_model,

@@ -113,8 +113,7 @@ impl Calibration {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
-    /// [`crate::ErrorKind::Unsupported`] for a prior that is not an analytic model,
-    /// [`crate::ErrorKind::OutOfMemory`].
+    /// [`crate::ErrorKind::OutOfMemory`], and for the prior as [`PriorModel::new`].
     pub fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
         if !KEPT_FRAMES.contains(&frames) {
             bail!(

@@ -78,7 +78,8 @@ impl PriorModel {
     /// costs of this kind of renderer.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Unsupported`] for a model that is not analytic.
+    /// [`crate::ErrorKind::Unsupported`] for a model that is not analytic, and as [`ModelFile::to_model`] and
+    /// [`AnalyticModel::from_model`].
     pub fn new(files: &[ModelFile], typical: &UnitCosts) -> Result<Self> {
         if files.is_empty() {
             return Ok(Self::typical(typical));

@@ -91,9 +91,7 @@ impl Session {
     /// each frame as it was drawn, and observe its time.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
-    /// [`crate::ErrorKind::Unsupported`] for a prior that is not an analytic model,
-    /// [`crate::ErrorKind::OutOfMemory`].
+    /// As [`Calibration::new`].
     pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
         let calibration = Calibration::new(prior, frames)?;
         let nothing = Planned { id: 0, work: [0.0; COSTS], shown: Shown::default() };
