@@ -4,6 +4,7 @@ use crate::abi::{slice, slice_mut};
 use crate::guard::{changing, entry, freeing, making, reading};
 use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_TRANSFER_POINTS, at_most};
+use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, collected, refuse};
 use entire_core::scene::{GaussianLobe, Node, Nodes, TABLE_LEN, TransferFunction, TransferTable};
@@ -174,7 +175,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_table(
 /// Sets the distance along the ray over which the opacities hold, positive, in the given unit.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a distance that is out of range, an unknown unit),
-/// ENTIRE_NULL_ARGUMENT.
+/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     transfer_function: *mut entire_transfer_function,
@@ -182,6 +183,7 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     unit: entire_unit,
 ) -> entire_result {
     entry!(changing(transfer_function, |transfer| {
+        reserve::check()?;
         // This only checks the distance; entire_session_set_transfer_function applies it.
         transfer.table.clone().with_unit_distance(distance)?;
         transfer.unit = match unit {

@@ -9,6 +9,7 @@ use crate::abi::{ByValue, by_value, check_output, init_struct, read_struct, slic
 use crate::guard::{changing, entry, freeing, guard, making, reading};
 use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
+use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied, refuse};
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
@@ -447,6 +448,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
     feature_count: usize,
 ) -> entire_result {
     entry!(changing(volume, |volume| {
+        reserve::check()?;
         at_most("feature_count", feature_count, ENTIRE_MAX_FEATURES, "ENTIRE_MAX_FEATURES")?;
         let features = slice(features, feature_count, "features")?;
         if let Some(i) = features.iter().position(|f| !f.is_finite()) {

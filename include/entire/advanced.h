@@ -663,7 +663,7 @@ entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_l
  * Sets the distance along the ray over which the opacities hold, positive, in the given unit.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a distance that is out of range, an unknown unit),
- * ENTIRE_NULL_ARGUMENT.
+ * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_set_unit_distance(entire_transfer_function *transfer_function,
                                                          float distance,
@@ -880,7 +880,7 @@ entire_result entire_session_mark(entire_session *session, uint32_t changes);
  * learned correction is forgotten, too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
- * ENTIRE_NULL_ARGUMENT.
+ * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_timing_source(entire_session *session,
                                                const char *renderer,

@@ -146,6 +146,14 @@ static entire_result set_transfer_function(void) {
     return entire_session_set_transfer_function(session, tf);
 }
 
+static entire_result set_timing_source(void) {
+    return entire_session_set_timing_source(session, "a renderer", "wall");
+}
+
+static entire_result set_unit_distance(void) {
+    return entire_transfer_function_set_unit_distance(tf, 2, ENTIRE_UNIT_WORLD);
+}
+
 static entire_result predict_batch(void) {
     return entire_model_predict_batch(model, rows, ROWS, COLUMNS, seconds);
 }
@@ -213,6 +221,8 @@ static entire_result fill_the_reserve(void) {
         if (made < 20 || made == MOST || result != ENTIRE_OUT_OF_MEMORY) return ENTIRE_PANIC;
         if (strstr(entire_last_error(), "memory") == NULL) return ENTIRE_PANIC;
         if (open_model() != ENTIRE_OUT_OF_MEMORY || plan_and_observe() != ENTIRE_OK) return ENTIRE_PANIC;
+        if (set_timing_source() != ENTIRE_OUT_OF_MEMORY) return ENTIRE_PANIC;
+        if (set_unit_distance() != ENTIRE_OUT_OF_MEMORY) return ENTIRE_PANIC;
         while (made > 0) entire_transfer_function_free(held[--made]);
     }
     return ENTIRE_OK;
@@ -243,6 +253,8 @@ static const struct {
     {"entire_session_set_volume", set_volume, 0, 0},
     {"entire_volume_update, entire_session_set_time_step", update_volume, 0, 0},
     {"entire_session_set_transfer_function", set_transfer_function, 0, 0},
+    {"entire_session_set_timing_source", set_timing_source, 0, 0},
+    {"entire_transfer_function_set_unit_distance", set_unit_distance, 0, 0},
     {"entire_session_save_state", save_state, 0, 0},
     {"a refused call", refused, 0, 0},
 };

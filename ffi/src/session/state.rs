@@ -4,6 +4,7 @@ use super::entire_session;
 use crate::abi::{check_pointer, slice, text, write};
 use crate::guard::{changing, entry, reading};
 use crate::limits::{ENTIRE_MAX_STATE_BYTES, at_most};
+use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::refuse;
 use entire_steer::predict::Clock;
@@ -19,7 +20,7 @@ use std::ffi::c_char;
 /// learned correction is forgotten, too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
-/// ENTIRE_NULL_ARGUMENT.
+/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_timing_source(
     session: *mut entire_session,
@@ -27,6 +28,7 @@ pub unsafe extern "C" fn entire_session_set_timing_source(
     clock: *const c_char,
 ) -> entire_result {
     entry!(changing(session, |state| {
+        reserve::check()?;
         let (renderer, clock) = (text(renderer, "renderer")?, text(clock, "clock")?);
         Ok(state.session.set_timing_source(renderer, clock)?)
     }))
