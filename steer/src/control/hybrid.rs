@@ -567,7 +567,8 @@ impl Controller for Hybrid {
 fn prediction_of(terms: &CostTerms, seconds: f64, upper: f64) -> Prediction {
     Prediction {
         seconds: (seconds as f32).clamp(1.0e-9, 1.0e9),
-        upper: upper as f32,
+        // Not below the clamped seconds; NaN remains NaN.
+        upper: (upper as f32).clamp(1.0e-9, f32::INFINITY),
         out_of_range: terms.out_of_range,
         source: terms.source,
     }
@@ -620,5 +621,15 @@ mod tests {
         let worth = |miss_rate| Hybrid::new(HybridOptions { miss_rate, ..HybridOptions::default() }).worth;
         assert_eq!(worth(0.05), WORTH);
         assert!(worth(0.001) > 3.0);
+    }
+
+    #[test]
+    fn no_bound_is_below_its_prediction() {
+        let terms = CostTerms::whole(1.0, 0.0, crate::predict::Source::Analytic);
+        for seconds in [0.0, 1.0e-20, 1.0e-9, 1.0, 1.0e20] {
+            let p = prediction_of(&terms, seconds, 1.3 * seconds);
+            assert!(p.upper >= p.seconds, "{p:?}");
+        }
+        assert!(prediction_of(&terms, f64::NAN, f64::NAN).upper.is_nan());
     }
 }
