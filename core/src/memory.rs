@@ -8,8 +8,7 @@ use alloc::vec::Vec;
 pub(crate) fn no_memory() -> Error {
     Error::new(
         ErrorKind::OutOfMemory,
-        "the model or the volume needs more memory than there is; give the process more memory, or use a \
-         smaller model or volume",
+        "there is not enough memory for this call; free some memory, or pass less data",
     )
 }
 

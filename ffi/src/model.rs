@@ -10,9 +10,10 @@ use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, collected, copied, frame_time, refuse};
+use crate::result::{Failure, frame_time, refuse};
 use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Executor, Level};
+use entire_core::memory::{collected, filled, room};
 use entire_core::model::{GroupKind, Model, ModelFile};
 use entire_core::nn::{EncodeScratch, PredNet, PredScratch, Target, VolumeNet};
 use entire_steer::predict::{Predictor, load_with};
@@ -141,7 +142,7 @@ impl Loaded {
                 .map(|(key, value)| Ok((key.clone(), kept_text(value)?)))
                 .collect::<Result<_, Failure>>()?,
             prednet,
-            bytes: copied(bytes)?,
+            bytes: collected(bytes.iter().copied())?,
             model,
         })
     }
@@ -169,9 +170,9 @@ impl Loaded {
                     ready.len()
                 );
             }
-            return Ok(Some(copied(ready)?));
+            return Ok(Some(collected(ready.iter().copied())?));
         }
-        let mut features = collected(std::iter::repeat_n(0.0, size))?;
+        let mut features = filled(size, 0.0)?;
         self.encode(volume, &mut features)?;
         Ok(Some(features))
     }
@@ -210,8 +211,7 @@ fn kept_text(text: &str) -> Result<CString, Failure> {
     if text.contains('\0') {
         return kept_text(&text.replace('\0', "\u{fffd}"));
     }
-    let mut bytes = Vec::new();
-    bytes.try_reserve_exact(text.len() + 1)?;
+    let mut bytes = room(text.len() + 1)?;
     bytes.extend_from_slice(text.as_bytes());
     bytes.push(0);
     Ok(CString::from_vec_with_nul(bytes).unwrap_or_default())
@@ -543,7 +543,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
         let scratch = || net.scratch(ROWS_AT_ONCE);
         // Predictions are written to separate memory first, so that a failed call leaves the caller's
         // array unchanged.
-        let mut predicted = collected(std::iter::repeat_n(0.0f32, rows))?;
+        let mut predicted = filled(rows, 0.0f32)?;
         loaded.rows.with(scratch, |scratch| {
             net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))
         })??;

@@ -2,7 +2,6 @@
 
 use entire_core::{Error, ErrorKind};
 use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
-use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
 use std::fmt::Display;
 
@@ -139,28 +138,6 @@ pub(crate) fn no_prediction(seconds: f32) -> Failure {
             PREDICTED_SECONDS.end()
         ),
     )
-}
-
-impl From<TryReserveError> for Failure {
-    fn from(_: TryReserveError) -> Self {
-        Self::new(
-            ENTIRE_OUT_OF_MEMORY,
-            "there is not enough memory for this call; free some memory, or pass less data",
-        )
-    }
-}
-
-/// Returns a copy of a caller's array, or the failure if there is no memory for it.
-pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>, Failure> {
-    collected(slice.iter().copied())
-}
-
-/// Returns the elements of an iterator of known length, or the failure if there is no memory for them.
-pub(crate) fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Failure> {
-    let mut out = Vec::new();
-    out.try_reserve_exact(elements.len())?;
-    out.extend(elements);
-    Ok(out)
 }
 
 impl From<Error> for Failure {

@@ -6,7 +6,8 @@ use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_TRANSFER_POINTS, at_most};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, collected, refuse};
+use crate::result::{Failure, refuse};
+use entire_core::memory::collected;
 use entire_core::scene::{GaussianLobe, Node, Nodes, TABLE_LEN, TransferFunction, TransferTable};
 
 /// A Gaussian lobe of the opacity function O(s) = sum of height * exp(-(s - center)^2 / width).

@@ -11,7 +11,8 @@ use crate::handle::{Held, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
 use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, copied, refuse};
+use crate::result::{Failure, refuse};
+use entire_core::memory::collected;
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeOptions, VolumeView};
 use entire_steer::features::{SummarySeries, VolumeSummary};
 use std::any::Any;
@@ -454,7 +455,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
         if let Some(i) = features.iter().position(|f| !f.is_finite()) {
             refuse!(ENTIRE_INVALID_ARGUMENT, "feature {i} is {}; all must be finite", features[i]);
         }
-        let kept = copied(features)?;
+        let kept = collected(features.iter().copied())?;
         volume.features = (!kept.is_empty()).then_some(kept);
         Ok(())
     }))
