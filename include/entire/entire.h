@@ -476,8 +476,8 @@ typedef struct entire_session_options {
     /**
      * Number of rays along each side of the probe that measures frames for an analytic model (also if no
      * model is given), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
-     * rays estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which
-     * they were trained with.
+     * rays estimate the frame less exactly. Default 0: the side in the model's file, or 11 if there is none.
+     * Networks always use the side in their file, which they were trained with.
      */
     uint32_t probe_side;
     /**

@@ -31,8 +31,8 @@ pub struct entire_session_options {
     pub damping: u32,
     /// Number of rays along each side of the probe that measures frames for an analytic model (also if no
     /// model is given), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
-    /// rays estimate the frame less exactly. Default 0: 11. Networks always use the side in their file, which
-    /// they were trained with.
+    /// rays estimate the frame less exactly. Default 0: the side in the model's file, or 11 if there is none.
+    /// Networks always use the side in their file, which they were trained with.
     pub probe_side: u32,
     /// Accepted error of the probe, as a share of the frame's time, 0 to 1. Over 0, plans start with a probe
     /// of 4 rays along each side and refine it, up to `probe_side` (0: 11), only if the probe's estimated
