@@ -21,8 +21,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 const PREFIX: usize = 8;
 /// Largest accepted header, in bytes.
 const MAX_HEADER: usize = 16 << 20;
-/// Upper estimate of the parser's memory per byte of header, in bytes.
-const HEADER_MEMORY: usize = 16;
+/// Upper estimate of the parser's memory per byte of header, in bytes. The parser holds an array as 32 bytes per element
+/// (of at least two characters), and a growing vector takes up to three times the memory of its elements.
+const HEADER_MEMORY: usize = 48;
 
 /// One tensor as stored in the file: little-endian values, last axis fastest.
 #[derive(Clone, Debug, PartialEq)]
