@@ -25,8 +25,9 @@ impl Region {
         Self { x: 0, y: 0, width: frame.width, height: frame.height }
     }
 
-    /// Refuses a region that is empty or reaches beyond the frame.
+    /// Refuses an invalid frame, and a region that is empty or reaches beyond the frame.
     pub(crate) fn check(&self, frame: &Frame) -> Result<()> {
+        frame.checked().map_err(|e| Error::new(e.to_string()))?;
         let fits = |first: u32, count: u32, all: u32| {
             count > 0 && first.checked_add(count).is_some_and(|end| end <= all)
         };
@@ -111,5 +112,22 @@ impl Drop for Picture {
         // A viewer may still be reading the picture. A failure means a lost device, which reads nothing.
         // SAFETY: the queue belongs to this device, and the lock keeps other threads from it.
         let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::scene::{Arcball, Camera};
+
+    #[test]
+    fn a_region_of_an_invalid_frame_is_refused() {
+        let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 3.0 }).unwrap();
+        let frame = Frame::new(camera, 8, 8).unwrap();
+        assert!(Region::whole(&frame).check(&frame).is_ok());
+        let huge = Frame { width: u32::MAX, height: u32::MAX, ..frame };
+        let said = Region::whole(&huge).check(&huge).unwrap_err().to_string();
+        assert!(said.contains("image size"), "{said}");
+        assert!(Region { x: 8, ..Region::whole(&frame) }.check(&frame).is_err());
     }
 }
