@@ -61,6 +61,8 @@ pub(crate) struct Presenter {
     set_layout: vk::DescriptorSetLayout,
     descriptors: vk::DescriptorPool,
     sets: HashMap<TextureId, vk::DescriptorSet>,
+    /// True from the submission of a frame until the fence has signaled: nothing that the frame uses may change.
+    pending: bool,
     device: SharedDevice,
 }
 
@@ -118,6 +120,7 @@ impl Presenter {
             set_layout: vk::DescriptorSetLayout::null(),
             descriptors: vk::DescriptorPool::null(),
             sets: HashMap::new(),
+            pending: false,
             device: device.clone(),
         };
         let d = device.device();
@@ -176,7 +179,11 @@ impl Presenter {
     }
 
     /// Makes a swapchain of a size, unless there is one. Returns false if the window has no area.
+    ///
+    /// # Errors
+    /// When the device fails, or has not finished a frame that exceeded the time limit.
     pub(crate) fn prepare(&mut self, size: [u32; 2]) -> Result<bool> {
+        self.wait(0)?;
         if size.contains(&0) {
             return Ok(false);
         }
@@ -253,10 +260,8 @@ impl Presenter {
     /// [`Presented::handing`].
     fn draw(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<f64> {
         let submitted = self.submit(index, pixels_per_point, primitives);
-        let device = &self.device;
-        let failed = |call: &'static str| move |r| device.error(call, r);
-        let d = device.device();
         if let Err(error) = submitted {
+            let d = self.device.device();
             // If the call fails, the next frame fails too, when it begins the command buffer.
             // SAFETY: the command buffer was not submitted, so the device does not use it.
             let _ = unsafe { d.reset_command_buffer(self.commands, vk::CommandBufferResetFlags::empty()) };
@@ -268,17 +273,31 @@ impl Presenter {
         let cpu = thread_seconds();
         let done = swapchain.present(index);
         let handing = thread_seconds() - cpu;
-        // SAFETY: the fence was submitted above, and it is reset only after it has signaled.
-        unsafe {
-            d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
-            d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
-        }
+        self.pending = true;
+        self.wait(LONGEST_WAIT)?;
         // An error of the presentation is returned only after the fence is reset, since the next frame needs
         // an unsignaled fence. The image may stay acquired, so the swapchain ends here too.
         if done.is_err() {
             self.swapchain = None;
         }
         done.map(|()| handing)
+    }
+
+    /// Waits for the end of the submitted frame, if there is one, for at most `longest` nanoseconds.
+    fn wait(&mut self, longest: u64) -> Result<()> {
+        if !self.pending {
+            return Ok(());
+        }
+        let device = &self.device;
+        let failed = |call: &'static str| move |r| device.error(call, r);
+        let d = device.device();
+        // SAFETY: the fence was submitted, and it is reset only after it has signaled.
+        unsafe {
+            d.wait_for_fences(&[self.fence], true, longest).map_err(failed("vkWaitForFences"))?;
+            d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
+        }
+        self.pending = false;
+        Ok(())
     }
 
     /// Records and submits the commands that draw into an acquired image.
