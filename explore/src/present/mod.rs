@@ -232,12 +232,14 @@ impl Presenter {
             return Ok(presented);
         };
         let device = &self.device;
-        for (id, deltas) in textures.set.drain() {
-            for delta in deltas {
+        // An update is removed once it is uploaded, since egui sends it only once.
+        while let Some(&id) = textures.set.keys().next() {
+            for delta in textures.set.get(&id).into_iter().flatten() {
                 device
-                    .with_queue(|queue| egui.set_texture(queue, self.pool, id, &delta))
+                    .with_queue(|queue| egui.set_texture(queue, self.pool, id, delta))
                     .map_err(|e| drawing(device, &e))?;
             }
+            textures.set.remove(&id);
         }
         let begin = Instant::now();
         let acquired = swapchain.acquire(LONGEST_WAIT)?;
