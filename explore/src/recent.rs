@@ -31,7 +31,8 @@ impl Recent {
         Self { file, paths }
     }
 
-    /// Puts a file first and stores the list. Errors are ignored, since the list is only a convenience.
+    /// Puts a file first and stores the list, except paths that are not UTF-8, which JSON cannot hold. Errors are
+    /// ignored, since the list is only a convenience.
     pub(crate) fn add(&mut self, path: &Path) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         self.paths.retain(|p| *p != path);
@@ -40,7 +41,8 @@ impl Recent {
         if let Some(file) = &self.file {
             let keep = || -> Result<()> {
                 make_folder_of(file)?;
-                write_whole(file, serde_json::to_string_pretty(&self.paths)?.as_bytes())
+                let paths: Vec<&str> = self.paths.iter().filter_map(|path| path.to_str()).collect();
+                write_whole(file, serde_json::to_string_pretty(&paths)?.as_bytes())
             };
             let _ = keep();
         }
@@ -61,5 +63,18 @@ mod tests {
         }
         assert_eq!(recent.paths, [PathBuf::from("/a"), PathBuf::from("/b")]);
         assert_eq!(Recent::read(file).paths, recent.paths);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_path_that_is_not_utf8_does_not_keep_others_from_being_stored() {
+        use std::os::unix::ffi::OsStrExt;
+        let folder = tempfile::tempdir().unwrap();
+        let file = Some(folder.path().join("recent.json"));
+        let mut recent = Recent::read(file.clone());
+        recent.add(Path::new(std::ffi::OsStr::from_bytes(b"/\xff")));
+        recent.add(Path::new("/a"));
+        assert_eq!(recent.paths.len(), 2);
+        assert_eq!(Recent::read(file).paths, [PathBuf::from("/a")]);
     }
 }
