@@ -11,6 +11,7 @@ use crate::transfer::{Curve, Opacity};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::GaussianLobe;
 use entire_core::scene::{Node, Nodes, TransferFunction};
+use entire_io::files::read_text;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -18,7 +19,7 @@ use std::path::Path;
 const FORMAT: &str = "entire-transfer-1";
 
 /// Maximum size of a transfer function or script file, bytes.
-const MOST_BYTES: u64 = 16 << 20;
+pub(crate) const MOST_BYTES: u64 = 16 << 20;
 
 /// Number of linear pieces that replace a curved segment between two of ParaView's nodes.
 const BENT: usize = 16;
@@ -40,16 +41,8 @@ enum FileOpacity {
 
 /// Reads a file of either format. `range`: the scalars that map to 0 and 1.
 pub(crate) fn load(path: &Path, range: (f32, f32)) -> Result<Curve> {
-    let text = read_text(path, "a transfer function")?;
+    let text = read_text(path, MOST_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     parse(&text, range).with_context(|| format!("{} is no transfer function", path.display()))
-}
-
-/// Reads a text file of at most [`MOST_BYTES`]; `what` is its content in the error message.
-pub(crate) fn read_text(path: &Path, what: &str) -> Result<String> {
-    let shown = path.display();
-    let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
-    ensure!(size <= MOST_BYTES, "{shown} has {size} bytes; {what} has at most {MOST_BYTES}");
-    std::fs::read_to_string(path).with_context(|| format!("cannot read {shown}"))
 }
 
 fn parse(text: &str, range: (f32, f32)) -> Result<Curve> {
@@ -249,6 +242,13 @@ mod tests {
         }
         let beyond = parse(text, (200.0, 300.0)).unwrap();
         assert_eq!([0.0, 0.5, 1.0].map(|s| beyond.opacity_at(s)), [1.0; 3]);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn only_regular_files_are_read() {
+        let endless = load(Path::new("/dev/zero"), (0.0, 1.0)).unwrap_err();
+        assert!(format!("{endless:#}").contains("not a regular file"), "{endless:#}");
     }
 
     #[test]

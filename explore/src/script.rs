@@ -30,8 +30,9 @@
 //! | `lose_device` | true: simulates the loss of the device; as first action at frame 0: during the load |
 //! | `quit` | true: closes the window |
 
-use crate::exchange::read_text;
+use crate::exchange::MOST_BYTES;
 use anyhow::{Context, Result, ensure};
+use entire_io::files::read_text;
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use std::collections::VecDeque;
@@ -91,7 +92,9 @@ pub(crate) struct Script {
 
 impl Script {
     pub(crate) fn open(path: &Path) -> Result<Self> {
-        Self::parse(&read_text(path, "a script")?).with_context(|| path.display().to_string())
+        let text = read_text(path, MOST_BYTES)
+            .with_context(|| format!("cannot read the script {}", path.display()))?;
+        Self::parse(&text).with_context(|| path.display().to_string())
     }
 
     fn parse(text: &str) -> Result<Self> {
