@@ -299,6 +299,8 @@ impl App {
             event_loop.exit();
         } else {
             self.state.complain(&error);
+            // The frame that failed was not shown, so the message needs another one.
+            self.repaint_at = Some(Instant::now() + idle::SHOW_EVERY);
             if self.screenshot.is_none() {
                 // The refinement that failed is not tried again; the view keeps the part that is finished.
                 (self.refined, self.refinement) = (true, None);

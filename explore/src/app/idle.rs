@@ -17,7 +17,7 @@ use winit::event_loop::ControlFlow;
 const REST: Duration = Duration::from_millis(150);
 
 /// Interval between updates of a progress display.
-const SHOW_EVERY: Duration = Duration::from_millis(250);
+pub(super) const SHOW_EVERY: Duration = Duration::from_millis(250);
 
 /// Planned time of a slice of work between frames, as a share of the target frame time. The remainder is for
 /// slices that take longer than expected.
