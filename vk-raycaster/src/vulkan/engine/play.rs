@@ -110,9 +110,8 @@ impl Engine {
                         ));
                     };
                     let shown = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
-                    // A viewer samples the picture, copies it, or both.
-                    let readers = vk::PipelineStageFlags::FRAGMENT_SHADER | vk::PipelineStageFlags::TRANSFER;
-                    let reads = vk::AccessFlags::SHADER_READ | vk::AccessFlags::TRANSFER_READ;
+                    // A viewer samples the picture. A queue without graphics has no stage of a fragment shader.
+                    let readers = vk::PipelineStageFlags::ALL_COMMANDS;
                     let old = if *fresh { vk::ImageLayout::UNDEFINED } else { shown };
                     self.layout_barrier(*image, old, FILLED, (readers, WRITTEN.1), WRITTEN);
                     let region = vk::BufferImageCopy::default()
@@ -120,7 +119,13 @@ impl Engine {
                         .image_offset(vk::Offset3D { x: at.x as i32, y: at.y as i32, z: 0 })
                         .image_extent(vk::Extent3D { width: at.width, height: at.height, depth: 1 });
                     copy(&tile.image, *image, region);
-                    self.layout_barrier(*image, FILLED, shown, WRITTEN, (readers, reads));
+                    self.layout_barrier(
+                        *image,
+                        FILLED,
+                        shown,
+                        WRITTEN,
+                        (readers, vk::AccessFlags::SHADER_READ),
+                    );
                 }
                 Command::ReadBack { image_bytes, work_bytes } => {
                     let Some(tile) = &self.tile else {
