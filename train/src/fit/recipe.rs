@@ -293,7 +293,7 @@ impl Recipe {
                 "the probe has {side} rays along each side; 1 to {MAX_PROBE_SIDE} are accepted"
             );
         }
-        self.settings()?;
+        self.settings()?.check()?;
         ensure!(
             self.kind != Kind::Residual
                 || self.fine_tune.is_some()

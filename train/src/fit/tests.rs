@@ -176,6 +176,9 @@ fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
     let inputs = vec!["scene_features".into(), "camera".into()];
     assert!(says(Recipe { inputs, ..residual.clone() }).contains("takes scene_features alone"));
     assert!(says(Recipe { loss: "cosine".into(), ..residual.clone() }).contains("huber:DELTA"));
+    assert!(says(Recipe { loss: "huber:-1".into(), ..residual.clone() }).contains("delta is -1"));
+    assert!(says(Recipe { epochs: 0, ..residual.clone() }).contains("epochs is 0"));
+    assert!(says(Recipe { learning_rate: Some(-1.0), ..residual.clone() }).contains("learning rate"));
     assert!(says(Recipe { scene_features: vec!["warp".into()], ..residual.clone() }).contains("warp"));
     assert!(says(residual).contains("nowhere.nrrd"));
 }

@@ -106,7 +106,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         for (name, value) in [("epochs", self.epochs), ("batch", self.batch), ("patience", self.patience)] {
             ensure!(value > 0, "{name} is 0; it must be at least 1");
         }
