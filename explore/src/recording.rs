@@ -2,10 +2,10 @@
 
 use crate::camera::Viewpoint;
 use crate::transfer::Curve;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::Arcball;
-use entire_io::files::write_json;
-use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
+use entire_io::files::write_whole;
+use entire_io::path::{CameraPose, Keyframe, MAX_PATH_BYTES, PATH_FORMAT, PathFile, Transfer};
 use std::path::Path;
 
 /// Maximum number of frames of a recording.
@@ -101,11 +101,19 @@ impl Recorder {
     /// Writes the recording as a path file.
     ///
     /// # Errors
-    /// When the recording cannot be played, or the file cannot be written.
+    /// When the recording cannot be played or is too long to be read back, or the file cannot be written.
     pub(crate) fn write(&self, file: &Path) -> Result<()> {
         let path = path_file(self);
         path.resolve().context("the recording cannot be played")?;
-        write_json(file, &path)
+        // Without indentation, which would more than double the size of the points of transfer functions.
+        let text = serde_json::to_string(&path)? + "\n";
+        ensure!(
+            text.len() as u64 <= MAX_PATH_BYTES,
+            "the recording takes {} bytes, and a path has at most {MAX_PATH_BYTES}; drag the transfer function in \
+             fewer frames",
+            text.len()
+        );
+        write_whole(file, text.as_bytes())
     }
 }
 

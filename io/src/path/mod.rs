@@ -59,7 +59,7 @@ pub const MAX_FRAMES: u32 = 1_000_000;
 const MAX_TRANSFER_PARTS: usize = 1024;
 
 /// Maximum size of a path file, in bytes.
-const MAX_PATH_BYTES: u64 = 64 << 20;
+pub const MAX_PATH_BYTES: u64 = 64 << 20;
 
 /// Contents of a path file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
