@@ -126,6 +126,10 @@ pub(crate) struct SimulateOptions {
 
 pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     ensure!(options.slots > 0, "--slots is 0; at least one is needed");
+    let overhead = options.overhead.unwrap_or(options.latency);
+    for (name, value) in [("scale", options.scale), ("latency", options.latency), ("overhead", overhead)] {
+        check(name, value)?;
+    }
     let tasks = read_tasks(&options.tasks)?;
     let scaled = |by: By| -> Result<Vec<f64>> {
         Ok(times(&tasks, by)?.into_iter().map(|t| t * options.scale).collect())
@@ -142,7 +146,7 @@ pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     let setting = Setting {
         slots: options.slots,
         bound: false,
-        overhead: options.overhead.unwrap_or(options.latency),
+        overhead,
         limit: None,
         order: if plain { Order::Arrival } else { Order::Longest },
         learn: !options.uniform,
@@ -174,12 +178,13 @@ pub(crate) struct StandInOptions {
 }
 
 pub(crate) fn run_stand_in(options: &StandInOptions) -> Result<()> {
-    ensure!(
-        options.scale.is_finite() && options.scale >= 0.0,
-        "--scale is {}; it must be finite and not negative",
-        options.scale
-    );
+    check("scale", options.scale)?;
     serve(&options.tasks, options.scale)
+}
+
+fn check(option: &str, value: f64) -> Result<()> {
+    ensure!(value.is_finite() && value >= 0.0, "--{option} is {value}; it must be finite and not negative");
+    Ok(())
 }
 
 /// A request of the session protocol of `entire farm`.

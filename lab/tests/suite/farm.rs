@@ -82,4 +82,9 @@ fn a_simulated_farm_does_all_tasks_and_pays_for_bundles() {
     assert!((32.0..=35.0).contains(&makespan), "{makespan}");
     let scaled = run(&["--scale", "2", "--arrival"])["makespan_s"].as_f64().unwrap();
     assert!((scaled - 2.0 * plain).abs() < 1e-9, "{scaled}");
+    for wrong in ["--scale=nan", "--latency=inf", "--latency=-1", "--overhead=nan"] {
+        let output = lab(&["farm-simulate", list.to_str().unwrap(), "--slots", "4", wrong]);
+        let said = printed(&output.stderr);
+        assert!(output.status.code() == Some(1) && said.contains("finite and not negative"), "{said}");
+    }
 }
