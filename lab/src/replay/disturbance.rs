@@ -27,8 +27,8 @@ impl Disturbance {
     /// Reads a table of `start_s` and `slowdown` (`entire-lab disturb`).
     ///
     /// # Errors
-    /// For a file of another kind, fewer than two frames, times that do not ascend from 0, and slowdowns that
-    /// are not positive.
+    /// For a file of another kind, fewer than two frames, times that do not ascend from 0 or are not finite, and
+    /// slowdowns that are not positive.
     pub fn open(file: &Path) -> Result<Self> {
         let place = || format!("{}", file.display());
         let mut reader = csv::Reader::from_path(file).with_context(place)?;
@@ -48,8 +48,8 @@ impl Disturbance {
             "the column start_s must ascend from 0"
         );
         ensure!(
-            frames.iter().all(|f| f.slowdown.is_finite() && f.slowdown > 0.0),
-            "the column slowdown must be positive in every row"
+            frames.iter().all(|f| f.start_s.is_finite() && f.slowdown.is_finite() && f.slowdown > 0.0),
+            "both columns must be finite, and slowdown positive in every row"
         );
         let last = frames.len() - 1;
         // The last frame lasts as long as the one before.
@@ -118,6 +118,7 @@ mod tests {
             (vec![frame(1.0, 1.0), frame(2.0, 1.0)], "ascend from 0"),
             (vec![frame(0.0, 1.0), frame(0.0, 1.0)], "ascend from 0"),
             (vec![frame(0.0, 1.0), frame(1.0, 0.0)], "positive"),
+            (vec![frame(0.0, 1.0), frame(f64::INFINITY, 1.0)], "finite"),
         ] {
             let error = Disturbance::new("d".into(), frames).unwrap_err();
             assert!(error.to_string().contains(says), "{error}");
