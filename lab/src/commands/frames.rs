@@ -154,11 +154,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let hidden = indicatif::ProgressBar::hidden();
     let mut found: Vec<(String, Vec<Found>)> = Vec::new();
     let mut csv = String::from("table,frames,draw,median_error,rmse_over_sd,expected_median_error\n");
-    'tables: for (own, path) in options.data.iter().enumerate() {
+    for (own, path) in options.data.iter().enumerate() {
         let tables = read_tables(&[path.clone(), options.judged[own].clone()])?;
         let name = path.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
         let name = name.split('.').next().unwrap_or_default().to_owned();
-        let shading = tables[0].frames[0].scene.shading;
+        let first = tables[0].frames.first().with_context(|| format!("{} holds no frame", path.display()))?;
+        let shading = first.scene.shading;
         let others: Vec<NamedPrior> =
             priors.iter().enumerate().filter(|(i, _)| *i != own).map(|(_, p)| p.clone()).collect();
         let of_frames: Vec<(&str, String)> = tables[0]
@@ -170,9 +171,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let mut of_table = Vec::new();
         for count in FRAMES {
             for seed in 0..DRAWS {
-                if stopped() {
-                    break 'tables;
-                }
+                ensure!(!stopped(), "stopped; nothing was written");
                 bar.set_message(format!("{name}, {count} frames"));
                 let drawn = draw(&of_frames, count, seed);
                 let few = drawn.iter().map(|&i| tables[0].frames[i].clone()).collect();
@@ -205,7 +204,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     bar.finish_and_clear();
     write_whole(&options.out.join("frames.csv"), csv.as_bytes())?;
-    ensure!(!stopped(), "stopped; partial results are in {}", options.out.join("frames.csv").display());
     report(options, &found)
 }
 

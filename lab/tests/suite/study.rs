@@ -1,6 +1,6 @@
 //! `entire-lab study` end to end on a small part of the committed timing tables.
 
-use crate::{files, lab_in, printed, read_json, repository};
+use crate::{files, lab, lab_in, printed, read_json, repository};
 use entire_io::dataset::feature_table::FeatureTable;
 use entire_io::dataset::{Table, Writer};
 use std::path::Path;
@@ -109,4 +109,19 @@ fn a_small_study_goes_from_tables_to_bars() {
     let (output, _) = study(at, &[]);
     let said = printed(&output.stderr);
     assert!(output.status.code() == Some(1) && said.contains("`entire features`"), "{said}");
+}
+
+#[test]
+fn a_table_without_frames_is_named_and_no_result_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let (empty, out) = (folder.path().join("empty.csv"), folder.path().join("out"));
+    drop(Writer::create(&empty).unwrap());
+    let (empty, out) = (empty.to_str().unwrap(), out.to_str().unwrap());
+    let (judged, prior) = ("data/timings/none-members.csv.gz", "models/unshaded-selected.safetensors");
+    let arguments =
+        ["--data", empty, empty, "--judged", judged, judged, "--priors", prior, prior, "--out", out];
+    let output = lab(&[&["frames"][..], &arguments].concat());
+    let said = printed(&output.stderr);
+    assert!(output.status.code() == Some(1) && said.contains("empty.csv holds no frame"), "{said}");
+    assert!(files(Path::new(out)).is_empty());
 }
