@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction};
 use entire_io::device::{self, Device};
-use entire_io::files::{make_folder_of, open_volume};
+use entire_io::files::{make_folder_of, open_volume, write_whole};
 use entire_io::interrupt;
 use entire_io::metrics::median;
 use entire_io::volume::Reading;
@@ -78,6 +78,7 @@ fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
 
 pub(crate) fn run(options: &Options) -> Result<()> {
     let volume = open_volume(&options.volume, &Reading::default())?;
+    make_folder_of(&options.out)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
     renderer.set_volume(&volume.view())?;
@@ -109,16 +110,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         over.store(true, Ordering::Relaxed);
         drawn
     })?;
-    make_folder_of(&options.out)?;
-    let mut table = csv::Writer::from_path(&options.out)
-        .with_context(|| format!("cannot write {}", options.out.display()))?;
+    let mut table = csv::Writer::from_writer(Vec::new());
     let first = drawn.first().map_or(0.0, |d| d.0);
     let round = |v: f64, places: f64| (v * places).round() / places;
     for &(start, wall) in &drawn {
         table
             .serialize(Slowdown { start_s: round(start - first, 1e5), slowdown: round(wall / usual, 1e3) })?;
     }
-    table.flush()?;
+    write_whole(&options.out, &table.into_inner()?)?;
     println!(
         "{}: {} frames, {:.1} ms each when undisturbed, on {}",
         options.out.display(),
