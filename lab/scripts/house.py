@@ -239,7 +239,9 @@ def missing_commands(pages, text_of):
                 words = part.split()
                 while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
                     words.pop(0)
-                if len(words) < 2 or words[0] not in ("entire", "entire-lab") or not re.fullmatch(r"[a-z]+", words[1]):
+                # A page may name the program's folder, as in `target/release/entire`.
+                words[:1] = [word.rpartition("/")[2] for word in words[:1]]
+                if len(words) < 2 or words[0] not in ("entire", "entire-lab") or not re.fullmatch(r"[a-z][a-z-]*", words[1]):
                     continue
                 text = text_of(words[0], words[1])
                 if text is None:
