@@ -166,7 +166,9 @@ pub(super) fn noise_of(
         let n = times.len() as f64;
         let mean = times.iter().sum::<f64>() / n;
         let sum: f64 = times.iter().map(|t| (t - mean) * (t - mean)).sum();
-        (n > 1.0).then(|| sum / (n - 1.0) / n)
+        // Variance of the median; of two repeats, it is that of their mean. As in `noise_floor`.
+        let median_over_mean = if n > 2.0 { std::f64::consts::FRAC_PI_2 } else { 1.0 };
+        (n > 1.0).then(|| median_over_mean * sum / (n - 1.0) / n)
     });
     let squares: Vec<f64> = squares.collect();
     let rmse = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();

@@ -1,6 +1,7 @@
 //! Tests of cross-validation, of stored models, of frames at low resolution, and of the repository's studies.
 
 use super::baselines::low_resolution;
+use super::findings::noise_of;
 use super::runner::{Bounds, Crossed, identity};
 use super::*;
 use entire_core::scene::{Shading, Skipping};
@@ -76,6 +77,25 @@ fn what_is_cross_validated_was_not_learned_from() {
         let metrics = Metrics::new(&seen.predict(&context, &part.frames).unwrap(), &part.seconds).unwrap();
         let crossed = Metrics::new(&predicted, &measured.seconds).unwrap();
         assert!(metrics.mdape < 0.5 * crossed.mdape, "{} {}", metrics.mdape, crossed.mdape);
+    }
+}
+
+#[test]
+fn the_noise_of_a_frame_is_that_of_the_median_of_its_repeats() {
+    // The repeats of each frame differ from its time by -1, 1 and (of three repeats) 0 hundredths.
+    let rmse = |repeats: usize| {
+        let mut t = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
+        for (f, seconds) in t.frames.iter_mut().zip([1.0, 3.0]) {
+            let times = [seconds - 0.01, seconds + 0.01, seconds];
+            f.repeats =
+                times[..repeats].iter().map(|s| Timing { cpu: Some(*s), ..Timing::default() }).collect();
+        }
+        // The times have a standard deviation of 1.
+        noise_of(&TimedFrames::of(&t.frames, Clock::Cpu), Clock::Cpu, |_| 1)[1]
+    };
+    // Variance of a repeat: 2e-4 of two, 1e-4 of three. A median has π/2 times the variance of the mean.
+    for (repeats, variance) in [(2, 2e-4 / 2.0), (3, std::f64::consts::FRAC_PI_2 * 1e-4 / 3.0)] {
+        assert!((rmse(repeats) - f64::sqrt(variance)).abs() < 1e-9, "{}", rmse(repeats));
     }
 }
 
