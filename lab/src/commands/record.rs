@@ -190,7 +190,7 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     let mut renderer = device::open(options.render.device)?;
     make_folder_of(&options.out)?;
     let mut table = Writer::create(&options.out)?;
-    let mut number = 0;
+    let mut rows = Vec::new();
     for file in &options.volumes {
         let volume =
             TraceVolume { file: file.clone(), enlarge: options.enlarge, files: Vec::new() }.open()?;
@@ -209,7 +209,7 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
             &bar,
         );
         bar.finish_and_clear();
-        let samples = samples?.context("interrupted; finished volumes are kept")?;
+        let samples = samples?.context("interrupted; nothing is kept")?;
         for s in samples {
             let scene = Scene {
                 volume: shown.clone(),
@@ -226,11 +226,14 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
                 termination: draw.termination,
                 lobes: s.lobes,
             };
-            table.append(number, &scene, &[timing(s.seconds)])?;
-            number += 1;
+            rows.push((scene, timing(s.seconds)));
         }
     }
-    println!("{}: {number} frames", options.out.display());
+    // `replay` would fit its predictor to the table of a few of the volumes, and no command continues it.
+    for (number, (scene, timing)) in (0..).zip(&rows) {
+        table.append(number, scene, &[*timing])?;
+    }
+    println!("{}: {} frames", options.out.display(), rows.len());
     Ok(())
 }
 

@@ -41,6 +41,21 @@ fn record_says_where_it_cannot_write_before_anything_is_drawn() {
 }
 
 #[test]
+fn a_stopped_calibration_is_no_table_of_some_of_its_volumes() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("calibration.csv");
+    for (volumes, frames) in [(&["mr_banana", "missing"][..], None), (&["mr_banana"][..], Some(48))] {
+        let volumes: Vec<String> = volumes.iter().map(|v| format!("data/{v}.nrrd")).collect();
+        let rest = "--calibration 8 --clock cpu --repeats 1 --size 16x16 --device cpu --out";
+        let volumes = ["record"].into_iter().chain(volumes.iter().map(String::as_str));
+        let output = lab(&volumes.chain(rest.split(' ')).chain([out.to_str().unwrap()]).collect::<Vec<_>>());
+        assert_eq!(output.status.success(), frames.is_some(), "{}", printed(&output.stderr));
+        // The header is the first line; the second command starts in the file that the first one left.
+        assert_eq!(std::fs::read_to_string(&out).unwrap().lines().count(), 1 + frames.unwrap_or(0));
+    }
+}
+
+#[test]
 fn tune_says_what_recorded_paths_cost() {
     let tune = |traces: &[&str], targets: &str, more: &[&str]| {
         let traces: Vec<String> = traces.iter().map(|t| format!("data/steer/training/{t}.json.gz")).collect();
