@@ -18,7 +18,7 @@ import subprocess
 from pathlib import Path
 
 from bar_lines import Bars
-from bars_machine import CALIBRATION_SECONDS, MODES, Machine
+from bars_machine import CALIBRATION_SECONDS, MODES, Machine, invalid
 
 ROOT = Path(__file__).resolve().parents[2]
 UNSHADED = ("unshaded", "unshaded epyc", "unshaded xeon")
@@ -118,6 +118,7 @@ def of_machine(bars, folder):
                 bars.found(f"here/none/scans/{clock}/rmse-over-sd", found.get("rmse_over_sd"))
     busy, quiet = (metrics(f"{m}-wall", "members", "none", "wall").get("mdape") for m in ("busy", "model-none"))
     bars.found("here/none/members/wall/busy-over-quiet", busy / quiet if busy and quiet else None)
+    bars.found("predictions-not-positive", invalid(machine, test=False))
 
 
 def latency(study, caches):
@@ -156,8 +157,6 @@ def main():
             bars.found(f"plan-{caches}-microseconds", latency(by_clock["cpu"], caches))
         for name in NUMBERS:
             bars.found(f"{name}/fitted-numbers", by_clock["cpu"].numbers(name))
-        kept = Path(options.machine) / "predictions.txt"
-        bars.found("predictions-not-positive", int(kept.read_text()) if kept.is_file() else None)
         bars.found("lines-taken-out", lines(options.before), limit=LINES_OUT) if options.before else bars.lacking(
             "name the revision to count from: make bars-model BEFORE=REVISION", ["lines-taken-out"])
 

@@ -111,7 +111,9 @@ def main():
         if "files-read-alike" in asked:
             found = run(sys.executable, "lab/scripts/readers/differential.py", "--neighbors", str(options.neighbors))
             print(re.sub(r"(?m)^bar .*\n", "", found.stdout), end="")
-            bars.found("files-read-alike", bar_of(found.stdout, "files-read-alike"), "percent")
+            # The printed percentage is rounded; the numbers of reads after it are not.
+            reads = re.search(r"^bar files-read-alike .*# (\d+) of (\d+) reads", found.stdout, re.M)
+            bars.found("files-read-alike", 100 * int(reads[1]) / int(reads[2]) if reads else None, "percent")
         if "options-in-no-document" in asked:
             built = os.path.join(os.environ.get("CARGO_TARGET_DIR") or "target", "debug")
             found = run(sys.executable, "lab/scripts/house.py", "--quick", "--bin-dir", built)
