@@ -124,7 +124,21 @@ impl Session {
         }
         value["out"] = out.to_str().context("the image's path is not UTF-8")?.into();
         let (clock, limit) = (Instant::now(), self.limit);
-        let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
+        let Running { child, input, lines, .. } = running;
+        let (written, waits) = mpsc::channel::<()>();
+        let sent = std::thread::scope(|scope| {
+            // A program that does not read its input blocks the writing of a long line.
+            if let Some(limit) = limit {
+                scope.spawn(move || {
+                    if waits.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
+                        kill(child);
+                    }
+                });
+            }
+            let sent = writeln!(input, "{value}").and_then(|()| input.flush());
+            drop(written);
+            sent
+        });
         let is_late = || limit.is_some_and(|l| clock.elapsed() >= l);
         loop {
             // The limit holds also for a program that prints without pause.
@@ -135,7 +149,7 @@ impl Session {
             );
             let left = limit.map_or(Duration::from_secs(3600), |l| l.saturating_sub(clock.elapsed()));
             let left = if sent.is_ok() { left } else { left.min(LAST_LINES) };
-            let line = match running.lines.recv_timeout(left) {
+            let line = match lines.recv_timeout(left) {
                 Ok(line) => line,
                 Err(RecvTimeoutError::Timeout) if sent.is_ok() || is_late() => continue,
                 Err(_) => {
@@ -204,12 +218,15 @@ mod tests {
     }
 
     #[test]
-    fn the_time_limit_holds_for_a_program_that_prints_without_pause() {
+    fn the_time_limit_holds_for_a_program_that_prints_without_pause_or_reads_nothing() {
         let dir = tempfile::tempdir().unwrap();
-        let mut session = Session { limit: Some(Duration::from_millis(200)), ..shell("exec yes") };
-        let said = session.ask(&an_order("v"), &dir.path().join("i.png"), &dir.path().join("log"));
-        let said = said.unwrap_err().to_string();
-        assert!(said.contains("within 0.2 s (timeout_s)"), "{said}");
+        // The second task is longer than a pipe's buffer.
+        for (script, name) in [("exec yes", "v".to_owned()), ("exec sleep 1000", "v".repeat(1 << 20))] {
+            let mut session = Session { limit: Some(Duration::from_millis(200)), ..shell(script) };
+            let said = session.ask(&an_order(&name), &dir.path().join("i.png"), &dir.path().join("log"));
+            let said = said.unwrap_err().to_string();
+            assert!(said.contains("within 0.2 s (timeout_s)"), "{script}: {said}");
+        }
     }
 
     #[test]
