@@ -391,10 +391,7 @@ impl Drive<'_, '_> {
                     self.ended(bundle);
                 }
                 Event::Lost(bundle, why) => self.lost(bundle, &why)?,
-                Event::Fresh(slot) => {
-                    self.planner.forget(slot);
-                    self.loaded.retain(|(node, _)| *node != slot);
-                }
+                Event::Fresh(slot) => self.planner.forget(slot),
                 Event::Down(why) => {
                     // The first reason is the cause of the others.
                     self.down.get_or_insert(why);
