@@ -458,6 +458,8 @@ impl Session {
     }
 
     fn cast(&mut self, frame: &Frame) -> Result<()> {
+        // If the frame is refused, the features no longer state the probe of the last rays.
+        self.cast_for = None;
         let (Some(volume), Some(transfer)) = (&self.volume, &mut self.transfer) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");

@@ -587,6 +587,12 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     assert_eq!(climbed(1.0, target), 4);
     let sides: Vec<usize> = [0.2, 0.1, 0.05, 0.02, 0.01].map(|t| climbed(t, target)).to_vec();
     assert!(sides.is_sorted() && sides.iter().any(|s| (5..24).contains(s)), "{sides:?}");
+    // After a refused frame, the rays of a coarse probe do not pass for those of the finest.
+    let mut ladder = session(Some(0.0), 24);
+    ladder.plan(&frame, 1e3).unwrap();
+    assert!(ladder.predict(&Frame { step: 0.0, ..frame }).is_err());
+    ladder.plan(&frame, target).unwrap();
+    assert!(ladder.features().probe_rays() > 16);
     assert!(Session::untrained().with_probe(0, Some(0.1)).is_err());
     assert!(Session::untrained().with_probe(11, Some(f32::NAN)).is_err());
 }
