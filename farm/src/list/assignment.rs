@@ -82,17 +82,9 @@ pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment>
     Ok(Assignment { node_of, nodes: speeds.len() })
 }
 
-/// Checks that there are nodes, that speeds are finite and positive, and that times are finite and not negative,
-/// also added up on the slowest node.
-pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
-    match speeds.len() {
-        0 => bail!("there are no nodes; at least one is needed"),
-        1..=MAX_NODES => {}
-        n => bail!("there are {n} nodes, but at most {MAX_NODES} are accepted; check the number of nodes"),
-    }
-    for (i, s) in speeds.iter().enumerate() {
-        ensure!(s.is_finite() && *s > 0.0, "the speed of node {i} is {s}; it must be finite and positive");
-    }
+/// Checks times and speeds, and that the sum of the times is finite on the slowest node.
+fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
+    check_speeds(speeds)?;
     check_times(times)?;
     let slowest = speeds.iter().copied().fold(f64::INFINITY, f64::min);
     ensure!(
@@ -102,7 +94,21 @@ pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     Ok(())
 }
 
-fn check_times(times: &[f64]) -> Result<()> {
+/// Checks that there are nodes, not too many, and that their speeds are finite and positive.
+pub(super) fn check_speeds(speeds: &[f64]) -> Result<()> {
+    match speeds.len() {
+        0 => bail!("there are no nodes; at least one is needed"),
+        1..=MAX_NODES => {}
+        n => bail!("there are {n} nodes, but at most {MAX_NODES} are accepted; check the number of nodes"),
+    }
+    for (i, s) in speeds.iter().enumerate() {
+        ensure!(s.is_finite() && *s > 0.0, "the speed of node {i} is {s}; it must be finite and positive");
+    }
+    Ok(())
+}
+
+/// Checks that times are finite and not negative.
+pub(super) fn check_times(times: &[f64]) -> Result<()> {
     for (i, t) in times.iter().enumerate() {
         ensure!(
             t.is_finite() && *t >= 0.0,

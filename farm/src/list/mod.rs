@@ -10,7 +10,7 @@ pub use assignment::{Assignment, MAX_NODES, assign_longest_first, longest_first}
 pub use queue::{Span, Timeline, simulate_queue};
 
 use anyhow::{Context, Result, ensure};
-use assignment::check;
+use assignment::check_speeds;
 use entire_io::dataset::Groups;
 use entire_io::files::{decode_text, read_bytes};
 use exchange::exchange;
@@ -167,7 +167,7 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
 /// # Errors
 /// When a time is negative or not finite, a speed is not finite and positive, or there is no node.
 pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
-    check(times, speeds)?;
+    check_speeds(speeds)?;
     let order = longest_first(times)?;
     let mut fastest = speeds.to_vec();
     fastest.sort_by(|a, b| b.total_cmp(a));

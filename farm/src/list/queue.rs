@@ -1,6 +1,6 @@
 //! Dynamic queues: a free node takes the next task.
 
-use super::assignment::check;
+use super::assignment::{check_speeds, check_times};
 use anyhow::{Result, bail};
 
 /// Time span and node of a task.
@@ -39,9 +39,10 @@ pub fn simulate_queue(
     loads: &[(usize, f64)],
     speeds: &[f64],
 ) -> Result<Timeline> {
-    check(times, speeds)?;
+    check_speeds(speeds)?;
+    check_times(times)?;
     let loading: Vec<f64> = loads.iter().map(|l| l.1).collect();
-    check(&loading, speeds)?;
+    check_times(&loading)?;
     check_order(order, times.len())?;
     Ok(run(order, times, loads, speeds, |free, _| {
         let earlier =
