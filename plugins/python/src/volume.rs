@@ -97,10 +97,11 @@ impl Data {
 ///     smallest and the largest finite voxel that is not a fill value.
 /// fill : "auto", None, float or sequence of float, optional
 ///     Values of voxels without data. Such voxels, those that a masked array hides, and NaN count as the low
-///     end of the range. A warning names detected fill values, or says how many voxels are hidden by a mask
-///     or a given fill value. If no range is given, "auto" (the default) warns of voxels that are not finite,
-///     and detects fill values: the smallest or the largest value is a fill value if at least 0.1 % of the
-///     voxels have it and it is far from all other values. With None, every value is data.
+///     end of the range (in ``uint8`` and ``uint16`` arrays as 0, if that end is negative). A warning names
+///     detected fill values, or says how many voxels are hidden by a mask or a given fill value. If no range
+///     is given, "auto" (the default) warns of voxels that are not finite, and detects fill values: the
+///     smallest or the largest value is a fill value if at least 0.1 % of the voxels have it and it is far
+///     from all other values. With None, every value is data.
 ///
 /// Masked arrays, arrays with a given fill value, and arrays with a detected fill value above all other values
 /// are copied.
@@ -211,56 +212,49 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// Returns a copy of an array, and the number of hidden voxels: those under a mask and those with a value of
-/// `values`. In the copy, hidden voxels have the low end of the range. `low` is the low end of a given range;
-/// without `low`, the low end is 0 for bytes, and for other types the minimum of all other finite voxels.
-fn hide<'py>(
-    array: &Bound<'py, PyAny>,
-    mask: Option<&Bound<'py, PyAny>>,
+/// Gives hidden voxels the low end of the range: those under a mask, and those with a value of `values`. Returns
+/// their number. `voxels` has a type in which volumes are kept. `low` is the low end of a given range; without
+/// `low`, the low end is 0 for bytes, and for other types the minimum of all other finite voxels.
+fn hide(
+    voxels: &Bound<'_, PyAny>,
+    mask: Option<&Bound<'_, PyAny>>,
     values: &[f32],
     low: Option<f32>,
-) -> PyResult<(Bound<'py, PyAny>, usize)> {
-    let py = array.py();
+) -> PyResult<usize> {
+    let py = voxels.py();
     let numpy = py.import("numpy")?;
     calling(py, || {
-        let copy = numpy.call_method1("array", (asarray(array)?,))?;
-        // In an array of bool, a negative low end of the range would become true, the high end.
-        let copy = if copy.getattr("dtype")?.getattr("kind")?.extract::<String>()? == "b" {
-            copy.call_method1("view", ("uint8",))?
-        } else {
-            copy
-        };
         // Values are rounded to 32-bit floats before they are compared, as the readers of volume files do.
-        let narrow = convert(&copy, "float32")?.into_any();
+        let narrow = convert(voxels, "float32")?.into_any();
         let mut hidden = numpy.call_method1("isin", (&narrow, values.to_vec()))?;
         if let Some(mask) = mask {
             hidden = numpy.call_method1("logical_or", (hidden, mask))?;
         }
         let count: usize = numpy.call_method1("count_nonzero", (&hidden,))?.extract()?;
         if count == 0 {
-            return Ok((copy, 0));
+            return Ok(0);
         }
         let seen = numpy.call_method1("logical_not", (&hidden,))?;
         let seen = numpy.call_method1("logical_and", (seen, numpy.call_method1("isfinite", (&narrow,))?))?;
-        let others = copy.get_item(&seen)?;
+        let others = voxels.get_item(&seen)?;
         if low.is_none() && others.len()? == 0 {
             return Err(PyValueError::new_err(
                 "every voxel is hidden by a mask or a fill value; nothing is left to draw",
             ));
         }
-        let dtype = copy.getattr("dtype")?;
+        let dtype = voxels.getattr("dtype")?;
         let kind: String = dtype.getattr("kind")?.extract()?;
         let byte = kind == "u" && dtype.getattr("itemsize")?.extract::<usize>()? == 1;
         match low.or(byte.then_some(0.0)) {
             Some(low) if kind == "i" || kind == "u" => {
                 let limits = numpy.call_method1("iinfo", (dtype,))?;
                 let (least, most) = (limits.getattr("min")?, limits.getattr("max")?);
-                copy.set_item(&hidden, numpy.call_method1("clip", (low.floor(), least, most))?)?;
+                voxels.set_item(&hidden, numpy.call_method1("clip", (low.floor(), least, most))?)?;
             }
-            Some(low) => copy.set_item(&hidden, low)?,
-            None => copy.set_item(&hidden, others.call_method0("min")?)?,
+            Some(low) => voxels.set_item(&hidden, low)?,
+            None => voxels.set_item(&hidden, others.call_method0("min")?)?,
         }
-        Ok((copy, count))
+        Ok(count)
     })
 }
 
@@ -304,12 +298,20 @@ impl Volume {
             )));
         }
         let (kind, converted) = kept_as(&kept)?;
+        let (name, size) = match kind {
+            ScalarType::U8 => ("uint8", 1),
+            ScalarType::U16 => ("uint16", 2),
+            ScalarType::I16 => ("int16", 2),
+            _ => ("float32", 4),
+        };
         let (kept_fill, asked) = match fill {
             Fill::Values(values) | Fill::Known(values) => (values.clone(), !values.is_empty()),
             Fill::Auto => (Vec::new(), false),
         };
         if mask.is_some() || asked {
-            let (hidden, count) = hide(kept.as_any(), mask.as_ref(), &kept_fill, range.map(|(low, _)| low))?;
+            // The low end of the range may lie beyond the array's own type.
+            let voxels = convert(kept.as_any(), name)?.into_any();
+            let count = hide(&voxels, mask.as_ref(), &kept_fill, range.map(|(low, _)| low))?;
             if count > 0 && !matches!(fill, Fill::Known(_)) {
                 warn(
                     py,
@@ -321,19 +323,13 @@ impl Volume {
             }
             // If the caller declares fill values, all other values are data.
             let others = if matches!(fill, Fill::Auto) { Fill::Auto } else { Fill::Values(Vec::new()) };
-            let mut data = Self::look_at(py, &hidden, spacing, origin, order, range, &others)?;
+            let mut data = Self::look_at(py, &voxels, spacing, origin, order, range, &others)?;
             data.copied = true;
             if !matches!(fill, Fill::Auto) {
                 data.fill = kept_fill;
             }
             return Ok(data);
         }
-        let (name, size) = match kind {
-            ScalarType::U8 => ("uint8", 1),
-            ScalarType::U16 => ("uint16", 2),
-            ScalarType::I16 => ("int16", 2),
-            _ => ("float32", 4),
-        };
         let mut copied = false;
         let plain = |a: &Bound<'_, PyUntypedArray>| {
             let whole = a.strides().iter().all(|&s| s >= 0 && (s as usize).is_multiple_of(size));
@@ -388,9 +384,10 @@ impl Volume {
             )?;
             // Fill values below the range need no copy, since they are clamped to its low end.
             if found.iter().any(|f| *f > high) {
-                let (hidden, _) = hide(array, None, &found, Some(low))?;
+                let voxels = convert(kept.as_any(), name)?.into_any();
+                hide(&voxels, None, &found, Some(low))?;
                 let none = Fill::Values(Vec::new());
-                let mut data = Self::look_at(py, &hidden, spacing, origin, order, Some((low, high)), &none)?;
+                let mut data = Self::look_at(py, &voxels, spacing, origin, order, Some((low, high)), &none)?;
                 (data.copied, data.fill) = (true, found);
                 return Ok(data);
             }

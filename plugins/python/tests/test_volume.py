@@ -231,6 +231,14 @@ def test_hidden_voxels_have_the_low_end_of_the_range(dtype, bounds, low):
     assert volume.array.max() == array.max()
 
 
+@pytest.mark.parametrize("dtype", ["int8", "int16", "uint32", "int64", "float64"])
+@pytest.mark.filterwarnings("ignore:.*hidden by a mask")
+def test_the_low_end_of_the_range_may_lie_beyond_the_arrays_type(dtype):
+    array = np.arange(64, dtype=dtype).reshape(4, 4, 4)
+    volume = entire.Volume(np.ma.masked_less(array, 9), range=(-500, 63))
+    assert (volume.array[0, 0, 0], volume.array[0, 2, 1], volume.array.max()) == (-500, 9, 63)
+
+
 @pytest.mark.filterwarnings("ignore:.*hidden by a mask")
 def test_hidden_voxels_of_bool_are_false():
     array = np.zeros((4, 4, 4), bool)
