@@ -98,7 +98,7 @@ def test_vispy(canvas):
         entire.vispy.hold(made, scene.visuals.Image(np.zeros((4, 4), np.float32), parent=view.scene))
 
 
-def test_voxels_that_change_in_place_are_read_again(canvas, voxels):
+def test_voxels_and_limits_that_change_are_read_again(canvas, voxels):
     import entire.vispy
 
     made, _view, visual = canvas
@@ -115,6 +115,10 @@ def test_voxels_that_change_in_place_are_read_again(canvas, voxels):
     assert filled is not empty
     show(made)
     assert holder._volume is filled
+    # Narrower limits of the contrast, for which vispy keeps its data.
+    visual.clim = (20, 90)
+    show(made)
+    assert holder._volume.range == (20, 90)
     holder.detach()
 
 

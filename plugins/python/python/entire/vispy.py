@@ -82,7 +82,8 @@ class Holder:
         self.own: float = visual.relative_step_size
         self._data: Any = None
         self._shape: Any = None
-        self._key: Any = None
+        self._limits: tuple[float, ...] = ()
+        self._method: Any = None
         self._tf: TransferFunction | None = None
         self._plan: Plan | None = None
         self._explained: Plan | None = None
@@ -158,19 +159,18 @@ class Holder:
         method, limits = visual.method, tuple(float(c) for c in visual.clim)
         # Each call of set_data stores a new tuple, also if its argument is the same array with other voxels.
         shape = getattr(visual, "_vol_shape", None)
-        if data is not self._data or shape is not self._shape:
+        if data is not self._data or shape is not self._shape or limits != self._limits:
             values = np.asarray(data)
             self._volume = Volume(
                 values if values.ndim == 3 else values[..., 0], range=(min(limits), max(limits))
             )
             self.session.set_volume(self._volume)
-            self._data, self._shape, self._key = data, shape, None
-        key = (method, limits)
-        if key != self._key:
+            self._data, self._shape, self._limits, self._method = data, shape, limits, None
+        if method != self._method:
             # A substitute for the method's own opacities: with early termination, opacity grows with the value;
             # otherwise every sample is taken, so all are nearly transparent.
             most = 0.2 if method in _STOPPING else 1e-3
-            self._key, self._tf = key, TransferFunction.points([(0, 1e-3), (1, most)])
+            self._method, self._tf = method, TransferFunction.points([(0, 1e-3), (1, most)])
         # In the visual's coordinates the first voxel spans 0 to 1, so its center, the origin of Volume's coordinates,
         # is at 0.5.
         half = np.eye(4)
