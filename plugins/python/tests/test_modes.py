@@ -108,6 +108,16 @@ def test_an_input_that_cannot_be_used_is_read_once(voxels, monkeypatch):
     assert len(read) == 3
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_scalars_without_a_finite_value_are_not_predicted(voxels, value, dtype):
+    view, volume = one_volume(voxels)
+    volume.GetMapper().SetInputData(image_data(np.full((4, 5, 6), value, dtype)))
+    steering = entire.vtk.hold(view.renderer, volume, 1e-4)
+    view.draw(1)
+    assert (steering.reason, steering.status) == ("fallback", "the scalars have no finite value")
+
+
 def test_rays_that_begin_at_noise_are_steered(voxels):
     view, volume = one_volume(voxels)
     steering = entire.vtk.hold(view.renderer, volume, 1e-4)

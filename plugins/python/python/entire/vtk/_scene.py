@@ -92,10 +92,12 @@ class Grid:
             low, high = _cropped(mapper, image, dims, spacing)
         span = scalars.GetFiniteRange(component)
         self.range = (float(span[0]), float(span[1]))
-        if not np.float32(self.range[1]) > np.float32(self.range[0]):
+        if not self.range[0] <= self.range[1]:
+            raise Unreadable("the scalars have no finite value")
+        with np.errstate(over="ignore"):
+            flat = not np.float32(self.range[1]) > np.float32(self.range[0])
+        if flat:
             self.range = (self.range[0], self.range[0] + max(1.0, abs(self.range[0])))
-        if not all(map(math.isfinite, self.range)):
-            raise Unreadable("the scalars have no finite values")
         box = voxels[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
         self.volume = Volume(box, (spacing[0], spacing[1], spacing[2]), range=self.range)
         self.reference = min(spacing)
