@@ -49,47 +49,55 @@ def median(repeats, pick):
 OTHERS = (19, 31)
 
 
-def calibrate(options, mapper):
+def comparison_folder(options):
+    """Makes the folder of the comparison's files. Frame times differ between versions of VTK, so each version has a
+    folder of its own."""
+    from vtkmodules.vtkCommonCore import vtkVersion
+
+    folder = os.path.join(options.out, vtkVersion.GetVTKVersion())
+    os.makedirs(folder, exist_ok=True)
+    return folder
+
+
+def calibrate(options, out, mapper):
     """Trains a model of this mapper on 60 random frames and on pictures, both of volumes that the comparison does not
     draw; returns its file."""
     import vtk_scene
     from timing_table import write_nrrd
-    from vtkmodules.vtkCommonCore import vtkVersion
 
     volumes = []
     for seed in OTHERS:
+        # The names of the volumes decide the random frames, which are the same with every version.
         volumes.append(os.path.join(options.out, f"noise-{seed}.nrrd"))
         if not os.path.exists(volumes[-1]):
             write_nrrd(volumes[-1], vtk_scene.noise_volume(256, seed))
-    # Frame times differ between versions of VTK, so tables and pictures are kept by version.
-    kept = f"{mapper}-{vtkVersion.GetVTKVersion()}"
-    table = os.path.join(options.out, f"others-{kept}.csv")
-    pictures = os.path.join(options.out, f"pictures-{kept}.csv")
-    model = os.path.join(options.out, f"others-{mapper}.safetensors")
+    table = os.path.join(out, f"others-{mapper}.csv")
+    pictures = os.path.join(out, f"pictures-{mapper}.csv")
+    model = os.path.join(out, f"others-{mapper}.safetensors")
     if not (os.path.exists(table) and os.path.exists(pictures)):
-        part = os.path.join(options.out, f"part-{mapper}.csv")
+        part = os.path.join(out, f"part-{mapper}.csv")
         for left in (part, pictures):
             if os.path.exists(left):
                 os.remove(left)
-        logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(PLUGIN, "collect_vtk.py"),
+        logged(os.path.join(out, f"collect-{mapper}.log"), sys.executable, os.path.join(PLUGIN, "collect_vtk.py"),
                "--mapper", mapper, "--out", part, "--frames", 60 // len(OTHERS), "--repeats", 2, "--min-size", 96,
                "--max-size", 512, "--steps", "1,1.4,2,3,4", "--pictures", pictures, *volumes)
         # The manifest, which names the mapper, is renamed with its table.
         os.replace(part.replace(".csv", ".manifest.json"), table.replace(".csv", ".manifest.json"))
         os.replace(part, table)
-    logged(os.path.join(options.out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
+    logged(os.path.join(out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
            "--pictures", pictures, "--model-kind", "analytic", "--quiet", "--out", model)
     return model
 
 
-def compare(options, mapper):
-    model = calibrate(options, mapper)
-    python(os.path.join(HERE, "compare.py"), "--mapper", mapper, "--out", options.out, "--model", model,
+def compare(options, out, mapper):
+    model = calibrate(options, out, mapper)
+    python(os.path.join(HERE, "compare.py"), "--mapper", mapper, "--out", out, "--model", model,
            "--repeats", options.repeats, "--frames", options.frames)
 
 
-def comparison_bars(options, bars, mapper):
-    with open(os.path.join(options.out, f"{mapper}.json")) as file:
+def comparison_bars(out, bars, mapper):
+    with open(os.path.join(out, f"{mapper}.json")) as file:
         repeats = json.load(file)["repeats"]
     for name in ("calibrated", "cold"):
         values = {"off-target": median(repeats, lambda r: r[name]["cpu"]["off"]),
@@ -143,8 +151,9 @@ def main():
         if "comparison" in parts:
             for mapper in mappers:
                 with bars.part(*asked(mapper)):
-                    compare(options, mapper)
-                    comparison_bars(options, bars, mapper)
+                    out = comparison_folder(options)
+                    compare(options, out, mapper)
+                    comparison_bars(out, bars, mapper)
         if "accuracy" in parts:
             accuracy.run(options, bars)
 
