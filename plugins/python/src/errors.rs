@@ -29,7 +29,7 @@ create_exception!(
     RejectedObservationError,
     PyValueError,
     "A frame time was rejected, because its plan is unknown or was observed before, or because the time is \
-     not finite and positive. The session is unchanged."
+     not finite, not positive or over 10,000 s. The session is unchanged."
 );
 
 /// The exception for an error of the library.

@@ -633,9 +633,9 @@ impl Session {
     ///
     /// Returns
     /// -------
-    /// dict of str to list
-    ///     ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds), ``step`` (reference
-    ///     steps), ``image_sample_distance`` (pixels), ``reason``, ``verdict``.
+    /// dict of str to numpy.ndarray or list
+    ///     Arrays ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds), ``step`` (reference
+    ///     steps) and ``image_sample_distance`` (pixels); lists ``reason`` and ``verdict``.
     fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let frames: VecDeque<Observed> = self.state(py)?.history.clone();
         let dict = PyDict::new(py);
