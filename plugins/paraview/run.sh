@@ -14,7 +14,11 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 . scripts/lib.sh
-what=${1:?build, test or screenshot}
+what=${1:-}
+case $what in
+    build | test | screenshot) ;;
+    *) echo "run.sh: unknown command \"$what\"; use build, test or screenshot" >&2; exit 2 ;;
+esac
 out=${PARAVIEW_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/paraview}
 arch=$(gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 # The CMake package, whose folder has the version in its name; the newest one if there are several.
@@ -75,5 +79,4 @@ case $what in
     build) ;;
     test) LIMIT=1200 display bash plugins/paraview/check.sh "$out" ${2:-} ;;
     screenshot) LIMIT=300 display bash plugins/paraview/screenshot.sh "$out" ;;
-    *) echo "run.sh: unknown command \"$what\"; use build, test or screenshot" >&2; exit 2 ;;
 esac
