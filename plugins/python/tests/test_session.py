@@ -400,7 +400,7 @@ def test_models_by_name_path_and_bytes(voxels, tf, tmp_path):
     encoder = entire.Model("volumenet-64f2")
     assert encoder.encodes
     features = encoder.encode(entire.Volume(voxels))
-    assert features.shape == (2,) or features.ndim == 1
+    assert features.shape == (2,)
     assert np.isfinite(features).all()
     with pytest.raises(entire.ModelError, match="no prediction network"):
         entire.Session(model=encoder)
@@ -480,7 +480,7 @@ def test_a_shipped_model_is_taken_to_a_renderer(voxels, tf):
         size = (100 + 17 * i, 200)
         calibration.add(volume, camera, tf, size, 1e-3 + 4e-8 * size[0] * size[1])
     model = calibration.fit("pixels", "wall")
-    assert ("scene_features", 16) in model.inputs or model.inputs[0][0] == "scene_features"
+    assert [name for name, _ in model.inputs] == ["scene_features"]
     assert calibration.report.median_error < 0.15
     assert model.metadata["entire.renderer"] == "pixels"
 

@@ -372,7 +372,6 @@ def test_a_frame_that_cannot_be_predicted_is_vtks(voxels):
     steering = entire.vtk.hold(view.renderer, volume, 0.002)
     view.draw(1)
     assert steering.reason in ("fallback", "")
-    add_volume(view.renderer, voxels)
     sheared = View()
     volume = add_volume(sheared.renderer, voxels)
     from vtkmodules.vtkCommonMath import vtkMatrix4x4
