@@ -8,7 +8,7 @@ mod common;
 use ash::vk;
 use common::{frame, medium, set_field};
 use entire_core::scene::{Frame, Shading};
-use entire_vk_raycaster::{Image, Renderer, VulkanOptions, VulkanRaycaster};
+use entire_vk_raycaster::{Image, Picture, Region, Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::cell::{Cell, RefCell};
 use std::time::Duration;
@@ -40,6 +40,8 @@ thread_local! {
     /// Time limits of the waits for fences, nanoseconds.
     static WAITS: RefCell<Vec<u64>> = const { RefCell::new(Vec::new()) };
     static DESTROYED: Cell<usize> = const { Cell::new(0) };
+    /// Number of waits for the queue.
+    static IDLED: Cell<usize> = const { Cell::new(0) };
     static DEVICE: RefCell<Option<ash::Device>> = const { RefCell::new(None) };
 }
 
@@ -48,6 +50,7 @@ fn set(fault: Fault) {
     FAULT.set(fault);
     CALLS.set((0, 0));
     DESTROYED.set(0);
+    IDLED.set(0);
     WAITS.take();
 }
 
@@ -121,6 +124,12 @@ unsafe extern "system" fn device_wait_idle(_: vk::Device) -> vk::Result {
     vk::Result::ERROR_UNKNOWN
 }
 
+unsafe extern "system" fn queue_wait_idle(queue: vk::Queue) -> vk::Result {
+    IDLED.set(IDLED.get() + 1);
+    // SAFETY: the caller guarantees a valid queue, and the device's own function gets it unchanged.
+    unsafe { own!(queue_wait_idle)(queue) }
+}
+
 unsafe extern "system" fn destroy_device(device: vk::Device, host: *const vk::AllocationCallbacks<'_>) {
     DESTROYED.set(DESTROYED.get() + 1);
     // SAFETY: the caller guarantees valid arguments, and the device's own function gets them unchanged.
@@ -144,6 +153,7 @@ macro_rules! faulty {
             functions.wait_for_fences = wait_for_fences;
             functions.get_query_pool_results = get_query_pool_results;
             functions.device_wait_idle = device_wait_idle;
+            functions.queue_wait_idle = queue_wait_idle;
             functions.destroy_device = destroy_device;
             let (f1, f2, f3) = (device.fp_v1_1().clone(), device.fp_v1_2().clone(), device.fp_v1_3().clone());
             let wrapped = ash::Device::from_parts_1_3(device.handle(), functions, f1, f2, f3);
@@ -298,6 +308,23 @@ fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
     new_renderer_draws(&image)
 }
 
+/// Checks that no wait without a time limit frees a picture of a hanging device.
+fn a_picture_of_a_hanging_device_is_left_alone() -> Outcome {
+    for (fault, waits) in [(Fault::Sound, 1), (Fault::Hangs(0), 0)] {
+        set(Fault::Sound);
+        let mut gpu = open()?;
+        set_field(&mut gpu, [9, 8, 7], &medium())?;
+        let mut picture = Picture::new(&gpu.shared_device(), 19, 13)?;
+        set(fault);
+        let drawn = gpu.render_to(&small_frame(), Region::whole(&small_frame()), &mut picture);
+        assert_eq!(drawn.is_ok(), fault == Fault::Sound);
+        drop(picture);
+        assert_eq!(IDLED.get(), waits, "{fault:?}");
+        settle();
+    }
+    Ok(())
+}
+
 fn a_device_that_answers_again_renders_again() -> Outcome {
     let (_, waits, image) = sound()?;
     set(Fault::Hangs(waits - 1));
@@ -365,6 +392,7 @@ fn main() {
     let trials = trials![
         a_device_lost_in_any_call_is_an_error_that_names_it: none,
         a_hanging_device_is_waited_for_once_and_left_alone: none,
+        a_picture_of_a_hanging_device_is_left_alone: none,
         a_device_that_answers_again_renders_again: none,
         a_frame_that_takes_too_long_is_given_up_while_it_runs: none,
         slow_frames_halve_the_tiles_once_each: !timed,

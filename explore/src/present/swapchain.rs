@@ -252,7 +252,8 @@ fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
 
 impl Drop for Swapchain {
     fn drop(&mut self) {
-        if self.device.is_abandoned() {
+        // A hanging device may still use the objects, which are therefore leaked.
+        if self.device.is_abandoned() || self.device.is_hanging() && !self.device.is_lost() {
             return;
         }
         let d = self.device.device();

@@ -8,7 +8,7 @@ use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::ffi::{CStr, c_char, c_void};
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -65,6 +65,8 @@ pub(crate) struct Gpu {
     /// True if a submission was still running when its engine was dropped: resources that the device may
     /// still use are never freed.
     abandoned: AtomicBool,
+    /// Number of engines whose submission has exceeded its time limit and was not seen to end.
+    pub(crate) hanging: AtomicUsize,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
 }
 
@@ -175,6 +177,7 @@ impl Gpu {
             }),
             lost: AtomicBool::new(false),
             abandoned: AtomicBool::new(false),
+            hanging: AtomicUsize::new(0),
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
         })
     }
@@ -217,6 +220,12 @@ impl Gpu {
     /// device's resources.
     pub(crate) fn is_abandoned(&self) -> bool {
         self.abandoned.load(Ordering::Relaxed)
+    }
+
+    /// True if a submission has exceeded its time limit and was not seen to end: a wait for the queue, which has
+    /// no time limit, might never return.
+    pub(crate) fn is_hanging(&self) -> bool {
+        self.hanging.load(Ordering::Relaxed) > 0
     }
 
     /// Marks the device as abandoned: everything made from it is leaked until the process ends.

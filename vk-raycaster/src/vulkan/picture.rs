@@ -5,6 +5,7 @@ use super::shared::SharedDevice;
 use crate::error::{Error, Result};
 use ash::vk;
 use entire_core::scene::Frame;
+use std::mem::ManuallyDrop;
 
 /// A rectangle of a frame, in pixels from its upper left corner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +51,7 @@ impl Region {
 /// colors. Between the calls that draw into it, the picture has the layout `SHADER_READ_ONLY_OPTIMAL`.
 pub struct Picture {
     device: SharedDevice,
-    image: Image,
+    image: ManuallyDrop<Image>,
     /// True if nothing was drawn into the picture.
     pub(super) fresh: bool,
 }
@@ -70,7 +71,7 @@ impl Picture {
         }
         let shape = Shape { extent: [width, height, 0], format: vk::Format::R8G8B8A8_SRGB, storage: false };
         let image = Image::new(device.gpu(), "picture", shape)?;
-        Ok(Self { device: device.clone(), image, fresh: true })
+        Ok(Self { device: device.clone(), image: ManuallyDrop::new(image), fresh: true })
     }
 
     /// Width in pixels.
@@ -104,14 +105,19 @@ impl Picture {
 
 impl Drop for Picture {
     fn drop(&mut self) {
-        if self.device.is_lost() || self.device.is_abandoned() {
+        let gpu = self.device.gpu();
+        // A hanging device may still use the image, which is therefore leaked.
+        if gpu.is_hanging() && !gpu.is_lost() {
             return;
         }
-        let gpu = self.device.gpu();
-        let queue = gpu.queue();
-        // A viewer may still be reading the picture. A failure means a lost device, which reads nothing.
-        // SAFETY: the queue belongs to this device, and the lock keeps other threads from it.
-        let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
+        if !gpu.is_lost() && !gpu.is_abandoned() {
+            let queue = gpu.queue();
+            // A viewer may still be reading the picture. A failure means a lost device, which reads nothing.
+            // SAFETY: the queue belongs to this device, and the lock keeps other threads from it.
+            let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
+        }
+        // SAFETY: the image is dropped once, here.
+        unsafe { ManuallyDrop::drop(&mut self.image) };
     }
 }
 

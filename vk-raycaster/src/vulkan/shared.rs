@@ -74,6 +74,12 @@ impl SharedDevice {
         self.gpu.is_abandoned()
     }
 
+    /// True if a submission of a raycaster has exceeded [`VulkanOptions::longest_wait`] and was not seen to end.
+    /// It may still use objects that were made from the device, and a wait for the queue might never return.
+    pub fn is_hanging(&self) -> bool {
+        self.gpu.is_hanging()
+    }
+
     /// Returns the error of a Vulkan call on this device, with the remedy. The device is marked lost if
     /// `result` is `VK_ERROR_DEVICE_LOST`.
     pub fn error(&self, call: &str, result: vk::Result) -> Error {

@@ -4,6 +4,7 @@ use super::{Engine, with_pass};
 use crate::error::{Error, Result};
 use crate::vulkan::gpu::NamedCall;
 use ash::vk;
+use std::sync::atomic::Ordering;
 
 impl Engine {
     /// Waits until no submission is running.
@@ -30,7 +31,9 @@ impl Engine {
         // SAFETY: the fence is alive, and only this thread waits for it or resets it.
         match unsafe { self.gpu.device.wait_for_fences(&fences, true, nanoseconds) } {
             Err(vk::Result::TIMEOUT) => {
-                self.hangs = true;
+                if !std::mem::replace(&mut self.hangs, true) {
+                    self.gpu.hanging.fetch_add(1, Ordering::Relaxed);
+                }
                 Err(Error::new(format!(
                     "the device {} has not finished {pass} within {} s and counts as hanging; use smaller \
                      tiles (ENTIRE_TILE) or a coarser step, allow it more seconds (ENTIRE_DEVICE_WAIT), \
@@ -41,7 +44,9 @@ impl Engine {
             }
             done => {
                 done.on(&self.gpu, "vkWaitForFences").map_err(|e| with_pass(&e, pass))?;
-                self.hangs = false;
+                if std::mem::take(&mut self.hangs) {
+                    self.gpu.hanging.fetch_sub(1, Ordering::Relaxed);
+                }
                 Ok(())
             }
         }
