@@ -57,12 +57,18 @@ fn a_written_table_reads_back_bit_for_bit() {
     assert_eq!(table.frames[1].seconds(Clock::Auto), Some(1e-7));
     assert!(writer.append(9, &bare, &[lone]).unwrap_err().to_string().contains("already"));
     assert!(Writer::create(&path).unwrap_err().to_string().contains("resume"));
-    // A table and a compressed table of the same name would share one manifest. Tables are written without
+    // Tables whose names differ only in .csv and .gz would share one manifest. Tables are written without
     // compression.
     let (packed, other) = (path.with_extension("csv.gz"), path.with_file_name("other.csv"));
     assert!(Writer::create(&packed).unwrap_err().to_string().contains("leave .gz out"));
     std::fs::write(other.with_extension("csv.gz"), "").unwrap();
-    assert!(Writer::create(&other).unwrap_err().to_string().contains("share its manifest"));
+    let bare = path.with_extension("");
+    for shared in [&other, &bare] {
+        assert!(Writer::create(shared).unwrap_err().to_string().contains("share its manifest"), "{shared:?}");
+    }
+    // A file or folder that is no table has no manifest.
+    std::fs::create_dir(dir.path().join("run")).unwrap();
+    Writer::create(&dir.path().join("run.csv")).unwrap();
 }
 
 proptest! {

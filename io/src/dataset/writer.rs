@@ -1,5 +1,6 @@
 //! Writing of timing tables, frame by frame.
 
+use super::feature_table::beside;
 use super::table::parse;
 use super::{COLUMNS, Scene, Timing, format_lobes};
 use crate::files::lock_alone;
@@ -17,15 +18,17 @@ fn check_name(path: &Path) -> Result<()> {
         "{}: tables are written without compression; leave .gz out of the name",
         path.display()
     );
-    let mut packed = path.as_os_str().to_owned();
-    packed.push(".gz");
-    let packed = PathBuf::from(packed);
-    ensure!(
-        !packed.exists(),
-        "{} exists, and {} would share its manifest; choose another name",
-        packed.display(),
-        path.display()
-    );
+    // Tables whose names differ only in .csv and .gz have one manifest.
+    for ending in ["", ".csv", ".gz", ".csv.gz"] {
+        let other = beside(path, ending);
+        let taken = if ending.ends_with(".gz") { other.exists() } else { ensure_no_table(&other).is_err() };
+        ensure!(
+            other == path || !taken,
+            "{} exists, and {} would share its manifest; choose another name",
+            other.display(),
+            path.display()
+        );
+    }
     Ok(())
 }
 
