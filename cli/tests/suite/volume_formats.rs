@@ -29,6 +29,21 @@ fn raw_voxels_without_a_description_go_by_their_name() {
 }
 
 #[test]
+fn a_description_finds_the_voxels_of_its_size_and_type() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("a.json");
+    std::fs::write(&json, r#"{"size": [2, 2, 2], "type": "uint8"}"#).unwrap();
+    // In the order of their names, these files come before the right one.
+    for (name, bytes) in [("a_2x2x20_uint8.raw", 80), ("a_2x2x2_int16.raw", 12), ("a_2x2x2_float32.raw", 32)]
+    {
+        std::fs::write(folder.path().join(name), vec![1; bytes]).unwrap();
+    }
+    told(Volume::open(&json), &["no voxels beside the description"]);
+    std::fs::write(folder.path().join("a_2x2x2_uint8.raw"), [7; 8]).unwrap();
+    assert_eq!(Volume::open(&json).unwrap().data(), &VolumeData::U8(vec![7; 8]));
+}
+
+#[test]
 fn formats_are_found_by_their_first_bytes_where_the_ending_says_nothing() {
     let folder = tempfile::tempdir().unwrap();
     for name in words(

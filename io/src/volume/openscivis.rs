@@ -42,7 +42,13 @@ pub(super) fn read_json(
         // <own>_256x256x256_uint8.raw
         let [x, y, z] = description.sizes;
         let start = format!("{own}_{x}x{y}x{z}");
-        found = companions.ending_in(".raw").into_iter().find(|name| name.starts_with(&start));
+        found = companions.ending_in(".raw").into_iter().find(|name| {
+            // A longer number, or another type, belongs to another volume of this name.
+            let rest = name.strip_prefix(&start);
+            let kind = strip_ending(name, ".raw").and_then(parse_name).map(|(.., kind)| kind);
+            rest.is_some_and(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()))
+                && kind.is_none_or(|kind| kind == description.element)
+        });
     }
     let Some(name) = found else {
         bail!(
