@@ -12,7 +12,7 @@ use entire_farm::planner::{Planner, Setting, State};
 use entire_farm::show::{duration, parse_duration};
 use entire_farm::worker::Worker;
 use entire_farm::{drive, openjd, predict, report, survey};
-use entire_io::files::{ensure_distinct, ensure_not_input, make_folder_of, write_whole};
+use entire_io::files::{ensure_distinct, ensure_not_input, ensure_not_own, make_folder_of, write_whole};
 use entire_io::machine;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -156,6 +156,7 @@ pub(crate) fn run(options: &Options, program: &[OsString]) -> Result<()> {
         let Some(file) = file else { continue };
         ensure_not_input(file, inputs()).context(option)?;
         make_folder_of(file)?;
+        ensure_not_own(file, &job.output, &["data.csv"]).context(option)?;
     }
     let outputs: Vec<PathBuf> = options.report.iter().chain(&options.save_tasks).cloned().collect();
     ensure_distinct(&outputs)?;

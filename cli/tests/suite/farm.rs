@@ -311,6 +311,7 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         (&["--time-limit", "1h"], ["--time-limit has no effect", "--engine hyperqueue or slurm"]),
         (&["--dry-run", "--save-tasks", "job.toml"], ["--save-tasks: job.toml", "would be replaced"]),
         (&["--report", "second.nrrd"], ["--report: second.nrrd", "would be replaced"]),
+        (&["--save-tasks", "db.cdb/data.csv"], ["--save-tasks: db.cdb/data.csv", "written by this command"]),
         (&["--report", "r.csv", "--save-tasks", "./r.csv"], ["./r.csv is given twice", "first as r.csv"]),
     ] {
         refuses(dir.path(), &[&["farm", "job.toml"], more].concat(), &parts);
