@@ -195,6 +195,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         renderer.device()
     );
     say_prior_clock(options, clock)?;
+    // A model that replaced the open table would lose the table's frames.
+    ensure_distinct(&[&outs[..], options.table.as_slice()].concat()).context("--table and --out")?;
     let begin = |file: &PathBuf| make_folder_of(file).and_then(|()| Writer::create(file));
     let mut table = options.table.as_ref().map(begin).transpose()?;
     let mut written = 0;

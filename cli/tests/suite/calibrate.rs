@@ -192,6 +192,8 @@ fn what_cannot_be_calibrated_is_said() {
     fails(at, &line, 1, &["no clock device", "--clock"]);
     let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";
     fails(at, twice, 1, &["./a.nrrd is given twice, first as a.nrrd"]);
+    let both = "calibrate a.nrrd --device cpu --out m.safetensors --table ./m.safetensors";
+    fails(at, both, 1, &["--table and --out: ./m.safetensors is given twice"]);
     assert!(!at.join("m.safetensors").exists());
     // A prior is never overwritten, not even by the model of one of several modes.
     std::fs::write(at.join("m-none.safetensors"), "kept").unwrap();
