@@ -163,8 +163,8 @@ pub fn make_folder(folder: &Path) -> Result<()> {
 }
 
 /// Writes a file, whole or not at all: the bytes go to a file with an unpredictable name beside `path`, which
-/// is flushed to the disk and then renamed. A link at `path` is replaced, not followed. If `path` is a device
-/// or a pipe, the bytes are written to it directly.
+/// is flushed to the disk and then renamed. A link at `path` is replaced, not followed; in `/dev`, no file is
+/// made or replaced. If `path` is a device or a pipe, the bytes are written to it directly.
 ///
 /// # Errors
 /// When the file cannot be written; the error names it.
@@ -185,9 +185,16 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     };
     if std::fs::metadata(path).is_ok_and(|there| !there.is_file()) {
         let mut there = File::options().write(true).open(path).with_context(fail)?;
-        return fill(&mut there).with_context(fail);
+        // The kind of the error is dropped: programs end with success if a pipe, standard output, was closed.
+        return fill(&mut there).map_err(|error| anyhow!("{}: {error:#}", fail()));
     }
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // Where standard output is a file, /dev/stdout leads to it; the machine's link must stay.
+    ensure!(
+        folder != Path::new("/dev"),
+        "cannot write {}: no file in /dev is made or replaced; name a file elsewhere",
+        path.display()
+    );
     let mut builder = tempfile::Builder::new();
     builder.prefix(".").suffix(".part");
     // The file gets the permissions of any new file: read and write for all, less the user's umask.
@@ -441,8 +448,18 @@ mod tests {
         // The new file has the permissions of any file that this user makes.
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&link), mode(&target));
+        // A pipe whose reader closed it is an error, and not that of a closed standard output.
+        let (reader, writer) = std::io::pipe().unwrap();
+        let pipe = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&writer));
+        drop(reader);
+        if cfg!(target_os = "linux") {
+            let error = write_whole(Path::new(&pipe), b"x").unwrap_err();
+            assert!(error.to_string().contains("cannot write") && error.chain().count() == 1, "{error:#}");
+        }
         // A device is written to, not replaced.
         write_whole(Path::new("/dev/null"), b"gone").unwrap();
         assert!(!std::fs::metadata("/dev/null").unwrap().is_file());
+        let said = write_whole(Path::new("/dev/entire-test"), b"x").unwrap_err().to_string();
+        assert!(said.contains("name a file elsewhere"), "{said}");
     }
 }
