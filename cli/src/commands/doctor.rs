@@ -114,13 +114,20 @@ fn print(name: &str, finding: &Finding) {
 
 /// Description of the renderer that `--device auto` opens.
 fn raycaster() -> String {
-    match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
+    let options = match VulkanOptions::from_env() {
+        Ok(options) => options,
+        Err(error) => return format!("none: {error}"),
+    };
+    let named = options.device.is_some();
+    match VulkanRaycaster::new(options) {
         Ok(renderer) => {
             let software = is_software(&renderer);
             let kind = if software { "a software driver" } else { "a GPU" };
             let clock = if renderer.has_timestamps() && !software { "device" } else { "processor or wall" };
             format!("Vulkan on {} ({kind}); frames are timed in {clock} time", renderer.device())
         }
+        // If the environment names a device, the CPU version does not replace it.
+        Err(error) if named => format!("none, except by --device cpu: {error}"),
         Err(error) => format!("on the CPU, without Vulkan: {error}"),
     }
 }

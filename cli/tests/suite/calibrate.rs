@@ -117,6 +117,9 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     {
         assert!(stdout(&doctor).contains(part), "{part}: {}", stdout(&doctor));
     }
+    // With a wrong variable, no command renders, not even on the CPU.
+    let doctor = stdout(&entire_in(at, &[("ENTIRE_TILE", "x")], &["doctor"]));
+    assert!(doctor.contains("none: ENTIRE_TILE is \"x\""), "{doctor}");
 }
 
 #[test]
