@@ -89,6 +89,8 @@ fn row(arg: &Arg, out: &mut String) {
         },
         some => format!("`{some}`"),
     };
-    let help = help.split(" [default: ").next().unwrap_or_default().trim_end_matches('.').replace('|', "\\|");
-    let _ = writeln!(out, "| {option} | {value} | {default} | {help} |");
+    let help = help.split(" [default: ").next().unwrap_or_default().trim_end_matches('.').to_owned();
+    // A bare | would end the cell, even within code.
+    let cells = [option, value, default, help].map(|cell| cell.replace('|', "\\|"));
+    let _ = writeln!(out, "| {} |", cells.join(" | "));
 }
