@@ -7,7 +7,7 @@ use super::design::Design;
 use super::others::{BackgroundLoad, CpuSnapshot};
 use super::pool::{Candidate, Pool};
 use crate::collection::timed_repeats;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use entire_io::dataset::{Clock, NoiseFloor, TimedFrame, Timing, noise_floor};
 use entire_io::enlarge::enlarge;
 use entire_io::identity;
@@ -238,6 +238,13 @@ impl<'a> Measuring<'a> {
         let mut left = discarded;
         let repeats = timed_repeats(self.renderer, &frame, timed, &mut left, &over).with_context(place)?;
         self.warm_ups += (discarded - left) as usize;
+        let clock = self.settings.clock;
+        ensure!(
+            repeats.iter().flatten().all(|r| r.seconds(clock).is_some()),
+            "{}: the renderer has no clock {}; choose another --clock (every renderer has wall)",
+            place(),
+            clock.name()
+        );
         Ok(repeats)
     }
 

@@ -182,10 +182,8 @@ pub(crate) fn calibrate(
         .map(|f| {
             let candidate = &pool.candidates[f.number as usize];
             let seconds = f.undisturbed(settings.clock).with_context(|| {
-                format!(
-                    "the renderer has no clock {}; choose another --clock (every renderer has wall)",
-                    settings.clock.name()
-                )
+                let (number, clock) = (f.number, settings.clock.name());
+                format!("calibration frame {number} took no {clock} time; choose another --clock")
             })?;
             Ok(Observed { work: candidate.work, seconds, group: groups.number(&f.scene.volume) })
         })
@@ -301,6 +299,19 @@ pub fn calibrate_to_tables(
 mod tests {
     use super::*;
     use crate::scripted::ScriptedRenderer;
+    use entire_vk_raycaster::CpuRaycaster;
+
+    #[test]
+    fn a_clock_that_the_renderer_lacks_is_found_at_the_first_frame() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = Settings::write_volume(folder.path(), 6, |i| i as u8);
+        let settings = Settings { seconds: 30.0, clock: Clock::Device, ..Settings::brief(vec![path]) };
+        let threads = entire_io::options::thread_pool(Some(1)).unwrap();
+        let mut renderer = CpuRaycaster::new();
+        let error = calibrate(&settings, &[], &mut renderer, &threads, &|| false, &ProgressBar::hidden());
+        let text = format!("{:#}", error.err().unwrap());
+        assert!(text.contains("calibration frame") && text.contains("no clock device"), "{text}");
+    }
 
     #[test]
     fn a_calibration_without_time_for_frames_names_enough_seconds() {
