@@ -187,10 +187,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let part_seconds =
         |p: Part| -> Vec<f64> { part(p).iter().map(|f| seconds[&(f.table, f.number)]).collect() };
 
-    let stop = interrupt::flag()?;
+    // Ctrl-C stops the training of networks, which keep what they learned. While inputs are read, and for an
+    // analytic model, there is nothing to keep: it then ends the program at once, before a file is written.
+    let trains = recipe.kind != Kind::Analytic;
+    let stop = || trains && interrupt::flag().is_ok_and(|flag| interrupt::requested(&flag));
     let bar = templated_bar("epoch {msg} [{bar:30}] {eta} left");
-    let context =
-        FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| interrupt::requested(&stop) };
+    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &stop };
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };
