@@ -6,7 +6,9 @@ use crate::collection::{
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
-use entire_io::files::{ensure_distinct, fnv1a_text, note, open_volume, parse_model, read_model_bytes};
+use entire_io::files::{
+    ensure_distinct, fnv1a_text, make_folder_of, note, open_volume, parse_model, read_model_bytes,
+};
 use entire_io::identity::{self, Identity};
 use entire_io::options::{RenderArgs, check_termination};
 use entire_io::progress::progress_bar;
@@ -194,6 +196,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for job in &jobs {
         manifest.files.insert(job.name(), identity::of_volume(&job.path)?);
     }
+    make_folder_of(&options.out)?;
     let mut runs = Vec::new();
     let mut table = if options.resume {
         if let Some(old) = Manifest::read(&options.out)? {
