@@ -137,6 +137,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         );
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
+    if let Some(heard) = options.observed {
+        ensure!(
+            heard < refs.len(),
+            "--observed is {heard}; it must be smaller than the number of frames, {}",
+            refs.len()
+        );
+    }
     let groups: Vec<String> = refs.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let passes = |f: &TimedFrame| tables[f.table].passes();
     let noise = noise_floor(refs.iter().copied(), clock, passes);
@@ -180,11 +187,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
     let (mut sessions, mut lines) = (BTreeMap::new(), Vec::new());
     if let Some(heard) = options.observed {
-        ensure!(
-            heard < refs.len(),
-            "--observed is {heard}; it must be smaller than the number of frames, {}",
-            refs.len()
-        );
         for m in &models {
             let predicted =
                 in_session(&m.model, &tables, &refs, &measured).with_context(|| m.name.clone())?;
