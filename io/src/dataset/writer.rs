@@ -48,7 +48,7 @@ impl Writer {
     /// Starts a new table, also in a file that holds a table without frames.
     ///
     /// # Errors
-    /// When the file exists with other content (resume it or remove it), is locked, or cannot be written.
+    /// When the file exists with other content, is locked, or cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
         check_name(path)?;
         if path.is_file() && Self::is_fresh(path)? {
@@ -57,8 +57,8 @@ impl Writer {
         let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| {
             if e.kind() == std::io::ErrorKind::AlreadyExists {
                 anyhow!(
-                    "{} exists already; remove it, choose another name, or resume it (`entire collect \
-                     --resume`)",
+                    "{} exists already; choose another name, remove it, or, if it is an unfinished table of `entire \
+                     collect`, resume it by the same command with --resume",
                     path.display()
                 )
             } else {
