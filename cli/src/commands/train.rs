@@ -224,9 +224,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     upper.store(&mut fitted.file)?;
     let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
+        let other = if clock == Clock::Cpu { "" } else { ", or try --clock cpu" };
         note(&format!(
-            "repeats of one frame differ by {:.0} %; collect on a quieter machine, with more --repeats, or \
-             try --clock cpu",
+            "repeats of one frame differ by {:.0} %; collect on a quieter machine, with more --repeats{other}",
             100.0 * (n.log_sd.exp() - 1.0)
         ));
     }
