@@ -90,7 +90,7 @@ pub(crate) struct Options {
     #[arg(long, value_parser = skip_parser(), default_value = "blocks")]
     pub(crate) skip: Skipping,
     /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
     pub(crate) termination: f32,
     /// Shortest image side, pixels.
     #[arg(long, default_value_t = 32, value_name = "PIXELS")]

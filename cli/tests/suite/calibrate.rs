@@ -188,6 +188,7 @@ fn what_cannot_be_calibrated_is_said() {
     volumes(at);
     refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
     fails(at, "calibrate gone.nrrd --out m.safetensors", 1, &["gone.nrrd"]);
+    fails(at, "calibrate a.nrrd --termination -1 --out m.safetensors", 1, &["above 0 and at most 1"]);
     // --root is for tables alone.
     fails(at, "calibrate a.nrrd --root . --out m.safetensors", 2, &["--root"]);
     // The CPU version has no time stamps.
