@@ -9,7 +9,7 @@ use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use entire_core::scene::{Shading, Skipping};
-use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables};
+use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables, shaded};
 use entire_io::device::{self, Device};
 use entire_io::files::{
     check_model_out, ensure_distinct, ensure_not_input, make_folder_of, note, open_model, read_model_file,
@@ -275,7 +275,8 @@ fn from_tables(options: &Options) -> Result<()> {
         Clock::Auto if tables.iter().all(software) => Clock::Wall,
         clock => clock,
     };
-    let clock = entire_io::clock::concrete(asked, tables.iter().flat_map(|t| &t.frames))?;
+    let used = modes.iter().flat_map(|&shading| shaded(&tables, Some(shading)));
+    let clock = entire_io::clock::concrete(asked, used)?;
     say_prior_clock(options, clock)?;
     for (&shading, out) in modes.iter().zip(&outs) {
         if let Some(text) = left_out(&tables, clock, Some(shading)) {

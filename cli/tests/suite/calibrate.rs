@@ -81,6 +81,17 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     // Wall time, since the CPU version has no time stamps.
     assert!(load(&logged).is_ok() && logged.metadata["entire.clock"] == "wall");
 
+    // Frames of another shading, which are not used, have no say in the clock.
+    let table = std::fs::read_to_string(at.join("frames.csv")).unwrap();
+    let others = table.lines().skip(1).map(|row| {
+        let mut cells: Vec<&str> = row.split(',').collect();
+        (cells[15], cells[19]) = ("local", "0.1");
+        format!("9{}\n", cells.join(","))
+    });
+    std::fs::write(at.join("mixed.csv"), table.clone() + &others.collect::<String>()).unwrap();
+    let mixed = run(at, "calibrate --data mixed.csv --out mixed.safetensors --threads 1");
+    assert!(mixed.status.success(), "{}", stderr(&mixed));
+
     // A note says that the prior and the new model predict seconds of different clocks.
     let prior = "--clock wall --prior home/entire/machine-none.safetensors --out wall.safetensors";
     let wall = run(at, &format!("calibrate --data frames.csv --threads 1 {prior}"));
