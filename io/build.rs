@@ -22,7 +22,9 @@ fn main() {
             println!("cargo::rerun-if-changed={path}");
         }
     }
-    if let Some(commit) = git(&["rev-parse", "--short=12", "HEAD"]) {
+    // A copy of this crate in another project's repository has no commit of this project.
+    let own = git(&["rev-parse", "--show-prefix"]).is_some_and(|folder| folder == "io/");
+    if let Some(commit) = git(&["rev-parse", "--short=12", "HEAD"]).filter(|_| own) {
         let changed = git(&["status", "--porcelain", "--untracked-files=no"]).is_some_and(|s| !s.is_empty());
         println!(
             "cargo::rustc-env=ENTIRE_COMMIT={commit}{}",
