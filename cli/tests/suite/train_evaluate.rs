@@ -140,6 +140,11 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     }
 
     unread(data.path(), "evaluate --quiet --model m.safetensors --data t.csv --out unread");
+    // A timing table is not replaced by the predictions.
+    std::fs::create_dir(data.path().join("kept")).unwrap();
+    std::fs::copy(data.path().join("t.csv"), data.path().join("kept/predictions.csv")).unwrap();
+    let onto_table = "evaluate --model m.safetensors --data kept/predictions.csv --out kept --root .";
+    fails(&data, onto_table, 1, "predictions.csv is a timing table");
     assert!(text_of(&data, "unread/report.html").len() > 500);
 
     // Fine-tuning keeps the standardization of the inputs and changes the weights.

@@ -6,7 +6,9 @@ use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Storage;
 use entire_core::model::Model;
 use entire_io::clock::{agreed, concrete, unstated};
-use entire_io::dataset::{Clock, TimedFrame, left_out, noise_floor, open_tables, shaded, timed};
+use entire_io::dataset::{
+    Clock, TimedFrame, ensure_no_table, left_out, noise_floor, open_tables, shaded, timed,
+};
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
 use entire_io::metrics::{Metrics, bootstrap_by_group};
@@ -19,7 +21,7 @@ use entire_train::fit::{FitContext, predict_rows, predict_stored};
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Split};
 use indicatif::ProgressBar;
-use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
+use report::{Evaluation, PREDICTIONS, Predictor, detail_table, noise_text, tables_of, write_report};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -108,6 +110,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     if let Some(out) = &options.out {
         make_folder(out)?;
+        ensure_no_table(&out.join(PREDICTIONS)).context("--out")?;
     }
     let mut models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
     let names: BTreeSet<String> = models.iter().map(|m| m.name.clone()).collect();

@@ -221,6 +221,9 @@ fn bias_chart(predictors: &[Predictor]) -> Chart {
     chart
 }
 
+/// The file of every frame's predictions, in the folder of --out.
+pub(super) const PREDICTIONS: &str = "predictions.csv";
+
 pub(super) fn write_report(
     out: &Path,
     evaluation: &Evaluation<'_>,
@@ -249,7 +252,7 @@ pub(super) fn write_report(
         csv.write_record(&row)?;
     }
     let csv = csv.into_inner().map_err(|e| anyhow::anyhow!("{e}"))?;
-    write("predictions.csv", &String::from_utf8_lossy(&csv))?;
+    write(PREDICTIONS, &String::from_utf8_lossy(&csv))?;
 
     let lead = format!(
         "{} frames, clock {}. {}",
