@@ -185,8 +185,11 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     };
     if std::fs::metadata(path).is_ok_and(|there| !there.is_file()) {
         let mut there = File::options().write(true).open(path).with_context(fail)?;
-        // The kind of the error is dropped: programs end with success if a pipe, standard output, was closed.
-        return fill(&mut there).map_err(|error| anyhow!("{}: {error:#}", fail()));
+        return fill(&mut there).map_err(|error| match error.downcast_ref::<std::io::Error>() {
+            // Programs end with success if their standard output is a closed pipe, which this pipe is not.
+            Some(e) if e.kind() == std::io::ErrorKind::BrokenPipe => anyhow!("{}: {error:#}", fail()),
+            _ => error.context(fail()),
+        });
     }
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // Where standard output is a file, /dev/stdout leads to it; the machine's link must stay.
