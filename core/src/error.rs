@@ -10,7 +10,7 @@ use core::fmt;
 pub enum ErrorKind {
     /// An argument is outside the range that the call accepts (zero size, NaN, negative time, …).
     InvalidArgument = 1,
-    /// A buffer is too short, a size is over its limit, or a product of sizes overflows.
+    /// A buffer is too short, a count does not match or is over its limit, or a product of sizes overflows.
     SizeMismatch = 2,
     /// The bytes are not a model file that this version reads.
     InvalidModel = 3,

@@ -21,8 +21,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 const PREFIX: usize = 8;
 /// Largest accepted header, in bytes.
 const MAX_HEADER: usize = 16 << 20;
-/// Upper estimate of the parser's memory per byte of header, in bytes. The parser holds an array as 32 bytes per element
-/// (of at least two characters), and a growing vector takes up to three times the memory of its elements.
+/// Upper estimate of the parser's memory per byte of header, in bytes. An element of an array has at least
+/// two characters in the header and 32 bytes in the parser's memory. A growing vector takes up to three times
+/// the memory of its elements.
 const HEADER_MEMORY: usize = 48;
 
 /// One tensor as stored in the file: little-endian values, last axis fastest.
@@ -106,7 +107,9 @@ impl ModelFile {
     /// Reads any safetensors file, even if it is not a model of entire.
     ///
     /// # Errors
-    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are not a safetensors file.
+    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are not a safetensors file;
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the memory for reading the header cannot be
+    /// allocated.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         let own = |(name, t): (String, TensorData<'_>)| {

@@ -36,9 +36,9 @@ pub enum Key {
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
     /// for analytic models `low` and `high` (smallest and largest values, over the training frames, of
-    /// ln(pixels) and of ln(count / pixels) for rays, skips, samples and `lane_samples`), and for learned
-    /// factors `input_low` and `input_high` (one number per input, to which inputs are clamped: `InputRange`
-    /// of `entire-steer`). Optional.
+    /// ln(pixels + 1) and of ln(count / pixels + 0.01) for rays, skips, samples and `lane_samples`), and for
+    /// learned factors `input_low` and `input_high` (one number per input, to which inputs are clamped:
+    /// `InputRange` of `entire-steer`). Optional.
     Calibration,
     /// `entire.unit_costs`: JSON object that maps names to unit costs in seconds. The input
     /// `estimated_seconds` is computed from them. The names are `frame` and those in `COST_QUANTITIES` of

@@ -57,8 +57,8 @@ impl Model {
     /// # Errors
     /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are not a model file or for invalid
     /// metadata; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) for a tensor that is missing, has a wrong
-    /// shape or is not finite; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the weights cannot be
-    /// allocated. An invalid file is refused as a whole.
+    /// shape or is not finite; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the memory for reading the
+    /// header, or for the weights, cannot be allocated. An invalid file is refused as a whole.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         Source::parse(bytes)?.model()
     }
