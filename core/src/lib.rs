@@ -15,8 +15,8 @@
 //!
 //! # Predicting
 //!
-//! [`Model::from_bytes`] reads a model file; [`nn::PredNet`] packs its weights for this CPU and predicts without
-//! allocating:
+//! [`Model::from_bytes`] reads a model file; [`nn::PredNet`] packs its weights for this CPU and predicts
+//! without allocating:
 //!
 //! ```
 //! use entire_core::Model;

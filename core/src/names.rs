@@ -1,6 +1,7 @@
 //! The macro `names!`.
 
-/// Implements `ALL`, `name`, `Display` and the conversion to `&'static str` for an enum, from a table of names.
+/// Implements `ALL`, `name`, `Display` and the conversion to `&'static str` for an enum from a table of
+/// names.
 #[macro_export]
 macro_rules! names {
     ($type:ty: $($variant:ident $name:literal,)*) => {

@@ -1,7 +1,7 @@
 //! One file per instruction set of x86-64.
 
-/// Defines methods of a token by intrinsics, and adds the first argument, `self`. Bodies use no pointers, since the
-/// SAFETY comment is about the instruction set alone.
+/// Defines methods of a token by intrinsics, and adds the first argument, `self`. Bodies use no pointers,
+/// since the SAFETY comment is about the instruction set alone.
 macro_rules! methods {
     ($(fn $name:ident($($argument:ident: $type:ty),*) -> $result:ty { $($body:tt)* })*) => {$(
         #[inline(always)]
