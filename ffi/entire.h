@@ -40,7 +40,7 @@
  * work with newer libraries, and a newer program works with an older library as long as the fields that the
  * library does not know are zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
  * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
- * change.
+ * change. entire_budget and entire_pass, which the caller only sets to zero, have none either.
  *
  * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
  * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
@@ -53,8 +53,9 @@
  * advanced.h) before anything is allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory
  * whose size the caller or a file determines (copies, features, batches) is requested in a way that can fail:
  * if the system refuses it, the call returns ENTIRE_OUT_OF_MEMORY. Small pieces (handles, texts, a model's
- * tables) come from a reserve of 1 MiB if the system refuses them; while half of it is in use, calls that
- * make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
+ * tables) come from a reserve of 1 MiB if the system refuses them; while more than half of the reserve is in
+ * use, calls that make a handle or a file, or that keep further memory, return ENTIRE_OUT_OF_MEMORY. Hot calls
+ * do not allocate.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.

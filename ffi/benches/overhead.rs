@@ -53,7 +53,7 @@ fn main() {
     };
     // SAFETY: `OpenModel` is the type of entire_model_open in entire.h.
     let open: OpenModel = unsafe { std::mem::transmute(symbol(c"entire_model_open")) };
-    // SAFETY: `PredictModel` is the type of entire_model_predict in entire.h.
+    // SAFETY: `PredictModel` is the type of entire_model_predict in advanced.h.
     let predict: PredictModel = unsafe { std::mem::transmute(symbol(c"entire_model_predict")) };
     let mut c_model = std::ptr::null_mut();
     let c_path = CString::new(path.as_str()).expect("a path");

@@ -59,7 +59,7 @@ pub(crate) unsafe fn release<H: Handle>(handle: *mut H) {
     drop(unsafe { Arc::from_raw(handle.cast_const()) });
 }
 
-/// The value of a further handle among a call's arguments, for reading.
+/// The value of a handle, for reading.
 ///
 /// # Safety
 /// `handle` is NULL or a live handle of this library that no thread is changing, for as long as the result

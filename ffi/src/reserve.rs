@@ -3,8 +3,8 @@
 //!
 //! This library's allocator is the system's. If the system refuses a piece of at most [`LARGEST`] bytes, the
 //! piece comes from a reserve in the library's static memory. Code that requests larger pieces returns
-//! ENTIRE_OUT_OF_MEMORY if the system refuses them. Calls that make or set something first check that half of
-//! the reserve is free ([`check`]), so that an admitted call can finish.
+//! ENTIRE_OUT_OF_MEMORY if the system refuses them. Calls that make a handle or a file, or that keep further
+//! memory, first check that half of the reserve is free ([`check`]), so that an admitted call can finish.
 //!
 //! The reserve is cut into blocks. A lock-free flag per block marks it as held; a piece is a run of blocks.
 
@@ -170,7 +170,7 @@ unsafe impl GlobalAlloc for Allocator {
     }
 }
 
-/// Checks that a call that makes or sets something may begin.
+/// Checks that a call that makes a handle or a file, or that keeps further memory, may begin.
 ///
 /// # Errors
 /// ENTIRE_OUT_OF_MEMORY if more than half of the reserve is held.

@@ -17,7 +17,8 @@ pub enum entire_result {
     ENTIRE_SIZE_MISMATCH = 2,
     /// The bytes are not a model file that this version reads, or the model's result is not a frame time.
     ENTIRE_INVALID_MODEL = 3,
-    /// A tensor of the model is missing, or its shape does not fit those of the model's other tensors.
+    /// A tensor of the model is missing, has a shape that does not fit those of the model's other tensors, or
+    /// holds invalid numbers.
     ENTIRE_INVALID_TENSOR = 4,
     /// The model needs an input group that the caller did not supply, that the caller supplied with a wrong
     /// size, or that this version does not know.
@@ -35,7 +36,8 @@ pub enum entire_result {
     ENTIRE_STRUCT_SIZE = 101,
     /// A file cannot be read or written.
     ENTIRE_IO = 102,
-    /// A bug in the library. Every further call on the handle fails with this code, except entire_<noun>_free.
+    /// A bug in the library. Every further call on the handle fails with this code, except
+    /// entire_<noun>_free.
     ENTIRE_PANIC = 103,
     /// There is not enough memory for the call.
     ENTIRE_OUT_OF_MEMORY = 104,

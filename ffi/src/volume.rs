@@ -79,9 +79,10 @@ pub struct entire_volume_desc {
     /// default 1, 1, 1.
     pub spacing: [f32; 3],
     /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-    /// maximum of the voxels without a fill value. A fill value is the least or the greatest value, at least
-    /// one voxel in 1024 has it, and its distance from all other values is at least an eighth of the width of
-    /// their range.
+    /// maximum of the voxels without fill values, of which there are at most four. Each is the least or the
+    /// greatest of the values that remain without the previous fill values, at least one voxel in 1024 has
+    /// it, and its distance from all other remaining values is at least an eighth of the width of their
+    /// range.
     pub range: [f32; 2],
     /// Must be 0.
     pub reserved: u32,
@@ -155,10 +156,10 @@ pub struct entire_volume_info {
     pub has_voxels: u32,
     /// Number of precomputed features (entire_volume_set_features); 0 where there are none.
     pub feature_count: u32,
-    /// Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known, and
-    /// before entire_session_set_volume, entire_session_set_time_step or entire_volume_update has read the
-    /// voxels. Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
-    /// the high end.
+    /// Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known,
+    /// and before entire_session_set_volume, entire_session_set_time_step or entire_volume_update has read
+    /// the voxels. Such voxels count as ends of the range: NaN and negative infinity as the low end, positive
+    /// infinity as the high end.
     pub non_finite_share: f32,
     /// Must be ignored.
     pub reserved: u32,

@@ -413,7 +413,7 @@ struct quality {
     float image_weight = 0, step_exponent = 0, image_exponent = 0, ray_share = 0;
 };
 
-// The result of entire_session_choose: the index of the chosen settings, and their plan.
+// The result of entire_session_choose: the index of the chosen setting, and its plan.
 struct choice {
     std::size_t index;
     entire_plan plan;
