@@ -24,8 +24,8 @@ fn zeroed<T: bytemuck::Zeroable + Clone>(len: usize) -> Result<Vec<T>> {
     bytemuck::allocation::try_zeroed_vec(len).or_else(|()| filled(len, T::zeroed()))
 }
 
-/// Splits a slice into arrays of `N` elements and the elements that remain: `slice::as_chunks_mut` for compilers
-/// before 1.88.
+/// Splits a slice into arrays of `N` elements and the elements that remain: `slice::as_chunks_mut` for
+/// compilers before 1.88.
 #[inline(always)]
 pub(crate) fn chunks_mut<const N: usize, T: bytemuck::Pod>(all: &mut [T]) -> (&mut [[T; N]], &mut [T]) {
     let (whole, rest) = all.split_at_mut(all.len() - all.len() % N);

@@ -107,9 +107,9 @@ struct Kept {
 }
 
 impl Calibration {
-    /// Returns a calibration that keeps at most `frames` frames, from 8 to 65 536. `prior` is an analytic model
-    /// of another machine or renderer. Without a prior, the fit starts from the unit costs of a software
-    /// renderer.
+    /// Returns a calibration that keeps at most `frames` frames, from 8 to 65 536. `prior` is an analytic
+    /// model of another machine or renderer. Without a prior, the fit starts from the unit costs of a
+    /// software renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,

@@ -269,8 +269,8 @@ fn square(x: f64) -> f64 {
     x * x
 }
 
-/// Returns the means over the scenes that were drawn at the most frequent set of settings, and the number of these
-/// scenes.
+/// Returns the means over the scenes that were drawn at the most frequent set of settings, and the number of
+/// these scenes.
 fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
     pictures.iter().try_for_each(Picture::check)?;
     // The bits of positive floats have the same order as the floats.

@@ -19,8 +19,8 @@ const UNKNOWN_SD: f64 = 1.5;
 /// this machine may separate them.
 const ZERO_SHARE: f64 = 0.1;
 
-/// Numbers of cached voxels that a fit compares ([`UnitCosts::cached_voxels`]): 8 to 64 MB in a renderer that packs a
-/// voxel into four bytes.
+/// Numbers of cached voxels that a fit compares ([`UnitCosts::cached_voxels`]): 8 to 64 MB in a renderer that
+/// packs a voxel into four bytes.
 const CACHED_VOXELS: [f64; 4] = [2.0e6, 4.0e6, 8.0e6, 16.0e6];
 
 /// Share of the smallest error so far. A fit with another kind of renderer, or with another number of cached
@@ -73,9 +73,9 @@ impl Default for PriorModel {
 }
 
 impl PriorModel {
-    /// Returns the prior made from `files`, analytic models of different machines: the geometric mean of their
-    /// unit costs and of their numbers of cached voxels. Without files, the prior is `typical`, the typical
-    /// costs of this kind of renderer.
+    /// Returns the prior made from `files`, analytic models of different machines: the geometric mean of
+    /// their unit costs and of their numbers of cached voxels. Without files, the prior is `typical`, the
+    /// typical costs of this kind of renderer.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Unsupported`] for a model that is not analytic, and as [`ModelFile::to_model`] and
@@ -126,8 +126,8 @@ impl PriorModel {
     /// by its error in cross-validation; without cross-validation, the prior's number stays.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not positive, or
-    /// if the fit predicts a time that is not finite.
+    /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not
+    /// positive, or if the fit predicts a time that is not finite.
     pub fn choose(&self, frames: &[Observed], renderers: &[UnitCosts]) -> Result<Chosen> {
         if frames.is_empty() {
             bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
@@ -205,7 +205,8 @@ impl PriorModel {
 }
 
 impl Chosen {
-    /// Cross-validated errors on the frames of the fit: the median of |predicted / measured − 1|, and RMSE/SD.
+    /// Cross-validated errors on the frames of the fit: the median of |predicted / measured − 1|, and
+    /// RMSE/SD.
     pub(super) fn errors(&self, frames: &[Observed]) -> (f64, f64) {
         let pairs: Vec<(f64, f64)> = self.crossed.iter().zip(frames).map(|(&p, f)| (p, f.seconds)).collect();
         let mut relative: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();

@@ -12,8 +12,8 @@ const NEWEST: f32 = 0.3;
 /// first subtracted from the target. Each pass gets a share in proportion to its time at full quality, so all
 /// passes are coarsened by the same factor.
 ///
-/// The caller reports each frame: [`FrameBudget::begin`], then for each pass [`FrameBudget::share`] before and
-/// [`FrameBudget::drew`] after it, then [`FrameBudget::end`]. The value of a new budget is all zeros.
+/// The caller reports each frame: [`FrameBudget::begin`], then for each pass [`FrameBudget::share`] before
+/// and [`FrameBudget::drew`] after it, then [`FrameBudget::end`]. The value of a new budget is all zeros.
 ///
 /// ```
 /// use entire_steer::control::{FrameBudget, PassShare};

@@ -60,8 +60,8 @@ const TOUCHED: usize = {
 pub struct UnitCosts {
     /// Seconds per frame, then per unit of each of [`COST_QUANTITIES`].
     pub seconds: [f64; COSTS],
-    /// Number of voxels that the caches hold. In a frame that touches this many voxels, half of the reads that
-    /// no neighboring ray shares wait for memory. The quantities are computed with the number of
+    /// Number of voxels that the caches hold. In a frame that touches this many voxels, half of the reads
+    /// that no neighboring ray shares wait for memory. The quantities are computed with the number of
     /// [`UnitCosts::SOFTWARE`]; [`UnitCosts::time`] converts them to this number.
     pub cached_voxels: f64,
 }
@@ -105,8 +105,8 @@ impl UnitCosts {
 
     /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its
     /// longest ray, plus the work of all rays divided by the throughput (Brent's bound of parallel time: work
-    /// over processors, plus the longest chain of dependent operations). Geometric means of the costs measured
-    /// with each shading mode on an NVIDIA H100, as `lab/scripts/typical_costs.py` prints them.
+    /// over processors, plus the longest chain of dependent operations). Geometric means of the costs
+    /// measured with each shading mode on an NVIDIA H100, as `lab/scripts/typical_costs.py` prints them.
     pub const GPU: Self = Self::new([
         5.1e-6, 9.6e-12, 4.5e-13, 6.2e-12, 1.1e-12, 2.4e-13, 1.2e-12, 2.9e-13, 1.5e-11, 5.7e-13, 7.1e-13,
         3.6e-12, 1.4e-10, 1.4e-12, 6.8e-14, 4.0e-12, 3.4e-12, 2.2e-10, 2.0e-12, 3.1e-12, 4.4e-12, 0.0,

@@ -160,7 +160,8 @@ impl Polygon {
     }
 }
 
-/// Origin and unit direction, in scene space, of the ray through a pixel's center in an image of `size` pixels.
+/// Origin and unit direction, in scene space, of the ray through a pixel's center in an image of `size`
+/// pixels.
 #[cfg(test)]
 pub(super) fn ray(camera: &Camera, pixel: [u32; 2], size: [u32; 2]) -> (Vec3, Vec3) {
     let (origin, direction) = camera.ray_basis(size[0], size[1]);

@@ -47,8 +47,8 @@ pub(crate) struct CostFit {
 }
 
 impl CostFit {
-    /// Returns the parameters fitted to the rows. `prior` holds the unit costs of the prior in seconds (costs of
-    /// 0 stay 0), `cost_sd` the standard deviations of their logarithms.
+    /// Returns the parameters fitted to the rows. `prior` holds the unit costs of the prior in seconds (costs
+    /// of 0 stay 0), `cost_sd` the standard deviations of their logarithms.
     pub(crate) fn new(prior: &[f64; COSTS], cost_sd: &[f64; COSTS], rows: &[&FitRow]) -> Self {
         let active: Vec<usize> =
             (0..COSTS).filter(|&i| prior[i] > 0.0 && rows.iter().any(|f| f.work[i] > 0.0)).collect();

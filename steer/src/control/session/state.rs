@@ -1,5 +1,5 @@
-//! Sets the model, the renderer and the clock to which a session's learned state is bound, and saves the state as
-//! bytes.
+//! Sets the model, the renderer and the clock to which a session's learned state is bound, and saves the
+//! state as bytes.
 
 use super::{HybridOptions, Session, controller_for};
 use crate::adapt::state::{Reader, Writer, seal, unseal};
@@ -66,16 +66,17 @@ impl Session {
         Ok(())
     }
 
-    /// The clock of observed frames, and the clock whose seconds the model predicts. The first is `None` unless
-    /// [`Session::set_timing_source`] named `cpu`, `wall` or `device`; the second is `None` if the model's
-    /// file does not state it.
+    /// The clock of observed frames, and the clock whose seconds the model predicts. The first is `None`
+    /// unless [`Session::set_timing_source`] named `cpu`, `wall` or `device`; the second is `None` if the
+    /// model's file does not state it.
     #[must_use]
     pub fn clocks(&self) -> [Option<Clock>; 2] {
         [Clock::named(&self.timing[1]), self.predictor.clock()]
     }
 
-    /// Tells the controller if both clocks are known and differ. Returns true if the answer has changed since
-    /// the previous call; the caller then resets the session.
+    /// Compares the two clocks; the result is true if both are known and differ. If the result has changed
+    /// since the previous call, passes it to the controller and returns true; the caller then resets the
+    /// session.
     pub(super) fn reconcile_clocks(&mut self) -> bool {
         let converted = matches!(self.clocks(), [Some(own), Some(other)] if own != other);
         let new = converted != self.converted;

@@ -321,8 +321,8 @@ fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
     sums[1..=side].iter().sum()
 }
 
-/// Computes [`Probe::ends_apart`] from the lengths of the rays up to their ends, `ends`, and from their visible
-/// lengths.
+/// Computes [`Probe::ends_apart`] from the lengths of the rays up to their ends, `ends`, and from their
+/// visible lengths.
 fn ends_apart(ends: &[f32], rays: &[&mut [f32]; FIELDS], side: usize) -> f32 {
     let (visible, terminated) = (&rays[VISIBLE], &rays[TERMINATED]);
     let (mut distance, mut length) = (0.0f32, 0.0f32);

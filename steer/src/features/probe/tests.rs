@@ -326,8 +326,8 @@ fn only_rays_that_terminate_early_end_apart() {
     assert_eq!(ends_apart(&[10.0, 30.0, 6.0, 900.0], &rays, 2), 0.0);
 }
 
-/// Compares the share of unshared reads that wait for memory with its definition, in each shading mode. A frame
-/// touches at most the voxels of the volume. The share never falls for a larger image or a finer step.
+/// Compares the share of unshared reads that wait for memory with its definition, in each shading mode. A
+/// frame touches at most the voxels of the volume. The share never falls for a larger image or a finer step.
 #[test]
 fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
     let n = 64 * 64 * 64;
