@@ -1,7 +1,8 @@
 /* Makes allocations fail in every kind of call, one after the other and all at once: no failure may end the process.
  * Calls marked as hot allocate nothing. A call that allocates a size declared by the caller returns
  * ENTIRE_OUT_OF_MEMORY if that allocation fails. Small allocations that fail are served from the library's reserve;
- * once half of the reserve is in use, calls that make a handle return ENTIRE_OUT_OF_MEMORY, too.
+ * while more than half of the reserve is in use, calls that make a handle or keep further memory return
+ * ENTIRE_OUT_OF_MEMORY, too.
  *
  *   alloc_failure MODEL
  *
@@ -208,8 +209,8 @@ static entire_result plan_and_observe(void) {
     return result == ENTIRE_OK ? observe() : result;
 }
 
-/* Makes handles while every request fails: they are served from the reserve until half of it is in use; then more
- * handles are refused. After all are freed, handles can be made again. */
+/* Makes handles while every request fails: they are served from the reserve until more than half of it is in
+ * use; then further handles are refused. After all are freed, handles can be made again. */
 static entire_result fill_the_reserve(void) {
     enum { MOST = 10000 };
     static entire_transfer_function *held[MOST];

@@ -1,5 +1,5 @@
-/* Calls every function with NULL for each of its pointers, one at a time. tests/c/run.sh checks that no function is
- * missing. */
+/* Calls every function with NULL for each of its pointers that must not be NULL, one at a time. tests/c/run.sh checks
+ * that no function is missing. */
 #include "check.h"
 
 #define NONE(call) EXPECT(ENTIRE_NULL_ARGUMENT, call)

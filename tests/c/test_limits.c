@@ -130,8 +130,8 @@ static entire_model *with_tensor(const char *path, const char *tensor, float val
     return model;
 }
 
-/* For any output of a model, a result with ENTIRE_OK is a frame time or marked absent. Returns the number of
- * refused calls. */
+/* Checks that every result of a call that returns ENTIRE_OK is a frame time or is marked as absent, whatever the
+ * model's output. Returns the number of refused calls. */
 static long answers(const entire_model *model) {
     enum { COLUMNS = 11, ROWS = 7 };
     long refused = 0;
@@ -204,7 +204,7 @@ static void hostile_weights(const char *path) {
             refused += answers(model);
             entire_model_free(model);
         }
-    /* Without the library's check, these calls would return seconds that are infinite, 0 or NaN. */
+    /* Without the library's check, these calls would return seconds that are infinite, NaN or at least 1e9. */
     CHECK(refused > 20);
 }
 

@@ -4,7 +4,7 @@
 use entire_core::kernels::Level;
 use libtest_mimic::{Arguments, Failed, Trial};
 
-/// Environment variable that forces a level.
+/// Environment variable that caps the level.
 const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 #[allow(unsafe_code, reason = "setting the environment is unsafe; this test is alone in its process")]

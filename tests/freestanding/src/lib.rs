@@ -14,7 +14,8 @@ use entire_core::model::Model;
 use entire_core::nn::{PredNet, VolumeNet};
 use entire_core::scene::{Scalars, VolumeView};
 
-/// Loads a model and prints the bits of its results, one line per network, level and input.
+/// Loads a model and prints the bits of its results: one line per level and storage format for the
+/// prediction network, and one line per level and volume for the volume network.
 ///
 /// # Errors
 /// The core's message, or "the model has no …".
