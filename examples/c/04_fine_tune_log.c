@@ -15,8 +15,8 @@ static const char columns[] = "frame,repeat,volume,member,time_step,dims_x,dims_
 static const char *const shadings[] = {"", "none", "local", "scatter", "local-scatter"};
 static const char *const skippings[] = {"", "none", "blocks", "distance"};
 
-/* Replace this function by your renderer. Its work is proportional to the number of pixels divided by the step. Returns
- * the wall seconds of a frame. */
+/* Returns the wall seconds of a frame. Replace this function by your renderer; here, the work is proportional to the
+ * number of pixels divided by the step. */
 static volatile float sink;
 static double draw(const entire_frame *frame) {
     struct timespec a, b;

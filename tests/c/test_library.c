@@ -72,7 +72,8 @@ static void struct_sizes(void) {
     entire_session_free(session);
 }
 
-/* Two volumes take 5 and 15 ms, and the other work of their window takes 5 ms. */
+/* Checks the shares of two volumes that take 5 and 15 ms in a window whose other work takes 5 ms, and that invalid
+ * times are refused. */
 static void budget(void) {
     entire_budget budget = {{0}};
     entire_pass small = {{0}}, large = {{0}};

@@ -8,11 +8,10 @@ use entire_steer::features::{FrameFeatures, SceneQuantity, Setting, TransferSumm
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::path::{Path, PathBuf};
 
-/// Upper bound of the median of |estimate / count − 1| over random scenes.
+/// Upper bound of the median of |estimate / count − 1| over random scenes without single scattering.
 const MEDIAN_TOLERANCE: f64 = 0.1;
 
-/// Upper bound of the median of |estimate / count − 1| with single scattering, where one shadow ray per probe
-/// ray represents all shadow rays.
+/// The same bound with single scattering, where one shadow ray per probe ray represents all shadow rays.
 const SCATTER_TOLERANCE: f64 = 0.2;
 
 /// Returns the volumes in `data/` and one volume of each folder under it.
@@ -107,7 +106,7 @@ fn estimated_work_is_the_counted_work() {
             // Skips of shadow rays are estimated roughly: they cost little compared with the rays' samples.
             let rough = *name == "skips" && shading.scatters();
             if errors.len() >= 6 && !rough {
-                // The upper median of an even number of errors: the bound is on the larger one.
+                // Of an even number of errors, the bound applies to the larger of the two middle ones.
                 errors.sort_by(f64::total_cmp);
                 let m = errors[errors.len() / 2];
                 let tolerance = if shading.scatters() { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
