@@ -68,8 +68,9 @@ by_value!(entire_calibration_report {
 ///
 /// `prior` is the model to start from: unit costs that were fitted on another machine or renderer, such as
 /// models/unshaded-selected.safetensors. NULL starts from the unit costs of a software renderer. Not recorded
-/// are unusual and cancelled observations, the first frame of the session and of each volume, and a frame for
-/// which entire_session_mark announced ENTIRE_CHANGE_FIRST or ENTIRE_CHANGE_VOLUME.
+/// are unusual and cancelled observations, the first frame of the session and of each volume, the first frame
+/// after the session's learned state was loaded or forgotten, and a frame for which entire_session_mark
+/// announced ENTIRE_CHANGE_FIRST or ENTIRE_CHANGE_VOLUME.
 ///
 /// To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
 /// plan every frame as it was drawn, and observe its time.

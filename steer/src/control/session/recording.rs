@@ -57,8 +57,8 @@ impl Recording {
         }
     }
 
-    /// Stores the work of a planned frame. The first frame of the session, of a pipeline or of a volume is
-    /// not stored, because it may include uploads.
+    /// Stores the work of a planned frame, unless [`Changes::first`] or [`Changes::volume`] is set: such a
+    /// frame may include uploads.
     pub(super) fn plan(&mut self, id: u64, work: &[f64; COSTS], changes: Changes) {
         let at = Self::place(id);
         let id = if changes.first || changes.volume { 0 } else { id };
@@ -83,9 +83,10 @@ impl Session {
     ///
     /// `prior` is the model to start from: an analytic model that was fitted on another machine or renderer.
     /// Without a prior, the fit starts from unit costs of a software renderer. A frame is not recorded if its
-    /// observation is unusual or cancelled, if it is the first of the session or of a volume, or if
-    /// [`Changes::first`] or [`Changes::volume`] was announced for it ([`Session::mark`]). Planning and
-    /// observing do not allocate while frames are recorded.
+    /// observation is unusual or cancelled, if it is the first of the session or of a volume, or the first
+    /// after the learned state was loaded or forgotten, or if [`Changes::first`] or [`Changes::volume`] was
+    /// announced for it ([`Session::mark`]). Planning and observing do not allocate while frames are
+    /// recorded.
     ///
     /// Frames that were timed earlier can be recorded too: with steering off ([`Session::set_enabled`]), plan
     /// each frame as it was drawn, and observe its time.
