@@ -3,7 +3,8 @@
 use entire_core::kernels::Level;
 use serde::Serialize;
 
-/// Returns the program's version and, if it was built from a checkout, its commit.
+/// Returns the program's version and, if it was built from a checkout of this project's repository, the
+/// commit.
 pub fn version() -> String {
     match option_env!("ENTIRE_COMMIT") {
         Some(commit) => format!("{} ({commit})", env!("CARGO_PKG_VERSION")),

@@ -2,7 +2,7 @@
 //! and fits unit costs to their times, with the shipped models as prior.
 //!
 //! `pool` draws candidate frames and computes their features; `design` chooses among them; `measuring`
-//! renders them in several passes, each frame after an untimed warm-up rendering, and compares pictures with
+//! renders them in several passes, short frames after untimed warm-up renderings, and compares pictures with
 //! those at full quality; `others` measures the load of other programs;
 //! [`entire_steer::calibrate::PriorModel`] fits the model. [`place`] finds the file of the machine's model.
 

@@ -128,7 +128,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     {
         assert!(stdout(&doctor).contains(part), "{part}: {}", stdout(&doctor));
     }
-    // With a wrong variable, no command renders, not even on the CPU.
+    // With an invalid value of ENTIRE_TILE, `--device auto` opens no renderer, not even the CPU version.
     let doctor = stdout(&entire_in(at, &[("ENTIRE_TILE", "x")], &["doctor"]));
     assert!(doctor.contains("none: ENTIRE_TILE is \"x\""), "{doctor}");
 }

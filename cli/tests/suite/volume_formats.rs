@@ -347,7 +347,8 @@ fn arrays_are_read_by_name_and_chosen_in_the_order_of_the_file() {
     let flat = vti_of(">", &format!(">{}", array("c", "1 2 3 4")));
     write(flat.replace("0 1 0 1 0 2", "0 2 0 2 0 0"));
     assert_eq!(Volume::open(&path).unwrap().dims(), [2, 2, 1]);
-    // An array whose name begins like VTK's own is read if it is active; an array of ids is never read.
+    // An array whose name begins like VTK's own is read if it is active; an array of ids is not read by
+    // default.
     write(vti_of(&format!("Scalars=\"vtkDensity\">{}{}", points("a"), points("vtkDensity")), ">"));
     assert!(!Volume::open(&path).unwrap().notes().iter().any(|n| n.contains("is read")));
     write(vti_of(&format!("GlobalIds=\"i\">{}", points("i")), &format!(">{}", array("c", "5 6"))));

@@ -48,7 +48,8 @@ impl Writer {
     /// Starts a new table, also in a file that holds a table without frames.
     ///
     /// # Errors
-    /// When the file exists with other content, is locked, or cannot be written.
+    /// When the file exists with other content, is locked, or cannot be written; when its name ends in `.gz`,
+    /// or another table would share its manifest.
     pub fn create(path: &Path) -> Result<Self> {
         check_name(path)?;
         if path.is_file() && Self::is_fresh(path)? {
@@ -91,7 +92,8 @@ impl Writer {
     /// with fewer than `repeats` repeats, are removed.
     ///
     /// # Errors
-    /// When the file is no timing table, has its columns in another order, or cannot be written.
+    /// When the file is no timing table, has its columns in another order, is locked, or cannot be written;
+    /// when its name ends in `.gz`, or another table would share its manifest.
     pub fn resume(path: &Path, repeats: u32) -> Result<Self> {
         if !path.exists() {
             return Self::create(path);

@@ -117,7 +117,7 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
     let expected = byte_count(dims, element)?;
     let found = match stream.remaining() {
         Remaining::Exact(found) if found < expected => format!("the file has {found}"),
-        Remaining::AtMost(most) if most < expected => format!("the compressed data can hold {most} at most"),
+        Remaining::AtMost(most) if most < expected => format!("the encoded data can hold {most} at most"),
         _ => return Ok(()),
     };
     bail!(

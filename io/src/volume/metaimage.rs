@@ -3,9 +3,9 @@
 //! name in each further line, or by `name%03d.raw FIRST LAST STEP`.
 //!
 //! The following rules are those of the format's own library. `HeaderSize` counts from the start of the file
-//! that holds the voxels; with `LOCAL`, that is the header's own file. A `HeaderSize` of -1 says that the
-//! voxels are the last bytes of the file, or that the file holds compressed voxels only. Of the two fields of
-//! byte order, `BinaryDataByteOrderMSB` takes precedence.
+//! that holds the voxels; with `LOCAL`, that is the header's own file. With a `HeaderSize` of -1, voxels that
+//! are not compressed are the last bytes of the file; compressed voxels begin right after the header, or at
+//! the start of their own file. Of the two fields of byte order, `BinaryDataByteOrderMSB` takes precedence.
 //!
 //! The project has its own reader, since the crate that reads MetaImage, `bioformats` 0.1, supports neither
 //! voxels in text nor 64-bit integers.

@@ -36,7 +36,7 @@ const MAX_LINE: usize = 1 << 16;
 pub(crate) enum Remaining {
     /// The stream holds exactly this number of bytes.
     Exact(u64),
-    /// The stream is compressed and holds at most this number of bytes.
+    /// The stream is compressed or in hexadecimal digits; decoded, it holds at most this number of bytes.
     AtMost(u64),
 }
 

@@ -36,7 +36,8 @@ pub struct FitContext<'a> {
     pub pool: &'a ThreadPool,
     /// Progress bar, whose message and position the training sets.
     pub bar: &'a ProgressBar,
-    /// Called before the training of each network and after every step; training stops when it returns true.
+    /// Called before the training of each network, after every training step, and after an analytic fit; the
+    /// fit stops when `stop` returns true.
     pub stop: &'a dyn Fn() -> bool,
 }
 

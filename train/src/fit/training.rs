@@ -9,7 +9,7 @@ use entire_core::nn::PredNetParts;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-/// Error of a fit that was stopped before its first training step.
+/// Error of a fit that was stopped before it gave a model.
 pub(super) const NOTHING_LEARNED: &str = "stopped before anything was learned; nothing was written";
 
 pub(super) fn run_training(

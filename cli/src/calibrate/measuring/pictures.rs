@@ -62,8 +62,9 @@ impl Measuring<'_> {
     }
 
     /// Returns at most [`PER_VOLUME`] candidates of each volume: those with the largest images among the
-    /// candidates that take at most `longest` seconds at full quality. The first candidates of all volumes
-    /// come before the second ones.
+    /// candidates that take at most `longest` seconds at full quality. Candidates with an image side below
+    /// [`LEAST_SIDE`], or with at most one sample per pixel, are left out. The first candidates of all
+    /// volumes come before the second ones.
     fn scenes(&self, longest: f64) -> Vec<usize> {
         let candidates = &self.pool.candidates;
         let pixels = |c: &Candidate| u64::from(c.scene.width) * u64::from(c.scene.height);

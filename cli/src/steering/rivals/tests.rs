@@ -1,4 +1,5 @@
-//! Every controller under random frame times, and the frames from which OLP estimates the next frame's time.
+//! Every controller under random frame times, the constants of the rules of other renderers, and the frames
+//! from which OLP estimates the next frame's time.
 
 use super::*;
 use crate::steering::contenders::{ControllerKind, controller};
@@ -82,7 +83,7 @@ fn the_rule_of_vtks_gpu_mapper_counts_with_the_step_that_was_drawn() {
 #[test]
 fn the_rule_of_vtk_js_has_its_published_limits() {
     let step = |times: &[&[f32]]| after(ControllerKind::VtkJs, 400.0, &times.concat());
-    // Each slice is one window of a second.
+    // Each slice holds the frames of one window, which ends when at least one second has passed.
     let slow: &[f32] = &[0.4; 3];
     assert!(close(step(&[slow]), 4.0));
     assert!(close(step(&[slow, &[0.086; 12]]), 4.0));
