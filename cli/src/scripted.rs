@@ -3,8 +3,8 @@
 use entire_core::scene::{Frame, TransferTable, VolumeView};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
 
-/// Renderer whose frames take `fixed` + pixels · (mean table opacity) · `per_sample` / step seconds, times
-/// noise.
+/// Renderer whose frames take (`fixed` + pixels · (mean table opacity) · `per_sample` / step) · noise, in
+/// seconds.
 pub(crate) struct ScriptedRenderer {
     pub(crate) fixed: f64,
     pub(crate) per_sample: f64,

@@ -88,7 +88,8 @@ fn bound(input: &[u8]) -> usize {
 enum Change {
     /// Flips the bits of a mask in a byte.
     Flip(prop::sample::Index, u8),
-    /// Replaces this many bytes at a position; near the end, only those that exist.
+    /// Replaces this many bytes at a position by the given bytes, or removes them if none are given. Near the
+    /// end of the input, fewer bytes exist and are replaced.
     Replace(prop::sample::Index, usize, Vec<u8>),
     Double(prop::sample::Index, usize),
     /// Replaces the n-th number by a word.

@@ -186,13 +186,14 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
     if std::fs::metadata(path).is_ok_and(|there| !there.is_file()) {
         let mut there = File::options().write(true).open(path).with_context(fail)?;
         return fill(&mut there).map_err(|error| match error.downcast_ref::<std::io::Error>() {
-            // Programs end with success if their standard output is a closed pipe, which this pipe is not.
+            // The programs take an error of this kind for a closed standard output, and end with success.
             Some(e) if e.kind() == std::io::ErrorKind::BrokenPipe => anyhow!("{}: {error:#}", fail()),
             _ => error.context(fail()),
         });
     }
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // Where standard output is a file, /dev/stdout leads to it; the machine's link must stay.
+    // Where standard output is a file, the link /dev/stdout leads to this file. The link must not be
+    // replaced.
     ensure!(
         folder != Path::new("/dev"),
         "cannot write {}: no file in /dev is made or replaced; name a file elsewhere",
@@ -451,7 +452,8 @@ mod tests {
         // The new file has the permissions of any file that this user makes.
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         assert_eq!(mode(&link), mode(&target));
-        // A pipe whose reader closed it is an error, and not that of a closed standard output.
+        // Writing into a pipe that its reader has closed is an error, but without the kind `BrokenPipe`,
+        // which stands for a closed standard output.
         let (reader, writer) = std::io::pipe().unwrap();
         let pipe = format!("/proc/self/fd/{}", std::os::fd::AsRawFd::as_raw_fd(&writer));
         drop(reader);

@@ -1,5 +1,5 @@
-//! Identity of a file: size, modification time and a hash of its content. Kept results (pictures, timing
-//! tables) store the identities of their inputs, so that a kept result is never used for changed files.
+//! Identity of a file: size, modification time and a hash of its content. Stored results (pictures, timing
+//! tables) contain the identities of their inputs, so that a stored result is never used for changed files.
 
 use crate::files::{fnv1a, fnv1a_after};
 use crate::volume::{Companions, Folder, Format, Reading, Stream, Volume};

@@ -248,8 +248,8 @@ impl<'a> Measuring<'a> {
         Ok(repeats)
     }
 
-    /// Returns the noise of a round: the standard deviation of ln(median time of a frame's repeats), or a
-    /// quarter of the drift between passes if that is larger; infinite if no frame was repeated.
+    /// Returns the noise of a round: the larger one of the standard deviation of ln(median time of a frame's
+    /// repeats) and a quarter of the drift between passes; infinite if no frame was repeated.
     fn spread(&self, round: &[usize]) -> f64 {
         let frames: Vec<TimedFrame> = round.iter().filter_map(|&i| self.frame(i)).collect();
         let noise = self.noise(&frames);

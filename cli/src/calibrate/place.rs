@@ -111,7 +111,7 @@ fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Ve
                 folders.push(path);
             } else if is_volume(&path) {
                 if let Err(error) = ensure_utf8(&path) {
-                    note(&format!("{error}; it is left out"));
+                    note(&format!("{error}; the volume is left out"));
                     continue;
                 }
                 let member = Job::from_path(&path).member;

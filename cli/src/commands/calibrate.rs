@@ -74,7 +74,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) table: Option<PathBuf>,
     /// Prior model, of kind analytic; default: the shipped models of the shading mode. On a GPU, and for a
-    /// mode without a shipped model, the default is the typical costs of such a renderer.
+    /// mode without a shipped model, the default is typical costs of this kind of renderer.
     #[arg(long, value_name = "SAFETENSORS")]
     pub(crate) prior: Option<PathBuf>,
     /// Time limit for each shading mode, in wall seconds.

@@ -187,8 +187,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let part_seconds =
         |p: Part| -> Vec<f64> { part(p).iter().map(|f| seconds[&(f.table, f.number)]).collect() };
 
-    // Ctrl-C stops the training of networks, which keep what they learned. While inputs are read, and for an
-    // analytic model, there is nothing to keep: it then ends the program at once, before a file is written.
+    // Ctrl-C stops the training of networks, which keep what they learned. Before this training, and for an
+    // analytic model, there is nothing to keep: Ctrl-C ends the program at once, and no file is written.
     let trains = recipe.kind != Kind::Analytic;
     let stop = || trains && interrupt::flag().is_ok_and(|flag| interrupt::requested(&flag));
     let bar = templated_bar("epoch {msg} [{bar:30}] {eta} left");

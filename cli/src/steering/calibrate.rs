@@ -40,7 +40,7 @@ pub struct Sample {
 /// Returns `None` when `stop` returned true.
 ///
 /// # Errors
-/// When the renderer fails or has no clock of that name.
+/// When the renderer fails or has no times by the clock of `draw`.
 #[expect(clippy::too_many_arguments, reason = "each parameter is one setting of the measurement")]
 pub fn measure(
     volume: &VolumeView<'_>,

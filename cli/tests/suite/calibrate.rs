@@ -81,7 +81,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     // Wall time, since the CPU version has no time stamps.
     assert!(load(&logged).is_ok() && logged.metadata["entire.clock"] == "wall");
 
-    // Frames of another shading, which are not used, have no say in the clock.
+    // Frames of another shading are not used, and do not affect the choice of the clock.
     let table = std::fs::read_to_string(at.join("frames.csv")).unwrap();
     let others = table.lines().skip(1).map(|row| {
         let mut cells: Vec<&str> = row.split(',').collect();

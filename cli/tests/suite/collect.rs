@@ -61,7 +61,7 @@ fn setting() -> (tempfile::TempDir, PathBuf) {
 #[test]
 fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
     let (dir, volume) = setting();
-    // The folder of a table is made.
+    // `collect` makes the folder of a table.
     let (whole, cut) = (dir.path().join("new/whole.csv"), dir.path().join("cut.csv"));
     let settings = ["--frames", "40", "--min-size", "96", "--max-size", "160"];
     let output = works(&mut collect(&volume, &whole, &settings));

@@ -1,6 +1,6 @@
-//! Every file of fixtures/volumes and fixtures/reports against the values of independent readers:
-//! fixtures/right-values.csv, which `lab/scripts/readers/differential.py --write` makes with pynrrd,
-//! SimpleITK, nibabel and VTK.
+//! Compares every file of fixtures/volumes and fixtures/reports, as it is read, with the values of
+//! independent readers in fixtures/right-values.csv. `lab/scripts/readers/differential.py --write` makes this
+//! table with pynrrd, SimpleITK, nibabel and VTK.
 
 use entire_io::volume::{Fill, Reading, Volume, VolumeData};
 use std::collections::{BTreeMap, BTreeSet};

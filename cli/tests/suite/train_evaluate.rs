@@ -245,7 +245,7 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     assert!(shown.contains("noise floor, from repeats of a frame"), "{shown}");
 }
 
-/// On a GPU, the processor only waits.
+/// Without --clock, a model of a GPU's frames predicts device time, since the processor only waits.
 #[test]
 fn frames_of_a_gpu_teach_the_time_of_the_device() {
     let folder = tempfile::tempdir().unwrap();

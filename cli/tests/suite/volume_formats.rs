@@ -1,4 +1,4 @@
-//! Every reader on files of other libraries (see fixtures/make_volumes.py) and on broken files.
+//! Tests every reader with files of other libraries (see fixtures/make_volumes.py) and with broken files.
 //! `independent_readers` compares size, spacing and voxels of every file in fixtures/; these tests cover what
 //! its table does not state.
 

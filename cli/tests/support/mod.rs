@@ -96,7 +96,7 @@ pub(crate) fn probed(folder: &Path, device: &str, json: bool) -> String {
 
 pub(crate) type Tensor<'a> = (&'a str, Vec<usize>, Vec<f32>);
 
-/// Returns a safetensors file, valid or not.
+/// Returns the bytes of a safetensors file. Metadata and tensors are not checked, so the file may be invalid.
 pub(crate) fn safetensors(metadata: &[(&str, &str)], tensors: &[Tensor<'_>]) -> Vec<u8> {
     let mut header = serde_json::Map::new();
     let pairs: serde_json::Map<String, serde_json::Value> =

@@ -198,7 +198,7 @@ fn long_paths_hold_no_transfer_function_twice() {
     };
     let path = PathFile::parse(&text(&lobes(0.01))).unwrap().resolve().unwrap();
     assert_eq!(path.frames.len(), 1_000_000);
-    // A million functions of 1024 lobes would take 12 GB.
+    // Frames share the keyframes' functions: a million functions of 1024 lobes each would take 12 GB.
     assert!(size_of::<PathFrame>() <= 64);
     assert!(Arc::ptr_eq(&path.frames[0].transfer.keys, &path.frames[999_999].transfer.keys));
     let too_many = format!("{}, {}", lobes(0.01), lobes(0.01));

@@ -3,8 +3,9 @@
 //! `{"name": "…", "size": [x, y, z], "type": "uint8", "spacing": [x, y, z]}`
 //!
 //! Either file may be given. A `.json` finds its voxels by `"file"`, by the last part of `"url"`, or as the
-//! `.raw` file of its own name; a `.raw` finds the `.json` of its own name, with or without an ending like
-//! `_256x256x256_uint8`. A `.raw` file without a description is read if its name has such an ending.
+//! `.raw` file of its own name. This name may be followed by size and type, as in `_256x256x256_uint8`. A
+//! `.raw` finds the `.json` of its own name, with size and type or without them. A `.raw` file without a
+//! description is read if its name states size and type.
 //! `"endian"` (or `"byte_order"`) is `little` by default; `.raw.gz` is decompressed. Endings may be in upper
 //! case.
 
@@ -43,7 +44,7 @@ pub(super) fn read_json(
         let [x, y, z] = description.sizes;
         let start = format!("{own}_{x}x{y}x{z}");
         found = companions.ending_in(".raw").into_iter().find(|name| {
-            // A longer number, or another type, belongs to another volume of this name.
+            // If a further digit or another type follows, the file belongs to another volume.
             let rest = name.strip_prefix(&start);
             let kind = strip_ending(name, ".raw").and_then(parse_name).map(|(.., kind)| kind);
             rest.is_some_and(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()))
@@ -61,7 +62,8 @@ pub(super) fn read_json(
     voxels(stream, strip_ending(&name, ".gz").is_some(), description)
 }
 
-/// Reads the voxels from the stream and the description from a file beside it, or from the file's name.
+/// Reads the voxels from the stream. The description comes from a file beside the voxels' file, or from the
+/// name of the voxels' file.
 pub(super) fn read_raw(stream: Stream<'_>, file_name: &str, companions: &dyn Companions) -> Result<Parts> {
     let unpacked = strip_ending(file_name, ".gz");
     let packed = unpacked.is_some();

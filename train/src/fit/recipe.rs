@@ -169,8 +169,8 @@ pub struct Recipe {
 }
 
 impl Default for Recipe {
-    /// The recipe of a command line without options. A command of clap without words is parsed for it, so
-    /// that the options alone state the defaults.
+    /// The recipe of a command line without options. The recipe is parsed from an empty command line, so that
+    /// the defaults are stated only where the options are defined.
     fn default() -> Self {
         // The option of the command with which the recipe's options conflict.
         let command = clap::Command::new("recipe").arg(clap::Arg::new("fine_tune"));

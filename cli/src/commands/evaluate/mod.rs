@@ -32,7 +32,8 @@ Examples:
   entire evaluate --model model.safetensors --data frames.csv
   entire evaluate --model a.safetensors b.safetensors --data frames.csv \\
       --unseen --out out/evaluation
-        only frames of members or volumes that no model was trained on; plots
+        uses only frames of members or volumes that no model was trained on,
+        and draws plots
   entire evaluate --model models/unshaded-distilled.safetensors \\
       --data data/timings/none-members.csv.gz --storage int8
         also the errors with weights of 8 bits")]
