@@ -214,5 +214,5 @@ pub fn in_session(
     Ok(out)
 }
 
-/// Target frame time that every frame meets, seconds.
+/// Target frame time, seconds. Each frame has a single setting, so the target does not affect the choice.
 const NO_TARGET: f32 = 1e3;

@@ -375,7 +375,7 @@ mod tests {
                 with(&PLAIN.replace("2 3 4", "4294967296 4294967296 4294967296"), &[]),
                 "more than can be addressed",
             ),
-            // 2⁶³ voxels fit into a 64-bit number, but their bytes do not.
+            // 2⁶³ fits into an unsigned 64-bit number, but is more voxels than a process can address.
             (with(&PLAIN.replace("2 3 4", "2097152 2097152 2097152"), &[]), "more than can be addressed"),
             (with(&PLAIN.replace("2 3 4", "2 0 4"), &[]), "size along y is 0"),
             (with(&PLAIN.replace("2 3 4", "2 -3 4"), &[]), "\"-3\" where a number"),

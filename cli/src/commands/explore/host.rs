@@ -100,7 +100,7 @@ impl Steering for Predicts {
 }
 
 /// Note on a machine's model that is ignored because it was calibrated on another kind of device than the
-/// window's, or predicts seconds of another clock; `None` for a model that is used.
+/// window's, or states another clock than the window's or no clock; `None` for a model that is used.
 fn takes_no_part(path: &Path, file: &ModelFile, clock: Option<Clock>, device: &str) -> Option<String> {
     let remedy = "the button \"Calibrate …\" copies the command for a model of";
     if let Some(why) = of_another_kind(path, file, "vulkan", device) {
