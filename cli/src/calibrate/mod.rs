@@ -41,7 +41,7 @@ const FIT_SECONDS: f64 = 1.0;
 /// Share of the calibration's time in which pictures are compared.
 const PICTURES_SHARE: f64 = 0.08;
 
-/// Seconds of measurement in which most machines draw more than [`FEWEST_FRAMES`].
+/// Seconds of measurement in which most machines draw more than [`FEWEST_FRAMES`] frames.
 const MEASUREMENT_SECONDS: f64 = 10.0;
 
 #[derive(Clone, Debug)]

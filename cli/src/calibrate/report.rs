@@ -45,7 +45,7 @@ pub struct Report {
     pub folds: usize,
     /// Number of frames on which the error was measured.
     pub judged: usize,
-    /// Median of |predicted / measured − 1| on held-out volumes.
+    /// Median of |predicted / measured − 1| on held-out volumes; on the training frames if `folds` is 0.
     pub median_error: f64,
     /// 95 % interval of the median error, by bootstrap over volumes.
     pub median_error_interval: Option<(f64, f64)>,

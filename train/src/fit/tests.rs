@@ -199,7 +199,7 @@ fn an_ensemble_says_how_each_of_its_networks_ended() {
     assert_eq!((each.len(), two.history.len()), (2, 2));
     assert!(each[0].starts_with("network 1: all 2 epochs done, "), "{each:?}");
     assert!(each[1].starts_with("network 2: all 2 epochs done, "), "{each:?}");
-    // After the largest seed comes 0.
+    // The networks have consecutive seeds, and after the largest seed comes 0.
     in_context(|context| Recipe { seed: u64::MAX, ..recipe(2) }.make(context, part, part).unwrap());
     // The training is stopped after the first network. The weights of this network are kept, and those of the
     // interrupted network are not used.
