@@ -39,7 +39,7 @@ pub struct Setting {
     pub bound: bool,
     /// Overhead of a bundle on its slot, seconds.
     pub overhead: f64,
-    /// Longest time request of a bundle, seconds.
+    /// Longest time that the engine grants a bundle, seconds; `None` for no limit.
     pub limit: Option<f64>,
     /// Order in which tasks are sent.
     pub order: Order,

@@ -232,7 +232,8 @@ def noise(machine, split, mode):
 
 def invalid(machine, test):
     """Returns the number of predictions that are not positive, over all shipped models, tables and random inputs. A
-    test counts them; None if it could not, or if `test` is false and no count is kept."""
+    test counts them, and the count is kept until models or code change. None if the test gives no count, or if
+    `test` is false and there is no kept count."""
     kept = machine.out / "predictions.txt"
     counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("steer/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
     if not kept.exists() or kept.stat().st_mtime < max(f.stat().st_mtime for f in counted):

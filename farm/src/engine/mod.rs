@@ -63,7 +63,7 @@ pub struct Properties {
     pub slots: usize,
     /// True if each bundle is sent to a given slot, whose persistent worker keeps its volume.
     pub bound: bool,
-    /// Longest time request that the engine accepts, seconds; `None` for no limit.
+    /// Longest time that the engine grants a bundle, seconds; `None` for no limit.
     pub limit: Option<f64>,
     /// Number of bundles that wait inside the engine, so that no slot waits for the driver. All other tasks
     /// wait in the planner, where their order can still change.

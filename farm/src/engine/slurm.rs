@@ -136,8 +136,8 @@ fn longest_request(listed: &str, named: Option<&str>) -> Option<f64> {
     limits.map(|l| l.into_iter().fold(0.0, f64::max)).filter(|l| *l > 0.0)
 }
 
-/// Longest time of a bundle without [`GRACE`], seconds, for a limit of the request in seconds. Slurm counts whole
-/// minutes.
+/// Returns the longest time of a bundle without [`GRACE`], seconds. `limit`: longest time request, seconds;
+/// rounded down, since requests are whole minutes.
 fn longest_bundle(limit: f64) -> f64 {
     60.0 * (limit / 60.0).floor() - GRACE
 }
@@ -154,7 +154,8 @@ impl Slurm {
     /// Checks that Slurm answers, and cancels the waiting and running jobs of an earlier run.
     ///
     /// # Errors
-    /// When Slurm does not answer; the message names the packages to install or the daemon to start.
+    /// When Slurm does not answer (the message names the packages to install or the daemon to start), lists
+    /// no node, or has a time limit below a minute.
     pub fn start(places: Places, options: Options, run: u64) -> Result<Self> {
         let hint = "Slurm does not answer; check that slurmctld is running and that SLURM_CONF is the path of its \
                     configuration file";

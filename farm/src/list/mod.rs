@@ -165,7 +165,8 @@ pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
 /// nodes).
 ///
 /// # Errors
-/// When a time is negative or not finite, a speed is not finite and positive, or there is no node.
+/// When a time is negative or not finite, a speed is not finite and positive, or there is no node or more
+/// than [`MAX_NODES`].
 pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
     check_speeds(speeds)?;
     let order = longest_first(times)?;
@@ -185,7 +186,7 @@ pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
 /// loading time if its previous task was on another volume. Returns node, start and end of every task.
 ///
 /// # Errors
-/// For a plan of a queue, when a time is negative or not finite, or a speed is not finite and positive.
+/// For a queue, as [`simulate_queue`]; none for an assignment, whose times and speeds are not checked here.
 pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], speeds: &[f64]) -> Result<Timeline> {
     let loads: Vec<(usize, f64)> =
         volume_numbers(tasks).into_iter().zip(tasks.iter().map(|t| t.load_s)).collect();
@@ -209,7 +210,8 @@ pub enum Plan {
 /// Schedules tasks by the expected seconds `deciding`.
 ///
 /// # Errors
-/// When a time is negative or not finite, or a speed is not finite and positive.
+/// When a time is negative or not finite; for an assignment, also as [`assign_longest_first`]. The speeds of
+/// a queue are not checked here.
 pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
     let order = longest_first(deciding)?;
     Ok(match method {

@@ -1,4 +1,4 @@
-//! One module per subcommand: its options and its execution.
+//! Options and execution of the subcommands, one module each; the module `farm` has four subcommands.
 
 pub(crate) mod disturb;
 pub(crate) mod farm;

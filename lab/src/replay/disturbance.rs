@@ -27,8 +27,8 @@ impl Disturbance {
     /// Reads a table of `start_s` and `slowdown` (`entire-lab disturb`).
     ///
     /// # Errors
-    /// For a file of another kind, fewer than two frames, times that do not ascend from 0 or are not finite, and
-    /// slowdowns that are not positive.
+    /// For a file of another kind, fewer than two frames, times that do not ascend from 0 or are not finite,
+    /// and slowdowns that are not finite and positive.
     pub fn open(file: &Path) -> Result<Self> {
         let place = || format!("{}", file.display());
         let mut reader = csv::Reader::from_path(file).with_context(place)?;
