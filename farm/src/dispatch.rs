@@ -87,8 +87,7 @@ pub enum Order {
     Longest,
     /// In the order of the job.
     Arrival,
-    /// In the order of the job, as [`Order::Arrival`]. The driver also ignores predictions and takes all
-    /// tasks as equally long.
+    /// In the order of the job; predictions are ignored, and all tasks are taken as equally long.
     Uniform,
 }
 

@@ -75,6 +75,7 @@ struct Drive<'a, 'b> {
     planner: Planner,
     engine: Box<dyn Engine>,
     nodes: HashMap<String, usize>,
+    /// Pairs of a node and a volume that the node has loaded in this run.
     loaded: HashSet<(usize, usize)>,
     failures: HashMap<u32, u32>,
     losses: HashMap<u32, u32>,

@@ -49,8 +49,8 @@ const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
 
-/// Longest expected time of a task, seconds. JSON has no infinite numbers, which a list in a wrong unit would
-/// give.
+/// Upper limit of a task's expected time, seconds. Without it, a list in a wrong unit would give infinite
+/// times, which JSON cannot hold.
 const LONGEST: f64 = 1e9;
 
 /// Returns a random number from the standard normal distribution (Box and Muller 1958).

@@ -13,8 +13,9 @@ use std::path::Path;
 /// Maximum number of characters of a job's name in OpenJD. Longer names are cut.
 const NAME: usize = 128;
 
-/// Cuts tasks into bundles of about equal expected seconds, each of one volume. Within a volume,
-/// the longest tasks come first. A bundle of several tasks is expected to take at most two thirds of the time limit (seconds).
+/// Cuts tasks into bundles of about equal expected seconds, each of one volume. Within a volume, the longest
+/// tasks come first. A bundle of several tasks is expected to take at most two thirds of `limit`, the time
+/// limit of a bundle in seconds.
 pub fn cut(planner: &Planner, tasks: &[u32], bundles: usize, limit: Option<f64>) -> Vec<Vec<u32>> {
     let shape = planner.learner().shape();
     let mut sorted = tasks.to_vec();

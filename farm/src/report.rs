@@ -63,7 +63,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     let all: Vec<&Answer> = runs.iter().flat_map(|r| &r.done).collect();
     ensure!(!all.is_empty(), "{} holds no image yet; render some first", job.output.display());
     let mut wanted: HashSet<u64> = job.numbers().into_keys().collect();
-    // The journal also lists tasks of earlier job files, and of files that have changed.
+    // The journal also lists tasks of earlier job files and of earlier contents of volume files.
     quarantined.retain(|task, _| parse_id(task).is_some_and(|id| wanted.contains(&id)));
     let images = all.iter().filter(|a| parse_id(&a.task).is_some_and(|id| wanted.remove(&id))).count();
     let work: f64 = all.iter().map(|a| a.seconds + a.load_s).sum();

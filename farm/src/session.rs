@@ -82,7 +82,8 @@ impl Session {
     /// it may have run out of memory: a new process gets the task once more.
     ///
     /// # Errors
-    /// When the program cannot be started, ends, answers with an error or does not answer in time.
+    /// When the program cannot be started, ends, answers with an error or with times that the task cannot
+    /// have, or does not answer in time.
     pub(super) fn ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
         let mut clock = Instant::now();
         let mut result = self.try_ask(order, out, log);
@@ -127,7 +128,8 @@ impl Session {
         let Running { child, input, lines, .. } = running;
         let (written, waits) = mpsc::channel::<()>();
         let sent = std::thread::scope(|scope| {
-            // A program that does not read its input blocks the writing of a long line.
+            // A program that does not read its input blocks the writing of a long line, so it is killed at
+            // the limit.
             if let Some(limit) = limit {
                 scope.spawn(move || {
                     if waits.recv_timeout(limit) == Err(RecvTimeoutError::Timeout) {
@@ -162,8 +164,9 @@ impl Session {
                     let (took, load_s) = (clock.elapsed().as_secs_f64(), reply.load_s.unwrap_or(0.0));
                     ensure!(
                         (0.0..=took).contains(&load_s) && reply.seconds.is_none_or(|s| s >= 0.0),
-                        "the renderer answered after {took:.3} s with load_s = {load_s} and seconds = {}; both are \
-                         seconds of this task",
+                        "the renderer answered after {took:.3} s with load_s = {load_s} and seconds = {}; \
+                         load_s must lie between 0 and the time of the answer, and seconds must not be \
+                         negative",
                         reply.seconds.unwrap_or(0.0)
                     );
                     return Ok(reply);
@@ -213,14 +216,14 @@ mod tests {
             let mut session = shell(&format!("read -r _; echo '{{\"task\": \"7\", {times}}}'; read -r _"));
             let said = session.ask(&an_order("v"), &dir.path().join("i.png"), &dir.path().join("log"));
             let said = said.unwrap_err().to_string();
-            assert!(said.contains("seconds of this task"), "{times}: {said}");
+            assert!(said.contains("and seconds must not be negative"), "{times}: {said}");
         }
     }
 
     #[test]
     fn the_time_limit_holds_for_a_program_that_prints_without_pause_or_reads_nothing() {
         let dir = tempfile::tempdir().unwrap();
-        // The second task is longer than a pipe's buffer.
+        // The second task is longer than a pipe's buffer, so writing it waits until the program reads.
         for (script, name) in [("exec yes", "v".to_owned()), ("exec sleep 1000", "v".repeat(1 << 20))] {
             let mut session = Session { limit: Some(Duration::from_millis(200)), ..shell(script) };
             let said = session.ask(&an_order(&name), &dir.path().join("i.png"), &dir.path().join("log"));

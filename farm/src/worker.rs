@@ -215,7 +215,7 @@ impl Worker {
         let whole = folder.path().join("whole.png");
         write_whole(&whole, &png)?;
         std::fs::rename(&whole, &out).with_context(|| format!("cannot write {}", out.display()))?;
-        // The driver keeps the log of a task that is given up.
+        // The log of a failed task stays: if the task is given up, the driver keeps the end of this log.
         let _ = std::fs::remove_file(&log);
         Ok((painted, png.len() as u64, crc32fast::hash(&png)))
     }

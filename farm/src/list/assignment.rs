@@ -22,8 +22,8 @@ impl Assignment {
     /// `times`.
     ///
     /// # Errors
-    /// If `times` does not have one time per task or `speeds` does not have one speed per node, if a task is on
-    /// a node that does not exist, and as [`assign_longest_first`].
+    /// If `times` does not have one time per task, if `speeds` does not have one speed per node, if a task is
+    /// on a node that does not exist, and as [`assign_longest_first`].
     pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
         check(times, speeds)?;
         ensure!(
@@ -94,7 +94,7 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     Ok(())
 }
 
-/// Checks that there are nodes, not too many, and that their speeds are finite and positive.
+/// Checks that there are 1 to [`MAX_NODES`] nodes, and that their speeds are finite and positive.
 pub(super) fn check_speeds(speeds: &[f64]) -> Result<()> {
     match speeds.len() {
         0 => bail!("there are no nodes; at least one is needed"),

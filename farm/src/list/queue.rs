@@ -27,9 +27,10 @@ pub struct Timeline {
 
 /// Simulates a queue: tasks leave it in `order`, each to the first free node (of several, the fastest).
 /// `times` are the true times on a node of speed 1, without loading; predictions determine only the order.
-/// Arrival order is `0..n`; [`super::longest_first`] returns the order of predicted times, longest first. `loads`
-/// has the volume of each task, and the seconds to load it on a node that had no task or whose previous task
-/// was on another volume; they do not depend on the node's speed. `loads` is empty if no task loads a volume.
+/// Arrival order is `0..n`; [`super::longest_first`] returns the order of predicted times, longest first.
+/// `loads` has the volume of each task, and the seconds to load it on a node that had no task or whose
+/// previous task was on another volume; these seconds do not depend on the node's speed. `loads` is empty if
+/// no task loads a volume.
 ///
 /// # Errors
 /// For unusable times or speeds, or an order that is not a permutation of the tasks.
