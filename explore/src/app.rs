@@ -299,7 +299,7 @@ impl App {
             event_loop.exit();
         } else {
             self.state.complain(&error);
-            // The frame that failed was not shown, so the message needs another one.
+            // The failed frame was not shown, so another frame must show the message.
             self.repaint_at = Some(Instant::now() + idle::SHOW_EVERY);
             if self.screenshot.is_none() {
                 // The refinement that failed is not tried again; the view keeps the part that is finished.

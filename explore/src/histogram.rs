@@ -5,8 +5,8 @@ use entire_core::scene::{VolumeView, normalize};
 /// Number of bins of the normalized scalars.
 pub(crate) const BINS: usize = 256;
 
-/// Number of voxels that the histogram needs. Of a volume with at least twice as many voxels, only every n-th voxel
-/// is read.
+/// Number of voxels that the histogram needs. Of a volume with at least twice as many voxels, only every n-th
+/// voxel is read.
 const SAMPLED: u64 = 4_000_000;
 
 /// Counts of normalized values.

@@ -10,8 +10,8 @@ use std::path::Path;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Beside<'a> {
     pub(crate) controller: &'a str,
-    /// Number of pictures that the window has shown since the oldest input event that this frame includes
-    /// first, with the picture of this frame; 0 without such an event.
+    /// Number of pictures that the window has shown since the oldest input event whose effect is first
+    /// visible in this frame's picture; this picture is counted too. 0 without such an event.
     pub(crate) input_frames: u64,
     pub(crate) width: u32,
     pub(crate) height: u32,

@@ -31,8 +31,8 @@ impl Recent {
         Self { file, paths }
     }
 
-    /// Puts a file first and stores the list, except paths that are not UTF-8, which JSON cannot hold. Errors are
-    /// ignored, since the list is only a convenience.
+    /// Puts a file first and stores the list, except paths that are not UTF-8, which JSON cannot hold. Errors
+    /// are ignored, since the list is only a convenience.
     pub(crate) fn add(&mut self, path: &Path) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         self.paths.retain(|p| *p != path);

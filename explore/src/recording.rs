@@ -109,8 +109,8 @@ impl Recorder {
         let text = serde_json::to_string(&path)? + "\n";
         ensure!(
             text.len() as u64 <= MAX_PATH_BYTES,
-            "the recording takes {} bytes, and a path has at most {MAX_PATH_BYTES}; drag the transfer function in \
-             fewer frames",
+            "the recording takes {} bytes, but a path file has at most {MAX_PATH_BYTES} bytes; drag the \
+             transfer function in fewer frames",
             text.len()
         );
         write_whole(file, text.as_bytes())

@@ -308,7 +308,8 @@ fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
     new_renderer_draws(&image)
 }
 
-/// Checks that no wait without a time limit frees a picture of a hanging device.
+/// Checks that dropping a picture waits for the queue of a working device, but not for that of a hanging one:
+/// this wait has no time limit.
 fn a_picture_of_a_hanging_device_is_left_alone() -> Outcome {
     for (fault, waits) in [(Fault::Sound, 1), (Fault::Hangs(0), 0)] {
         set(Fault::Sound);

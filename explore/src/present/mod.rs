@@ -61,7 +61,8 @@ pub(crate) struct Presenter {
     set_layout: vk::DescriptorSetLayout,
     descriptors: vk::DescriptorPool,
     sets: HashMap<TextureId, vk::DescriptorSet>,
-    /// True from the submission of a frame until the fence has signaled: nothing that the frame uses may change.
+    /// True from the submission of a frame until its fence was seen to signal: meanwhile, nothing that the
+    /// frame uses may change.
     pending: bool,
     device: SharedDevice,
 }
@@ -165,7 +166,8 @@ impl Presenter {
         Ok(id)
     }
 
-    /// Removes a picture. The device must not be drawing it; after [`Presenter::show`] this is ensured.
+    /// Removes a picture. The device must not be drawing it; after a successful [`Presenter::prepare`], no
+    /// frame is on the device.
     pub(crate) fn remove_picture(&mut self, id: TextureId) {
         if let Some(egui) = &mut self.egui {
             egui.remove_user_texture(id);
@@ -216,8 +218,8 @@ impl Presenter {
         self.swapchain.as_ref().is_some_and(|s| s.waits)
     }
 
-    /// Draws the interface and presents it. Returns once the device has finished. Removes from `textures` the texture
-    /// updates that were uploaded.
+    /// Draws the interface and presents it. Returns once the device has finished. Removes from `textures` the
+    /// texture updates that were uploaded.
     ///
     /// # Errors
     /// When the device fails. A surface that has changed meanwhile is no error (see [`Presented::shown`]).

@@ -222,8 +222,8 @@ impl Gpu {
         self.abandoned.load(Ordering::Relaxed)
     }
 
-    /// True if a submission has exceeded its time limit and was not seen to end: a wait for the queue, which has
-    /// no time limit, might never return.
+    /// True if a submission has exceeded its time limit and was not seen to end: a wait for the queue, which
+    /// has no time limit, might never return.
     pub(crate) fn is_hanging(&self) -> bool {
         self.hanging.load(Ordering::Relaxed) > 0
     }

@@ -74,8 +74,9 @@ impl SharedDevice {
         self.gpu.is_abandoned()
     }
 
-    /// True if a submission of a raycaster has exceeded [`VulkanOptions::longest_wait`] and was not seen to end.
-    /// It may still use objects that were made from the device, and a wait for the queue might never return.
+    /// True if a submission of a raycaster has exceeded [`VulkanOptions::longest_wait`] and was not seen to
+    /// end. The submission may still use objects that were made from the device, and a wait for the queue
+    /// might never return.
     pub fn is_hanging(&self) -> bool {
         self.gpu.is_hanging()
     }

@@ -110,7 +110,8 @@ impl Engine {
                         ));
                     };
                     let shown = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
-                    // A viewer samples the picture. A queue without graphics has no stage of a fragment shader.
+                    // A viewer samples the picture in a fragment shader. A queue without graphics lacks this
+                    // stage, so the barriers name all stages.
                     let readers = vk::PipelineStageFlags::ALL_COMMANDS;
                     let old = if *fresh { vk::ImageLayout::UNDEFINED } else { shown };
                     self.layout_barrier(*image, old, FILLED, (readers, WRITTEN.1), WRITTEN);
