@@ -34,7 +34,7 @@ SKIPPING = ("change", "nightly")
 # A step counts as doubled if its processor time is over twice the committed time, and over the committed time plus this
 # many seconds.
 NOISE_SECONDS = 20
-# Renamed and divided tests: old name, new name or names.
+# Renamed and divided tests: old name, and the new name, or several new names separated by blanks.
 RENAMED = {
     "the_committed_header_is_that_of_the_source": "the_committed_headers_are_those_of_the_source",
     "arrows_between_the_rooms_of_core_never_point_back": "arrows_between_the_rooms_of_a_crate_never_point_back",
@@ -252,7 +252,7 @@ def judge(bars, before):
             cpu = found.get(gate, {}).get(step, (None, None))[1]
             if step != "total" and None not in (cpu, once) and cpu > 2 * once and cpu > once + NOISE_SECONDS:
                 doubled.append(f"{gate}, {step}: processor {cpu:.0f} s, committed {once:.0f} s")
-    # A failed gate lacks the steps after its failure.
+    # A failed gate has no times of the steps after its failure, and the bar then has no value.
     if all("total" in found.get(gate, {}) for gate in committed):
         bars.count("gate/steps-doubled", doubled)
     now = test_names(ROOT)

@@ -50,8 +50,8 @@ OTHERS = (19, 31)
 
 
 def comparison_folder(options):
-    """Makes the folder of the comparison's files. Frame times differ between versions of VTK, so each version has a
-    folder of its own."""
+    """Makes the folder of the comparison's files, and returns its path. Frame times differ between versions of VTK, so
+    each version has a folder of its own."""
     from vtkmodules.vtkCommonCore import vtkVersion
 
     folder = os.path.join(options.out, vtkVersion.GetVTKVersion())
@@ -67,7 +67,7 @@ def calibrate(options, out, mapper):
 
     volumes = []
     for seed in OTHERS:
-        # The names of the volumes decide the random frames, which are the same with every version.
+        # The random frames depend on the paths of the volumes, so all versions of VTK share the volumes.
         volumes.append(os.path.join(options.out, f"noise-{seed}.nrrd"))
         if not os.path.exists(volumes[-1]):
             write_nrrd(volumes[-1], vtk_scene.noise_volume(256, seed))

@@ -151,7 +151,7 @@ fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
 }
 
 pub(crate) fn run(options: &Options) -> Result<()> {
-    anyhow::ensure!(!options.seconds.is_nan(), "--seconds is no number");
+    anyhow::ensure!(!options.seconds.is_nan(), "--seconds is no number; give the limit in wall seconds");
     let extent = if options.short { Extent::SHORT } else { Extent::FULL };
     let volumes = held_out(&options.data)?;
     let calibrated = calibrated_with(&options.data, extent.calibration_volumes)?;

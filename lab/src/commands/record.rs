@@ -229,7 +229,8 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
             rows.push((scene, timing(s.seconds)));
         }
     }
-    // `replay` would fit its predictor to the table of a few of the volumes, and no command continues it.
+    // The rows are written only now: `replay` would accept a table that lacks some of the volumes, and no
+    // command could complete this table.
     for (number, (scene, timing)) in (0..).zip(&rows) {
         table.append(number, scene, &[*timing])?;
     }

@@ -220,10 +220,10 @@ impl Results<'_> {
         page.heading("Where this comes from");
         page.paragraph(
             "Every frame of a path was drawn several times at nine ray steps. The time of a controller's \
-             step is interpolated between these, times the noise of one of the renderings, which is the same \
-             for every controller. For rules that change the image resolution, smaller images at the \
-             reference step were drawn and enlarged to full size before the comparison. Frame times exclude \
-             changes of the transfer function and of volumes.",
+             step is interpolated between these steps and multiplied by the noise of one rendering, the same \
+             rendering for every controller. For rules that change the image resolution, smaller images at \
+             the reference step were drawn and enlarged to full size before the comparison. Frame times \
+             exclude changes of the transfer function and of volumes.",
         );
         let mut facts: Vec<(&str, String)> = Vec::new();
         for t in self.traces {

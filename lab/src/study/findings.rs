@@ -166,7 +166,8 @@ pub(super) fn noise_of(
         let n = times.len() as f64;
         let mean = times.iter().sum::<f64>() / n;
         let sum: f64 = times.iter().map(|t| (t - mean) * (t - mean)).sum();
-        // Variance of the median; of two repeats, it is that of their mean. As in `noise_floor`.
+        // Variance of the median of the repeats, as in `noise_floor`. The median of two repeats is their
+        // mean.
         let median_over_mean = if n > 2.0 { std::f64::consts::FRAC_PI_2 } else { 1.0 };
         (n > 1.0).then(|| median_over_mean * sum / (n - 1.0) / n)
     });

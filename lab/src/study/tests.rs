@@ -82,7 +82,7 @@ fn what_is_cross_validated_was_not_learned_from() {
 
 #[test]
 fn the_noise_of_a_frame_is_that_of_the_median_of_its_repeats() {
-    // The repeats of each frame differ from its time by -1, 1 and (of three repeats) 0 hundredths.
+    // The repeats of each frame differ from the frame's time by -0.01 s, 0.01 s and (with three repeats) 0 s.
     let rmse = |repeats: usize| {
         let mut t = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
         for (f, seconds) in t.frames.iter_mut().zip([1.0, 3.0]) {
@@ -90,10 +90,12 @@ fn the_noise_of_a_frame_is_that_of_the_median_of_its_repeats() {
             f.repeats =
                 times[..repeats].iter().map(|s| Timing { cpu: Some(*s), ..Timing::default() }).collect();
         }
-        // The times have a standard deviation of 1.
+        // The times of the two frames have a standard deviation of 1 s, so RMSE/SD equals the RMSE in
+        // seconds.
         noise_of(&TimedFrames::of(&t.frames, Clock::Cpu), Clock::Cpu, |_| 1)[1]
     };
-    // Variance of a repeat: 2e-4 of two, 1e-4 of three. A median has π/2 times the variance of the mean.
+    // Estimated variance of one repeat, s²: 2e-4 with two repeats, 1e-4 with three. The median of three has
+    // π/2 times the variance of their mean.
     for (repeats, variance) in [(2, 2e-4 / 2.0), (3, std::f64::consts::FRAC_PI_2 * 1e-4 / 3.0)] {
         assert!((rmse(repeats) - f64::sqrt(variance)).abs() < 1e-9, "{}", rmse(repeats));
     }

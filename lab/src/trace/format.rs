@@ -144,7 +144,8 @@ impl Trace {
                 );
                 ensure!(
                     *step > 0.0 && *scale > 0.0 && psnr.is_finite() && (0.0..=1.0).contains(ssim),
-                    "frame {i}, step {step}: scale {scale}, psnr {psnr} and ssim {ssim} must be numbers in range"
+                    "frame {i}: step {step} and scale {scale} must be positive, psnr {psnr} must be finite, \
+                     and ssim {ssim} must lie in 0 to 1"
                 );
             }
         }

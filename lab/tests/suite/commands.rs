@@ -50,7 +50,8 @@ fn a_stopped_calibration_is_no_table_of_some_of_its_volumes() {
         let volumes = ["record"].into_iter().chain(volumes.iter().map(String::as_str));
         let output = lab(&volumes.chain(rest.split(' ')).chain([out.to_str().unwrap()]).collect::<Vec<_>>());
         assert_eq!(output.status.success(), frames.is_some(), "{}", printed(&output.stderr));
-        // The header is the first line; the second command starts in the file that the first one left.
+        // The first command fails at its second volume and leaves a table with the header alone. The second
+        // command fills this table.
         assert_eq!(std::fs::read_to_string(&out).unwrap().lines().count(), 1 + frames.unwrap_or(0));
     }
 }
