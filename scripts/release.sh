@@ -60,7 +60,7 @@ step "SBOM, notes and checksums"
 "$python" scripts/sbom.py "$("$cargo" pkgid --package entire-cli)" >"$folder/entire-$version.cdx.json"
 section() { awk -v word="$1" '/^## / { if (told) exit; told = $2 == word || $2 == "[" word "]"; next } told' CHANGELOG.md; }
 section "$version" >"$folder/NOTES.md"
-# Before a release, the section has no version.
+# Until the version is released, its section has the heading Unreleased.
 [[ -s $folder/NOTES.md ]] || section Unreleased >"$folder/NOTES.md"
 grep -q '[^[:space:]]' "$folder/NOTES.md" || { echo "release.sh: CHANGELOG.md has no text on $version" >&2; exit 1; }
 (cd "$folder" && sha256sum -- * >"$scratch/sums" && mv "$scratch/sums" SHA256SUMS && sha256sum --quiet --check SHA256SUMS)

@@ -123,7 +123,7 @@ window() {
 }
 
 # Begins to install Debian stable for `another_vtk`. This takes minutes, mostly of network and disk, so it runs beside other
-# steps. The process group then waits to be asked, so that its processor time counts for the step that uses the folder.
+# steps. The process group then waits until the step `another_vtk` begins, so that its processor time counts for that step.
 begin_another_vtk() {
     set -m
     {

@@ -40,8 +40,7 @@ command -v "$python" >/dev/null || lacks "$python is not installed (apt-get inst
 "$python" -c 'import ensurepip, venv' 2>/dev/null || lacks "Python's venv is not installed (apt-get install python3-venv)"
 
 # environment NAME: makes a virtual environment with exactly the packages of requirements-NAME.txt, once per list and version
-# of Python.
-# Fails, with the reason in `why`, if the packages cannot be installed.
+# of Python. Fails, with the reason in `why`, if the packages cannot be installed.
 environment() {
     local folder=$out/$1 list=$here/requirements-$1.txt version
     version=$("$python" -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])')

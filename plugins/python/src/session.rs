@@ -440,8 +440,8 @@ impl Session {
     /// Raises
     /// ------
     /// RejectedObservationError
-    ///     For a plan that is of another session, forgotten or observed before, and a time that is not finite,
-    ///     not positive or over 10,000 s. Nothing is learned then.
+    ///     For a plan that is of another session, forgotten or observed before, and for a time that is not
+    ///     finite, not positive or over 10,000 s. Nothing is learned then.
     #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false))]
     fn observe(
         &self,
@@ -634,8 +634,9 @@ impl Session {
     /// Returns
     /// -------
     /// dict of str to numpy.ndarray or list
-    ///     Arrays ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds), ``step`` (reference
-    ///     steps) and ``image_sample_distance`` (pixels); lists ``reason`` and ``verdict``.
+    ///     Arrays ``plan`` (number of the plan), ``target``, ``predicted``, ``upper``, ``measured``
+    ///     (seconds), ``step`` (reference steps) and ``image_sample_distance`` (pixels); lists ``reason`` and
+    ///     ``verdict``.
     fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let frames: VecDeque<Observed> = self.state(py)?.history.clone();
         let dict = PyDict::new(py);

@@ -212,9 +212,10 @@ fn mask_of<'py>(array: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyAny>>
     calling(array.py(), || ma.call_method1("getmaskarray", (array,))).map(Some)
 }
 
-/// Gives hidden voxels the low end of the range: those under a mask, and those with a value of `values`. Returns
-/// their number. `voxels` has a type in which volumes are kept. `low` is the low end of a given range; without
-/// `low`, the low end is 0 for bytes, and for other types the minimum of all other finite voxels.
+/// Gives hidden voxels the low end of the range: those under a mask, and those with a value of `values`.
+/// Returns the number of hidden voxels. `voxels`: array of a type in which volumes are kept; changed in
+/// place. `low` is the low end of a given range; without `low`, the low end is 0 for bytes, and for other
+/// types the minimum of all other finite voxels.
 fn hide(
     voxels: &Bound<'_, PyAny>,
     mask: Option<&Bound<'_, PyAny>>,
@@ -309,7 +310,7 @@ impl Volume {
             Fill::Auto => (Vec::new(), false),
         };
         if mask.is_some() || asked {
-            // The low end of the range may lie beyond the array's own type.
+            // Converted first, since the low end of the range may lie beyond the array's own type.
             let voxels = convert(kept.as_any(), name)?.into_any();
             let count = hide(&voxels, mask.as_ref(), &kept_fill, range.map(|(low, _)| low))?;
             if count > 0 && !matches!(fill, Fill::Known(_)) {

@@ -115,7 +115,7 @@ def test_voxels_and_limits_that_change_are_read_again(canvas, voxels):
     assert filled is not empty
     show(made)
     assert holder._volume is filled
-    # Narrower limits of the contrast, for which vispy keeps its data.
+    # A change of the contrast limits leaves the visual's data alone, but the held volume must get the new range.
     visual.clim = (20, 90)
     show(made)
     assert holder._volume.range == (20, 90)

@@ -19,8 +19,8 @@ _MOST = 600
 class History:
     """Observed frames of a session, oldest first.
 
-    Columns are accessed as attributes or by name: ``plan``, ``target``, ``predicted``, ``upper``, ``measured``
-    (seconds), ``step`` (reference steps), ``image_sample_distance`` (pixels), ``reason`` and ``verdict``.
+    Columns are accessed as attributes or by name: ``plan`` (number of the plan), ``target``, ``predicted``, ``upper``,
+    ``measured`` (seconds), ``step`` (reference steps), ``image_sample_distance`` (pixels), ``reason`` and ``verdict``.
     Notebooks show a history as two plots: predicted and measured time with the target, and the factor by which the
     number of samples is reduced.
 
