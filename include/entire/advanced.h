@@ -221,10 +221,10 @@ typedef struct entire_volume_info {
      */
     uint32_t feature_count;
     /**
-     * Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known, and
-     * before entire_session_set_volume, entire_session_set_time_step or entire_volume_update has read the
-     * voxels. Such voxels count as ends of the range: NaN and negative infinity as the low end, positive infinity as
-     * the high end.
+     * Share of voxels that are NaN or infinite as 32-bit floats, 0 to 1; NaN where only bricks are known,
+     * and before entire_session_set_volume, entire_session_set_time_step or entire_volume_update has read
+     * the voxels. Such voxels count as ends of the range: NaN and negative infinity as the low end, positive
+     * infinity as the high end.
      */
     float non_finite_share;
     /**
@@ -686,8 +686,9 @@ entire_result entire_transfer_function_table(const entire_transfer_function *tra
  *
  * `prior` is the model to start from: unit costs that were fitted on another machine or renderer, such as
  * models/unshaded-selected.safetensors. NULL starts from the unit costs of a software renderer. Not recorded
- * are unusual and cancelled observations, the first frame of the session and of each volume, and a frame for
- * which entire_session_mark announced ENTIRE_CHANGE_FIRST or ENTIRE_CHANGE_VOLUME.
+ * are unusual and cancelled observations, the first frame of the session and of each volume, the first frame
+ * after the session's learned state was loaded or forgotten, and a frame for which entire_session_mark
+ * announced ENTIRE_CHANGE_FIRST or ENTIRE_CHANGE_VOLUME.
  *
  * To calibrate from a log of frames that were timed earlier: with steering off (entire_session_set_enabled),
  * plan every frame as it was drawn, and observe its time.

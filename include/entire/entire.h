@@ -40,7 +40,7 @@
  * work with newer libraries, and a newer program works with an older library as long as the fields that the
  * library does not know are zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
  * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
- * change.
+ * change. entire_budget and entire_pass, which the caller only sets to zero, have none either.
  *
  * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
  * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
@@ -53,8 +53,9 @@
  * advanced.h) before anything is allocated or read; a larger one is refused with ENTIRE_SIZE_MISMATCH. Memory
  * whose size the caller or a file determines (copies, features, batches) is requested in a way that can fail:
  * if the system refuses it, the call returns ENTIRE_OUT_OF_MEMORY. Small pieces (handles, texts, a model's
- * tables) come from a reserve of 1 MiB if the system refuses them; while half of it is in use, calls that
- * make or set something return ENTIRE_OUT_OF_MEMORY. Hot calls do not allocate.
+ * tables) come from a reserve of 1 MiB if the system refuses them; while more than half of the reserve is in
+ * use, calls that make a handle or a file, or that keep further memory, return ENTIRE_OUT_OF_MEMORY. Hot calls
+ * do not allocate.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
@@ -159,7 +160,8 @@ enum entire_result
      */
     ENTIRE_INVALID_MODEL = 3,
     /**
-     * A tensor of the model is missing, or its shape does not fit those of the model's other tensors.
+     * A tensor of the model is missing, has a shape that does not fit those of the model's other tensors, or
+     * holds invalid numbers.
      */
     ENTIRE_INVALID_TENSOR = 4,
     /**
@@ -193,7 +195,8 @@ enum entire_result
      */
     ENTIRE_IO = 102,
     /**
-     * A bug in the library. Every further call on the handle fails with this code, except entire_<noun>_free.
+     * A bug in the library. Every further call on the handle fails with this code, except
+     * entire_<noun>_free.
      */
     ENTIRE_PANIC = 103,
     /**
@@ -287,9 +290,10 @@ typedef struct entire_volume_desc {
     float spacing[3];
     /**
      * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-     * maximum of the voxels without a fill value. A fill value is the least or the greatest value, at least
-     * one voxel in 1024 has it, and its distance from all other values is at least an eighth of the width of
-     * their range.
+     * maximum of the voxels without fill values, of which there are at most four. Each is the least or the
+     * greatest of the values that remain without the previous fill values, at least one voxel in 1024 has
+     * it, and its distance from all other remaining values is at least an eighth of the width of their
+     * range.
      */
     float range[2];
     /**
