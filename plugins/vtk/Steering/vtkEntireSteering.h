@@ -156,9 +156,8 @@ public:
 
   ///@{
   /**
-   * The coarsest allowed image sample distance: pixels between rays along each side of the image. Sample distance
-   * and image sample distance are coarsened together, since that changes the picture least. Default 4; with 1
-   * the image keeps its resolution.
+   * The coarsest allowed image sample distance: pixels between rays along each side of the image. Default 4; with
+   * 1 the image keeps its resolution.
    */
   vtkSetClampMacro(CoarsestImageSampleDistance, double, 1.0, 100.0);
   vtkGetMacro(CoarsestImageSampleDistance, double);
