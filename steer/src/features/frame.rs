@@ -270,7 +270,8 @@ impl FrameFeatures {
     }
 
     /// Estimated work of the frame at a setting. Counts are monotonic: never smaller for a finer step, nor
-    /// for a larger image of the same aspect ratio.
+    /// for a larger image of the same aspect ratio. The shares that wait for memory ([`Work::unshared`]) are
+    /// smaller in a larger image.
     pub(crate) fn work(&self, setting: &Setting) -> Work {
         let p = &self.probe;
         let pixels = f64::from(setting.width) * f64::from(setting.height);
@@ -356,7 +357,8 @@ impl FrameFeatures {
 
     /// Returns a function that gives the value of any quantity at a setting; the work at the setting is
     /// evaluated once. Counts are monotonic: never smaller for a finer step, nor for a larger image of the
-    /// same aspect ratio.
+    /// same aspect ratio. Exceptions are the counts that wait for memory (`far_…`): they may be smaller in a
+    /// larger image, whose rays are closer together and share more reads.
     pub fn quantities(&self, setting: Setting) -> impl Fn(SceneQuantity) -> f64 {
         let work = self.work(&setting);
         move |quantity| self.quantity_of(quantity, &setting, &work)

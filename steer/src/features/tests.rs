@@ -362,7 +362,8 @@ fn names_round_trip_and_unknown_ones_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// A coarser step or fewer pixels never increase the work; every count is finite and not negative.
+    /// A coarser step or fewer pixels never increase the work; every count is finite and not negative. Only
+    /// work that waits for memory may be more with fewer pixels.
     #[test]
     fn work_never_grows_with_the_step_nor_shrinks_with_the_image(
         rx in -89.0f32..89.0, ry in -180.0f32..180.0, dz in 0.05f32..6.0,
@@ -397,6 +398,14 @@ proptest! {
                 prop_assert!(*v >= last[k] * (1.0 - 1e-6), "count {} fell at size {}", k, size);
             }
             last = now;
+        }
+        let work = |step: f32, size: u32| features.cost_work(&Setting { step, width: size, height: size, ..Setting::from(&f) });
+        for (k, q) in COST_QUANTITIES.iter().enumerate() {
+            for size in [2, 10, 100, 1000] {
+                let [all, coarser, smaller] = [work(1.0, size), work(2.0, size), work(1.0, size / 2)].map(|w| w[k + 1]);
+                prop_assert!(coarser <= all * (1.0 + 1e-6), "{} rose with the step at size {}", q.name(), size);
+                prop_assert!(q.is_far() || smaller <= all * (1.0 + 1e-6), "{} fell at size {}", q.name(), size);
+            }
         }
     }
 }

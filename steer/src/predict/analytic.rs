@@ -86,7 +86,8 @@ const SHORTEST: f32 = 1.0e-9;
 const LONGEST: f32 = 1.0e9;
 
 /// Linear cost model: seconds = cost per frame + Σ unit cost · work, over all kinds of work. No cost is
-/// negative, so no prediction is negative, and none falls with a finer step or more pixels.
+/// negative, so no prediction is negative, and none falls with a finer step. With more pixels, only the part
+/// that waits for memory may fall ([`FrameFeatures::quantities`]).
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
     costs: UnitCosts,

@@ -9,7 +9,7 @@
 //! Errors of ln t are assumed to be normally distributed, with the standard deviation [`NOISE`]. For errors
 //! beyond twice their robust standard deviation, the loss is linear (Huber). With this regularization, three
 //! frames determine the speed, ten frames the kinds of work that differ most, and hundreds of frames every
-//! cost. Costs stay positive. So no prediction falls with a finer step or more pixels.
+//! cost. Costs stay positive. So no prediction falls with a finer step.
 
 use super::COSTS;
 use crate::numeric::{dot, median, solve};
