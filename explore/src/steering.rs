@@ -280,7 +280,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         }
         Reason::FinestAllowed => format!("full quality fits {target}"),
         Reason::TargetUnreachable => {
-            format!("the coarsest setting allowed, but even this is not expected to fit {target}")
+            format!("even the coarsest setting allowed is not expected to fit {target}")
         }
         Reason::History => "the prediction was not trusted (out of range, or large recent errors), so \
                             recent frame times were used"
