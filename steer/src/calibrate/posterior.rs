@@ -36,7 +36,7 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 /// Prior of a calibration: unit costs.
 #[derive(Clone, Debug)]
 pub struct PriorModel {
-    /// Unit costs; 0 for work that has a cost neither in the prior's models nor in the typical costs.
+    /// Unit costs; 0 for work that has no cost in the typical costs and in at least one of the prior's models.
     pub costs: UnitCosts,
     /// True for costs that the prior's models have, false for guesses.
     known: [bool; COSTS],
