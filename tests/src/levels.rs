@@ -4,7 +4,7 @@ use entire_core::kernels::Level;
 use libtest_mimic::{Failed, Trial};
 
 /// Instruction sets that kernels are written for.
-pub const INSTRUCTION_SETS: [&str; 3] = ["scalar", "avx2", "avx512"];
+const INSTRUCTION_SETS: [&str; 3] = ["scalar", "avx2", "avx512"];
 
 /// Returns one trial per instruction set: `name::avx2`, … . A level that this CPU lacks is reported as
 /// ignored, never as passed.

@@ -1,10 +1,11 @@
-//! Compares PredNet with float64 evaluations by PyTorch (`tests/golden/make_golden.py`), with one test for
-//! every level (instruction set). A level that this CPU lacks is reported as ignored.
+//! Compares PredNet and VolumeNet with float64 evaluations by PyTorch (`tests/golden/make_golden.py`), with one
+//! test for every level (instruction set). A level that this CPU lacks is reported as ignored.
 
 use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::model::Model;
-use entire_core::nn::{Dtype, PredNet, PredScratch};
-use entire_tests::levels::{INSTRUCTION_SETS, on_every_level};
+use entire_core::nn::{Dtype, PredNet, PredScratch, VOLUMENET_TOLERANCE, VolumeNet};
+use entire_core::scene::{Scalars, VolumeView};
+use entire_tests::levels::on_every_level;
 use libtest_mimic::{Arguments, Trial};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -89,6 +90,26 @@ fn prednets_agree(level: Level) {
     }
 }
 
+/// Checks the features of encoders with kernels, strides and paddings of several sizes, and with weights in each
+/// format of a file.
+fn encoders_agree(level: Level) {
+    for case in cases("volumenets") {
+        let (model, expected) = (model(&case), numbers(&case["features"]));
+        let name = case["voxels"].as_str().expect("a file name");
+        let voxels = std::fs::read(golden(name)).expect(name);
+        let edge = case["edge"].as_u64().expect("an edge") as usize;
+        let view = VolumeView::new(Scalars::U8(&voxels), [edge; 3]).expect("a volume");
+        let net = VolumeNet::with(model.volumenet.as_ref().expect("a VolumeNet"), level).expect("an encoder");
+        let mut features = vec![0.0; expected.len()];
+        net.encode(&view, &mut net.scratch(), Executor::Serial, &mut features).expect("an encoding");
+        let norm = expected.iter().map(|e| e * e).sum::<f64>().sqrt();
+        for (&found, expected) in features.iter().zip(&expected) {
+            let error = (f64::from(found) - expected).abs() / norm;
+            assert!(error <= VOLUMENET_TOLERANCE, "{name} on {level}: {features:?}, error {error:e}");
+        }
+    }
+}
+
 fn storage_follows_the_file() {
     for case in cases("prednets") {
         let model = model(&case);
@@ -161,12 +182,12 @@ fn main() {
     let arguments = Arguments::from_args();
     let mut trials = Vec::new();
     trials.extend(on_every_level("prednets_agree_with_float64", prednets_agree));
+    trials.extend(on_every_level("encoders_agree_with_float64", encoders_agree));
     trials.extend(on_every_level("batches_do_not_depend_on_their_cut", batches_do_not_depend_on_their_cut));
     trials.extend(on_every_level("bad_inputs_have_an_answer", bad_inputs_have_an_answer));
     trials.push(Trial::test("storage_follows_the_file", || {
         storage_follows_the_file();
         Ok(())
     }));
-    assert!(trials.len() >= INSTRUCTION_SETS.len());
     libtest_mimic::run(&arguments, trials).exit();
 }
