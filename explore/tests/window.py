@@ -49,6 +49,9 @@ STILL = 7
 class Person:
     """A window with a simulated user."""
 
+    # Programs of the windows that this test has opened.
+    programs = []
+
     def __init__(self, command, display, folder, *volumes):
         self.display, self.folder = display, folder
         self.log = folder / "frames.csv"
@@ -63,6 +66,7 @@ class Person:
             stderr=subprocess.PIPE,
             text=True,
         )
+        self.programs.append(self.program)
         self.id = display.window("entire explore - ")
         display.xdotool("windowmove", "--sync", self.id, 0, 0)
         display.xdotool("windowfocus", "--sync", self.id)
@@ -427,6 +431,10 @@ def main():
         return 1 if tools.missing() else 0
     command = Path(sys.argv[1]).resolve()
     wanted = sys.argv[2:]
+    unknown = set(wanted) - {test.__name__ for test in TESTS}
+    if unknown:
+        print(f"window.py: there is no test {', '.join(sorted(unknown))}", file=sys.stderr)
+        return 2
     why = tools.missing()
     if why:
         skip("test-explore", why)
@@ -448,6 +456,11 @@ def main():
             else:
                 print(f"test {test.__name__} ... ok ({time.monotonic() - begin:.1f} s)", flush=True)
             finally:
+                # A failed test leaves its window open, which the next test would take for its own.
+                while Person.programs:
+                    program = Person.programs.pop()
+                    program.kill()
+                    program.wait()
                 shutil.rmtree(folder, ignore_errors=True)
     return 1 if failed else 0
 
