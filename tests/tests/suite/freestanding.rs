@@ -1,61 +1,19 @@
 //! Checks that a program without libc, with a fixed arena as memory, loads a model and predicts with the same
 //! bits as this build with the standard library, on every level (instruction set).
 
-use entire_core::model::{GroupKind, InputGroup, Key, ModelFile};
-use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
-use entire_tests::mutants::Random;
+use entire_core::model::{Model, ModelFile};
 
-/// Returns a small model with a PredNet and a VolumeNet; most widths are no multiple of a vector length.
+/// Returns the PredNet of one golden model and the VolumeNet of another in one file. Together they use panels of
+/// each width, and numbers of inputs and channels that are no multiples of a vector length.
 fn model() -> Vec<u8> {
-    let mut random = Random::new(0x2545_f491_4f6c_dd1d);
-    let mut next = || random.uniform();
-    let widths = [19, 70, 33, 1];
-    let layers = widths
-        .windows(2)
-        .map(|w| DenseParts {
-            inputs: w[0],
-            outputs: w[1],
-            weight: (0..w[0] * w[1]).map(|_| next() / (w[0] as f32).sqrt()).collect(),
-            bias: (0..w[1]).map(|_| 0.1 * next()).collect(),
-            dtype: Dtype::F32,
-        })
-        .collect();
-    let prednet = PredNetParts {
-        layers,
-        input: Some(Normalization { mean: vec![0.1; 19], std: vec![0.7; 19] }),
-        output: Some(Normalization { mean: vec![-4.0], std: vec![0.5] }),
-        target: Target::LogSeconds,
+    let golden = |name: &str| {
+        let path = format!("{}/golden/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
+        std::fs::read(&path).unwrap_or_else(|e| panic!("{path}: {e}"))
     };
-    let group = |kind: GroupKind, size| InputGroup { name: kind.to_string(), size };
-    let groups = [
-        group(GroupKind::VolumeFeatures, 4),
-        group(GroupKind::Camera, 3),
-        group(GroupKind::Resolution, 2),
-        group(GroupKind::TransferFunction, 9),
-        group(GroupKind::StepSize, 1),
-    ];
-    let mut file = ModelFile::default();
-    file.set_prednet(&prednet, &groups).unwrap();
-    let blocks = [(1usize, 10usize, 3usize), (10, 18, 3), (18, 24, 3)];
-    let two = r#"{"stride":2,"padding":1}"#;
-    let layout = format!(r#"{{"input":16,"blocks":[{two},{two},{{"stride":1,"padding":0}}]}}"#);
-    file.metadata.insert(Key::VolumeNet.into(), layout);
-    for (i, (inputs, outputs, k)) in blocks.into_iter().enumerate() {
-        let mut tensor = |name: &str, shape: &[usize], scale: f32, offset: f32| {
-            let values: Vec<f32> = (0..shape.iter().product()).map(|_| scale * next() + offset).collect();
-            file.set_tensor(&format!("volumenet.encoder.{i}.{name}"), Dtype::F32, shape, &values).unwrap();
-        };
-        tensor("conv.weight", &[outputs, inputs, k, k, k], 1.0 / (inputs as f32 * 27.0).sqrt(), 0.0);
-        tensor("conv.bias", &[outputs], 0.1, 0.0);
-        tensor("bn.weight", &[outputs], 0.1, 1.0);
-        tensor("bn.bias", &[outputs], 0.1, 0.0);
-        tensor("bn.running_mean", &[outputs], 0.1, 0.0);
-        tensor("bn.running_var", &[outputs], 0.2, 1.0);
-    }
-    let flat = 24 * 2 * 2 * 2;
-    let weight: Vec<f32> = (0..4 * flat).map(|_| 0.1 * next()).collect();
-    file.set_tensor("volumenet.fc.weight", Dtype::F32, &[4, flat], &weight).unwrap();
-    file.set_tensor("volumenet.fc.bias", Dtype::F32, &[4], &[0.1, -0.2, 0.3, 0.0]).unwrap();
+    let mut file = ModelFile::from_bytes(&golden("volume16_kernels")).unwrap();
+    let predictor = Model::from_bytes(&golden("panels_f16")).unwrap();
+    file.set_prednet(predictor.prednet.as_ref().unwrap(), &predictor.inputs).unwrap();
+    file.metadata.extend(predictor.metadata);
     file.to_bytes().unwrap()
 }
 
