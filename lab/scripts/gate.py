@@ -71,6 +71,7 @@ RENAMED = {
     "a_table_has_one_writer": "a_table_has_one_writer_at_a_time",
     "a_helper_changes_no_bit": "parts_of_a_batch_change_no_bit",
     "pools_change_no_bit": "threads_change_no_bit",
+    "a_scratch_of_equal_sizes_and_other_borders_is_made_to_fit": "another_networks_scratch_is_made_to_fit",
     "closed_loop_table": "ours_passes_every_scene",
     "prediction_with_feedback_beats_reaction_at_switches_and_in_calm": "ours_passes_every_scene",
     "files_of_other_writers_come_back_voxel_for_voxel": "every_fixture_is_read_as_independent_readers_read_it",

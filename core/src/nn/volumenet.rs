@@ -507,10 +507,19 @@ mod tests {
 
     #[test]
     fn another_networks_scratch_is_made_to_fit() {
+        const ALIKE: [(usize, &[Layer]); 4] = [
+            // The planes between the first two layers of these two networks have borders of different widths.
+            (14, &[(72, 1, 1, 0), (16, 2, 3, 1)]),
+            (14, &[(32, 1, 1, 0), (16, 4, 3, 2)]),
+            // The planes of these two networks differ in size, but take the same number of floats in total.
+            (14, &[(32, 1, 1, 0), (16, 2, 3, 1)]),
+            (14, &[(16, 1, 1, 0), (16, 4, 3, 1)]),
+        ];
         let mut nets: Vec<VolumeNet> = Vec::new();
-        for (seed, (input, blocks)) in NETWORKS.into_iter().enumerate() {
-            let parts = network(input, blocks, 2, seed as u64);
-            nets.extend(Level::available().map(|level| VolumeNet::with(&parts, level).unwrap()));
+        for level in Level::available() {
+            for (seed, (input, blocks)) in NETWORKS.into_iter().chain(ALIKE).enumerate() {
+                nets.push(VolumeNet::with(&network(input, blocks, 2, seed as u64), level).unwrap());
+            }
         }
         let bytes: Vec<u8> = (0..70 * 70 * 70).map(|i| (i * 31 % 255) as u8).collect();
         let mut shared = nets[0].scratch();
@@ -518,29 +527,7 @@ mod tests {
             let view = VolumeView::new(Scalars::U8(&bytes), [net.input; 3]).unwrap();
             let mut features = [0.0; 2];
             net.encode(&view, &mut shared, Executor::Serial, &mut features).unwrap();
-            assert_eq!(features.as_slice(), encode(net, &view));
-        }
-    }
-
-    #[test]
-    fn a_scratch_of_equal_sizes_and_other_borders_is_made_to_fit() {
-        let pairs: [[&[Layer]; 2]; 2] = [
-            // The planes between the first two layers have borders of different widths in the two networks.
-            [&[(72, 1, 1, 0), (16, 2, 3, 1)], &[(32, 1, 1, 0), (16, 4, 3, 2)]],
-            // The planes of the two networks differ in size, but take the same number of floats in total.
-            [&[(32, 1, 1, 0), (16, 2, 3, 1)], &[(16, 1, 1, 0), (16, 4, 3, 1)]],
-        ];
-        let bytes: Vec<u8> = (0..14 * 14 * 14).map(|i| (i * 31 % 255) as u8).collect();
-        let view = VolumeView::new(Scalars::U8(&bytes), [14; 3]).unwrap();
-        for (pair, level) in pairs.iter().flat_map(|pair| Level::available().map(move |level| (pair, level)))
-        {
-            let [one, other] = pair.map(|blocks| VolumeNet::with(&network(14, blocks, 2, 1), level).unwrap());
-            let mut shared = one.scratch();
-            for net in [&one, &other, &one] {
-                let mut features = [0.0; 2];
-                net.encode(&view, &mut shared, Executor::Serial, &mut features).unwrap();
-                assert_eq!(features.as_slice(), encode(net, &view), "{level}");
-            }
+            assert_eq!(features.as_slice(), encode(net, &view), "{} {}", net.input, net.level);
         }
     }
 
