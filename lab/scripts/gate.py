@@ -80,6 +80,7 @@ RENAMED = {
     "edges_are_checked_and_followed": "blocks_hold_their_voxels_and_one_layer_more",
     "affinity_saves_loads": "every_plan_counts_the_loading_times",
     "lobe_numbers_are_one_or_two_numbers": "wrong_ranges_are_named",
+    "a_session_that_records_what_it_observes_allocates_nothing": "plan_choose_predict_and_observe_never_allocate",
     "the_page_holds_every_chart_and_fetches_nothing": "a_page_fetches_nothing",
     "broken_values_break_the_line_and_never_reach_the_file": "every_kind_of_chart_is_drawn",
     "empty_and_constant_data_have_a_span": "every_finite_span_has_few_ticks_and_places_that_fit_a_coordinate",

@@ -48,6 +48,8 @@ fn plan_choose_predict_and_observe_never_allocate() {
         let mut session = Session::new(predictor, Default::default());
         session.set_volume(volume.clone(), None);
         session.set_transfer(&tables[0], None).expect("a volume is set");
+        #[cfg(feature = "calibrate")]
+        session.record(None, 50).expect("a recording");
         for i in 0..200usize {
             let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: i as f32, dz: 1.5 }).expect("a camera");
             let frame = Frame {
@@ -74,5 +76,7 @@ fn plan_choose_predict_and_observe_never_allocate() {
                 }
             });
         }
+        #[cfg(feature = "calibrate")]
+        assert_eq!(session.recorded(), Some(50));
     }
 }

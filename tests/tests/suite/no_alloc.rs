@@ -1,12 +1,9 @@
-//! Checks that calls that run in every frame allocate nothing after set-up, on every level (instruction set)
-//! and with every storage format. If a call allocates, the test's allocator aborts the process.
+//! Checks that predictions of networks allocate nothing after set-up, on every level (instruction set) and with
+//! every storage format. If a call allocates, the test's allocator aborts the process.
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
-use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
-use entire_steer::control::{ObserveFlags, Session};
-use entire_steer::features::VolumeSummary;
 
 #[global_allocator]
 static ALLOCATOR: AllocDisabler = AllocDisabler;
@@ -88,26 +85,4 @@ fn predictions_allocate_nothing() {
             });
         }
     }
-}
-
-#[test]
-fn a_session_that_records_what_it_observes_allocates_nothing() {
-    let voxels: Vec<u8> = (0..32 * 32 * 32).map(|i| (i % 251) as u8).collect();
-    let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).expect("a volume");
-    let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.5 };
-    let table = TransferFunction::Gaussian(vec![lobe]).to_table().expect("a table");
-    let mut session = Session::untrained();
-    session.set_volume(VolumeSummary::new(&view).expect("a summary"), None);
-    session.set_transfer(&table, None).expect("a transfer function");
-    session.record(None, 50).expect("a recording");
-    let mut draw = |i: u32| {
-        let pose = Arcball { rx: 20.0, ry: (7 * i % 360) as f32, dz: 2.0 };
-        let camera = Camera::from_arcball(pose).expect("a camera");
-        let frame = Frame::new(camera, 64 + 31 * i % 300, 128).expect("a frame");
-        let plan = session.plan(&frame, 0.02).expect("a plan");
-        session.observe(plan.id, 0.01 + 1e-4 * (i % 7) as f32, ObserveFlags::default()).expect("a time");
-    };
-    draw(0);
-    assert_no_alloc(|| (1..300).for_each(&mut draw));
-    assert_eq!(session.recorded(), Some(50));
 }
