@@ -18,8 +18,8 @@ use alloc::vec::Vec;
 pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 
 /// Limit on an encoder's memory, in bytes (2 GiB): its packed weights and the working memory of one thread.
-/// The resampled cube, at most 512 MiB, is not included. A model file whose sizes need more is refused before
-/// anything is allocated; the result of this check is the same on every level.
+/// The resampled cube, at most 512 MiB for a model file, is not included. A model file whose sizes need more
+/// is refused before anything is allocated; the result of this check is the same on every level.
 pub(crate) const MAX_ENCODER_MEMORY: u64 = 2 << 30;
 
 /// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per calling thread. Empty until the
@@ -106,8 +106,9 @@ impl VolumeNet {
     ///
     /// A volume that already has the input's size and contiguous rows is read in place; any other is
     /// resampled to a cube of floats in the scratch. The same volume, range, network and level give the same
-    /// bits for every executor. Allocates only in the first call with this scratch, in the first call that
-    /// resamples, and in a call with longer rows or more threads than every earlier call.
+    /// bits for every executor. Allocates only in the first call with this scratch, after a call of another
+    /// network with it, in the first call that resamples, and in a call with longer rows or more threads than
+    /// every earlier call.
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds

@@ -12,7 +12,7 @@
 //! borders as wide as the layer's padding. Its output is channels last, with the borders of the next layer.
 //!
 //! The first two layers run plane by plane: a thread keeps only as many prepared planes, and planes of the
-//! first layer's output, as the kernels span. Borders are zeroed at allocation and never written afterwards.
+//! first layer's output, as the kernels span. Borders are zeroed at allocation and stay zero.
 //!
 //! # Order
 //!
