@@ -18,6 +18,7 @@ fi
 # Under Miri, code runs about a thousand times slower than natively, so these are small tests that reach every scalar
 # kernel.
 kernels=(
+    kernels::activation::tests::any_length_and_position_gives_the_same_bits
     kernels::level::
     kernels::scalar::
     memory::
