@@ -77,7 +77,7 @@ build() { "$cargo" build --quiet "${everything[@]}" --all-targets; }
 
 # Adds ignored tests to the list of skips, from the lines `test NAME ... ignored, REASON` of cargo's own runner.
 note_ignored() {
-    sed -n -E 's/^test (.*) \.\.\. ignored(, (.*))?$/\1: ignored, \3/p' "$1" | sed 's/: ignored, $/: ignored/' |
+    sed -n -E 's/^test (.*[^ ]) +\.\.\. ignored(, (.*))?$/\1: ignored, \3/p' "$1" | sed 's/: ignored, $/: ignored/' |
         while read -r line; do echo "workspace, $line" >>"$ENTIRE_SKIPPED"; done
 }
 

@@ -112,6 +112,7 @@ RENAMED = {
     "changing_calls_forget_the_last_error_and_reading_ones_do_not": "every_successful_call_forgets_the_last_error",
     "text_is_cut_at_a_character_and_the_length_is_that_of_the_whole":
         "a_text_is_cut_at_a_character_and_ends_with_its_nul",
+    "a_system_call_is_noticed": "no_syscall::a_system_call_is_noticed",
 }
 # Tests of parts that were removed.
 REMOVED = {
