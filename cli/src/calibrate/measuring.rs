@@ -4,7 +4,7 @@ mod pictures;
 
 use super::Settings;
 use super::design::Design;
-use super::others::{BackgroundLoad, CpuSnapshot};
+use super::others::{BackgroundLoad, CpuSnapshot, Joined};
 use super::pool::{Candidate, Pool};
 use crate::collection::timed_repeats;
 use anyhow::{Context, Result, bail, ensure};
@@ -161,9 +161,11 @@ impl<'a> Measuring<'a> {
         if pass % 2 == 1 {
             groups.reverse();
         }
+        // A volume's frames may take less time than the counters of processor time resolve.
+        let (mut stretches, mut seen) = (Joined::EMPTY, Vec::new());
         for ((volume, factor), members) in groups {
             if (self.stop)() || self.left() <= 0.0 {
-                return Ok(());
+                break;
             }
             self.bar.set_message(format!(
                 "{} frames, round {}, pass {}",
@@ -175,24 +177,29 @@ impl<'a> Measuring<'a> {
             self.show(volume, factor)?;
             self.switch = 0.7 * self.switch + 0.3 * begin.elapsed().as_secs_f64();
             let snapshot = CpuSnapshot::now();
-            let mut seen = Vec::new();
             for i in members {
                 if let Some(repeats) = self.visit(i)? {
                     seen.push((i, repeats));
                 }
                 self.bar.set_position(self.start.elapsed().as_secs());
             }
-            let (wall, others) = snapshot.others();
-            // The counters of processor time have a resolution of 0.01 s, too coarse for stretches of less
-            // than 0.1 s.
-            let others = others.filter(|_| wall > 0.1);
-            self.others.add(wall, others);
-            let disturbed = others.is_some_and(|o| o > super::others::DISTURBED);
-            for (i, repeats) in seen {
-                self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
+            if stretches.add(snapshot.others()) {
+                self.keep(&stretches, &mut seen);
+                stretches = Joined::EMPTY;
             }
         }
+        self.keep(&stretches, &mut seen);
         Ok(())
+    }
+
+    /// Counts the load of the stretches in which the frames in `seen` were rendered, and stores their repeats.
+    fn keep(&mut self, stretches: &Joined, seen: &mut Vec<(usize, Vec<Timing>)>) {
+        let (wall, others) = stretches.mean();
+        self.others.add(wall, others);
+        let disturbed = others.is_some_and(|o| o > super::others::DISTURBED);
+        for (i, repeats) in seen.drain(..) {
+            self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
+        }
     }
 
     fn show(&mut self, volume: usize, factor: usize) -> Result<()> {

@@ -25,13 +25,42 @@ impl CpuSnapshot {
         }
     }
 
-    /// Returns the wall seconds since the snapshot, and the mean number of processors that other programs
-    /// used; `None` for this number where the system does not report it.
+    /// Returns the wall seconds since the snapshot, and the processor seconds that other programs used; `None`
+    /// for the latter where the system does not report them. The counters' resolution of 0.01 s may make short
+    /// stretches negative.
     pub(crate) fn others(&self) -> (f64, Option<f64>) {
         let now = Self::now();
         let wall = now.at.duration_since(self.at).as_secs_f64();
-        let others = (|| Some((now.machine? - self.machine?) - (now.own? - self.own?)))();
-        (wall, others.map(|o| (o / wall.max(1e-9)).max(0.0)))
+        (wall, (|| Some((now.machine? - self.machine?) - (now.own? - self.own?)))())
+    }
+}
+
+/// Wall seconds that a stretch of rendering needs: for less time, the counters are too coarse.
+const SHORTEST: f64 = 0.1;
+
+/// Successive stretches of rendering, joined until they are long enough for the counters.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Joined {
+    wall: f64,
+    others: Option<f64>,
+}
+
+impl Joined {
+    pub(crate) const EMPTY: Self = Self { wall: 0.0, others: Some(0.0) };
+
+    /// Adds a stretch of `wall` seconds in which other programs used `others` processor seconds. Returns true
+    /// if the stretches are long enough.
+    pub(crate) fn add(&mut self, (wall, others): (f64, Option<f64>)) -> bool {
+        self.wall += wall;
+        self.others = self.others.zip(others).map(|(a, b)| a + b);
+        self.wall > SHORTEST
+    }
+
+    /// Returns the wall seconds, and the mean number of processors that other programs used; `None` for this
+    /// number if it is not known or the stretches are too short.
+    pub(crate) fn mean(&self) -> (f64, Option<f64>) {
+        let known = self.others.filter(|_| self.wall > SHORTEST);
+        (self.wall, known.map(|o| (o / self.wall).max(0.0)))
     }
 }
 
@@ -94,6 +123,18 @@ mod tests {
         let own = "42 (a (odd) name) S 1 1 1 0 -1 4194560 1 2 3 4 250 50 0 0 20 0 2 0 100 1 1";
         assert_eq!(own_seconds(own), Some(3.0));
         assert_eq!(own_seconds("42 cut off"), None);
+    }
+
+    #[test]
+    fn short_stretches_are_joined() {
+        let mut joined = Joined::EMPTY;
+        // Each stretch alone is too short for counters with a resolution of 0.01 s.
+        assert!(!joined.add((0.04, Some(0.05))) && !joined.add((0.04, Some(-0.01))));
+        assert_eq!(joined.mean().1, None);
+        assert!(joined.add((0.04, Some(0.02))));
+        assert!((joined.mean().1.unwrap() - 0.5).abs() < 1e-12);
+        joined.add((1.0, None));
+        assert_eq!(joined.mean().1, None);
     }
 
     #[test]
