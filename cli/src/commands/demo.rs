@@ -128,6 +128,9 @@ fn calibrated(
     let threads = thread_pool(None)?;
     let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
     let Calibrated { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;
+    for warning in report.warnings() {
+        print_line(format!("{:<11}{warning}", "note"))?;
+    }
     let title = format!(
         "a model calibrated in {:.0} s to {} frames of {} other volumes",
         report.seconds, report.frames, report.volumes
