@@ -188,12 +188,12 @@ fn ends(page: &mut Page, run: &Run) {
     page.heading("The expected end over time");
     let band = known.iter().map(|(at, _, e)| (at - run.at, e[0] - run.at, e[2] - run.at)).collect();
     let line = known.iter().map(|(at, _, e)| (at - run.at, e[1] - run.at)).collect();
-    let axis = Axis::linear("predicted end, seconds since the run began").from(0.0).to(2.0 * end);
+    let axis = Axis::linear("predicted end / s").from(0.0).to(2.0 * end);
     let chart = Chart::new("", Axis::linear("seconds since the run began"), axis)
         .series(Series::new("90 % interval", Mark::Band(band)).color(0))
         .series(Series::new("expected end", Mark::Line(line)).color(0))
         .rule(Rule::Horizontal(end, "the end".into()));
-    page.chart(&chart, "The predicted end over the time of the run, and the actual end.");
+    page.chart(&chart, "The predicted end and the actual end, both in seconds since the run began.");
 }
 
 fn gains(page: &mut Page, run: &Run) -> Result<()> {

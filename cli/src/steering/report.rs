@@ -283,14 +283,15 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     );
 
     if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
-        let y = Axis::linear("pixels between rays along each side").from(0.0);
+        let y = Axis::linear("distance / pixels").from(0.0);
         let chart = per_controller(over_frames("Image sample distance", y, 220.0), playback, |c| {
             Mark::Steps(numbered(c, &|r| f64::from(r.image_sample_distance)))
         });
         page.chart(
             &chart,
-            "Image sample distance of each controller. Two kinds of controllers change this distance: those \
-             that act on image resolution, and entire's controller if it may coarsen the image.",
+            "Distance between rays along each side of the image, for each controller. Two kinds of controllers \
+             change this distance: those that act on image resolution, and entire's controller if it may coarsen \
+             the image.",
         );
     }
 

@@ -164,14 +164,10 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
 
 fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
     let points = measured.iter().zip(&p.predicted).map(|(t, y)| (*t, *y, String::new())).collect();
-    Chart::new(
-        format!("{}: predicted against measured", p.name),
-        Axis::log("measured, s"),
-        Axis::log("predicted, s"),
-    )
-    .size(620.0, 480.0)
-    .rule(Rule::Diagonal("exact".into()))
-    .series(Series::new("", Mark::Points(points)).color(color))
+    Chart::new(p.name.as_str(), Axis::log("measured, s"), Axis::log("predicted, s"))
+        .size(620.0, 480.0)
+        .rule(Rule::Diagonal("exact".into()))
+        .series(Series::new("", Mark::Points(points)).color(color))
 }
 
 /// Returns a chart of the share of frames by predicted / measured, in bins of equal ratio between 1/2 and 2;
