@@ -1,5 +1,5 @@
-//! Lines cut off at the frame. The drawing library itself moves points outside of the frame to its edge,
-//! which bends lines.
+//! Lines and areas cut off at the frame. The drawing library itself moves points outside of the frame to its
+//! edge, which bends lines and the edges of areas.
 
 use super::axis::Span;
 
@@ -53,6 +53,33 @@ fn segment(a: Point, b: Point, x: &Span, y: &Span) -> Option<(Point, Point, bool
     Some((start, end, leave >= 1.0))
 }
 
+/// Returns the corners of the part of an area inside both ranges (Sutherland and Hodgman). Corners that a
+/// scale cannot place are left out.
+pub(super) fn clip_area(corners: impl Iterator<Item = Point>, x: &Span, y: &Span) -> Vec<Point> {
+    let corners: Vec<Point> = corners.filter(|p| x.takes(p.0) && y.takes(p.1)).collect();
+    if corners.iter().all(|p| x.shows(p.0) && y.shows(p.1)) {
+        return corners;
+    }
+    let mut area: Vec<[f64; 2]> = corners.iter().map(|p| [x.place(p.0), y.place(p.1)]).collect();
+    for (axis, limit, sign) in [(0, 0.0, 1.0), (0, 1.0, -1.0), (1, 0.0, 1.0), (1, 1.0, -1.0)] {
+        let depth = |p: [f64; 2]| sign * (p[axis] - limit);
+        let mut inside = Vec::new();
+        for (i, &b) in area.iter().enumerate() {
+            let a = area[if i == 0 { area.len() - 1 } else { i - 1 }];
+            let (from, to) = (depth(a), depth(b));
+            if (from < 0.0) != (to < 0.0) {
+                let t = from / (from - to);
+                inside.push([0, 1].map(|k| a[k] + t * (b[k] - a[k])));
+            }
+            if to >= 0.0 {
+                inside.push(b);
+            }
+        }
+        area = inside;
+    }
+    area.into_iter().map(|[px, py]| (x.value(px), y.value(py))).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::Axis;
@@ -70,6 +97,17 @@ mod tests {
         // A diagonal whose ends are outside the ranges.
         assert_eq!(clip(&[(-1.0, -1.0), (2.0, 2.0)], &unit(), &unit()), [vec![(0.0, 0.0), (1.0, 1.0)]]);
         assert!(clip(&[(-1.0, 0.5), (0.5, 3.0)], &unit(), &unit()).is_empty());
+    }
+
+    #[test]
+    fn areas_are_cut_where_their_edges_meet_the_frame() {
+        let cut = |corners: &[Point]| clip_area(corners.iter().copied(), &unit(), &unit());
+        // A triangle whose tip is above the frame.
+        let found = cut(&[(0.0, 0.0), (0.5, 2.0), (1.0, 0.0)]);
+        assert_eq!(found, [(0.0, 0.0), (0.25, 1.0), (0.75, 1.0), (1.0, 0.0)]);
+        assert!(cut(&[(0.0, 2.0), (0.5, 3.0), (1.0, 2.0)]).is_empty());
+        let inside = [(0.0, 0.1), (0.3, 0.7), (1.0, 0.2)];
+        assert_eq!(cut(&inside), inside);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The drawing of a chart.
 
 use super::axis::{Scale, Span};
-use super::clip::clip;
+use super::clip::{clip, clip_area};
 use super::labels::{Place, Rect, place};
 use super::palette::{DASHES, DIM, FRAME, GRID, INK, PALETTE, light, pairs};
 use super::{Chart, Mark, Rule};
@@ -328,9 +328,9 @@ impl Chart {
                 plot.draw_series(places.map(|at| Circle::new(at, radius, fill(0.75))))?;
             }
             Mark::Band(points) => {
-                let upper = points.iter().map(|p| (p.0, p.2)).filter(seen);
-                let lower = points.iter().rev().map(|p| (p.0, p.1)).filter(seen);
-                plot.draw_series([Polygon::new(upper.chain(lower).collect::<Vec<_>>(), fill(0.2))])?;
+                let upper = points.iter().map(|p| (p.0, p.2));
+                let lower = points.iter().rev().map(|p| (p.0, p.1));
+                plot.draw_series([Polygon::new(clip_area(upper.chain(lower), x, y), fill(0.2))])?;
             }
             Mark::Stretches(parts) => {
                 let inside = parts.iter().filter(|(_, _, at)| y.takes(*at));
