@@ -98,7 +98,8 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
         ("Expected times", super::predict::source(job)),
         ("Engine", format!("{}, {} slots", runs[last].engine, runs[last].slots)),
     ];
-    facts.extend(Provenance::of(format!("{:?}", job.renderer)).facts());
+    // The keys are those of the job file.
+    facts.extend(Provenance::of(serde_json::to_string(&job.renderer)?).facts());
     page.facts(facts);
     page.write(file)
 }
