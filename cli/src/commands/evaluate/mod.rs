@@ -156,7 +156,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let assess = |name: String, predicted: Vec<f64>, upper| {
         assess(name, predicted, (&refs, &measured, &groups), upper)
     };
-    let frames_seen = |m: &Loaded| refs.iter().filter(|f| m.has_seen(f)).count();
+    let frames_seen =
+        |m: &Loaded| (!m.splits.is_empty()).then(|| refs.iter().filter(|f| m.has_seen(f)).count());
     let mut predictors = Vec::new();
     for m in &models {
         let bar = templated_bar(INPUTS_BAR);
@@ -246,7 +247,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 }
 
 /// Returns the errors of a predictor. The caller sets the file's hash, the latency and the number of seen
-/// frames; here they are `None`, `None` and 0.
+/// frames; here they are `None`.
 fn assess(
     name: String,
     predicted: Vec<f64>,
@@ -274,7 +275,7 @@ fn assess(
         metrics,
         by_group,
         latency: None,
-        frames_seen: 0,
+        frames_seen: None,
         bound_coverage,
         bound,
         rmse_over_sd_interval,

@@ -17,8 +17,9 @@ pub(super) struct Predictor {
     pub(super) metrics: Metrics,
     pub(super) by_group: BTreeMap<String, Metrics>,
     pub(super) latency: Option<WarmLatency>,
-    /// Number of evaluated frames whose group the model was trained or validated on.
-    pub(super) frames_seen: usize,
+    /// Number of evaluated frames whose group the model was trained or validated on; `None` if its file does
+    /// not state these groups, as after `entire calibrate`.
+    pub(super) frames_seen: Option<usize>,
     /// Share of frames that took no longer than the model's upper bound.
     pub(super) bound_coverage: Option<f64>,
     /// Measures of the upper bound: coverage of all frames and of the slowest tenth, and quantile (pinball)
@@ -77,7 +78,7 @@ pub(super) fn tables_of(predictors: &[Predictor]) -> (Table, Table, Table) {
         overall.row(vec![
             p.name.clone().into(),
             m.frames.to_string().into(),
-            p.frames_seen.to_string().into(),
+            p.frames_seen.map(|n| n.to_string()).into(),
             format!("{:.3e}", m.rmse).into(),
             format!("{:.3}", m.rmse_over_sd).into(),
             format!("{:.3e}", m.mae).into(),
@@ -261,8 +262,9 @@ pub(super) fn write_report(
         overall,
         "RMSE/SD is the RMSE divided by the standard deviation of the measured times; it is 1 for a \
          predictor that always gives their mean. The median error, p95 and p99 are the median, the 95th and the \
-         99th percentile of the absolute percentage error. A time per prediction is the median of warm calls in \
-         one thread, scene features included.",
+         99th percentile of the absolute percentage error. A dash under \"in training or validation\": the file \
+         of the model does not state its training data. A time per prediction is the median of warm calls in one \
+         thread, scene features included.",
     );
     page.table(
         more,
