@@ -201,9 +201,11 @@ impl Results<'_> {
                  A frame is calm if in the last {SETTLING} frames, including this frame, only the camera has \
                  changed, and not abruptly. Jumps: share of the calm frames whose step differs from that of \
                  the previous frame by over 20 %. In bound: share of the abrupt changes whose first frame \
-                 stayed below its upper bound. SSIM: mean structural similarity to the picture at the \
-                 reference step, divided by the oracle's. The best value of each column except In bound is \
-                 bold."
+                 stayed below its upper bound. First: |t-T|/T over the first frames after abrupt changes. SSIM: \
+                 mean structural similarity to the picture at the reference step, divided by the oracle's. PSNR \
+                 loss: mean PSNR of the oracle's pictures minus that of the controller's. Longest run: largest \
+                 number of successive frames over 1.1 T. Worst t/T: largest frame time divided by T. Both count \
+                 the frames of > 1.1 T. The best value of each column except In bound is bold."
             ),
         );
         if let Some(f) = frontier {
