@@ -2,7 +2,7 @@
 
 use crate::collection::{Job, ensure_utf8};
 use anyhow::{Context, Result};
-use entire_core::model::{Key, ModelFile};
+use entire_core::model::{Key, Model, ModelFile};
 use entire_core::scene::Shading;
 use entire_io::dataset::Clock;
 use entire_io::device::names_software;
@@ -22,6 +22,13 @@ fn data_folder() -> Option<PathBuf> {
             std::env::home_dir().filter(|p| p.is_absolute()).map(|home| home.join(".local/share"))
         }
     })
+}
+
+/// The shading mode of the frames to which a model was fitted; `None` if its file does not state one.
+pub(crate) fn shading_of(model: &Model) -> Option<Shading> {
+    let stated = model.metadata.get(Key::Provenance.name())?;
+    let origin: serde_json::Value = serde_json::from_str(stated).ok()?;
+    origin["shading"].as_str()?.parse().ok()
 }
 
 /// The file of the machine's model for a shading mode.

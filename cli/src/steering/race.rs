@@ -6,7 +6,7 @@ use super::model::{SteeringModel, Steers};
 use super::play::{Contender, Course, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
-use crate::calibrate::place::{machine_model, of_another_kind};
+use crate::calibrate::place::{machine_model, of_another_kind, shading_of};
 use crate::shipped::shipped_model;
 use anyhow::{Context, Result};
 use entire_core::model::{Model, ModelFile};
@@ -63,6 +63,13 @@ pub(crate) fn steering_model(
     shading: Shading,
     volume: &VolumeView<'_>,
 ) -> Result<(SteeringModel, Prior)> {
+    if let Some((name, model)) = &given
+        && let Some(fitted) = shading_of(model).filter(|fitted| *fitted != shading)
+    {
+        entire_io::files::note(&format!(
+            "{name} was fitted to frames with --shade {fitted}; this path is drawn with --shade {shading}"
+        ));
+    }
     let (title, model, known) = chosen_model(given, machine, shading)?;
     let corrected = if known { "" } else { ", corrected by the measured time of every frame" };
     let model = SteeringModel::new(title + corrected, model, volume)?;

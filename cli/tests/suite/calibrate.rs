@@ -95,6 +95,9 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     std::fs::write(at.join("mixed.csv"), table.clone() + &others.collect::<String>()).unwrap();
     let mixed = run(at, "calibrate --data mixed.csv --out mixed.safetensors --threads 1");
     assert!(mixed.status.success(), "{}", stderr(&mixed));
+    let judged = run(at, "evaluate --model mixed.safetensors --data mixed.csv --threads 1");
+    let note = "frames have another shading; --shade none leaves these out";
+    assert!(stderr(&judged).contains(note), "{judged:?}");
 
     // A note says that the prior and the new model predict seconds of different clocks.
     let prior = "--clock wall --prior home/entire/machine-none.safetensors --out wall.safetensors";

@@ -2,6 +2,7 @@
 
 mod report;
 
+use crate::calibrate::place::shading_of;
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Storage;
 use entire_core::model::Model;
@@ -126,6 +127,18 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut frames = timed(&tables, clock, options.shade)?;
     let said = [unstated(clock, named()), left_out(&tables, clock, options.shade)];
     said.into_iter().flatten().for_each(|text| note(&text));
+    for m in &models {
+        let Some(shading) = shading_of(&m.model) else { continue };
+        let others = frames.iter().filter(|(f, _)| f.scene.shading != shading).count();
+        if others > 0 {
+            note(&format!(
+                "{} was fitted to frames with --shade {shading}, and {others} of the {} frames have another \
+                 shading; --shade {shading} leaves these out",
+                m.name,
+                frames.len()
+            ));
+        }
+    }
     if options.unseen {
         for m in models.iter().filter(|m| m.splits.is_empty()) {
             note(&format!(
