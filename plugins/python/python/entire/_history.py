@@ -21,8 +21,8 @@ class History:
 
     Columns are accessed as attributes or by name: ``plan`` (number of the plan), ``target``, ``predicted``, ``upper``,
     ``measured`` (seconds), ``step`` (reference steps), ``image_sample_distance`` (pixels), ``reason`` and ``verdict``.
-    Notebooks show a history as two plots: predicted and measured time with the target, and the factor by which the
-    number of samples is reduced.
+    Notebooks show a history as two plots: predicted and measured time with the target, and step times the square of
+    ``image_sample_distance``. With twice this product, a frame has about half as many samples.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def _svg(history: History) -> str:
             _TOP,
             [(predicted, "#d95f02", ""), (measured, "#1b6ca8", ""), (target, "#555", "5 3")],
         ),
-        ("sample reduction (x)", _TOP + _HEIGHT + _GAP, [(coarsening, "#2a7f3f", "")]),
+        ("step &#215; distance&#178;", _TOP + _HEIGHT + _GAP, [(coarsening, "#2a7f3f", "")]),
     )
     for label, top, lines in series:
         finite = np.concatenate([y[np.isfinite(y)] for y, _, _ in lines])
