@@ -13,6 +13,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
+. lab/scripts/bar_lines.sh
 folder=$(realpath -m "${README_FOLDER:-${CARGO_TARGET_DIR:-target}/readme}")
 release=${README_RELEASE:-bookworm}
 out=$(realpath -m "${README_OUT:-out/readme}")
@@ -22,7 +23,7 @@ mirror=${MATRIX_MIRROR:-$(mirror)}
 why=$(folder_lacking "$mirror")
 if [[ $why ]]; then
     skip "README's commands" "$why"
-    echo "bar readme-commands-that-fail - 0 short"
+    bar readme-commands-that-fail - 0
     exit 1
 fi
 if [[ $(cat "$folder/made" 2>/dev/null) != "$release" ]]; then
@@ -30,7 +31,7 @@ if [[ $(cat "$folder/made" 2>/dev/null) != "$release" ]]; then
     rm -rf "$folder"
     mkdir -p "$folder"
     install_debian "$release" "$folder" "$mirror" "$out/folder.log" --variant=minbase --include=ca-certificates,git,make || {
-        echo "bar readme-commands-that-fail - 0 short"
+        bar readme-commands-that-fail - 0
         exit 1
     }
     echo "$release" >"$folder/made"
@@ -51,6 +52,7 @@ done
 # Commands of README's blocks of shell, without their comments.
 mapfile -t commands < <(awk '/^```sh$/ { on = 1; next } /^```/ { on = 0 } on && NF' README.md | sed 's/ *#.*//')
 failed=0
+if ((${#commands[@]} == 0)); then failed="no command was found"; fi
 for ((i = 0; i < ${#commands[@]}; i++)); do
     began=$SECONDS ended=passed
     in_debian "$folder" "${RUSTUP_HOME:-$HOME/.rustup}=/root/.rustup" "${CARGO_HOME:-$HOME/.cargo}/bin=/root/.cargo/bin" -- \
@@ -64,6 +66,5 @@ for ((i = 0; i < ${#commands[@]}; i++)); do
     fi
 done
 rm -rf "$folder/root/entire"
-if ((failed)); then word=short; else word=ok; fi
-echo "bar readme-commands-that-fail $failed 0 $word"
-((failed == 0))
+bar readme-commands-that-fail "$failed" 0
+exit "$short"

@@ -3,7 +3,7 @@
 # `make test-ffi`.
 #
 #   tests/c/run.sh             one compiler and language standard; the sanitizers on 10^4 call sequences
-#   tests/c/run.sh --full      also C++20, clang, 10^5 call sequences, every program under valgrind
+#   tests/c/run.sh --full      also C++20, clang, 10^5 call sequences, more programs under valgrind
 #
 # ENTIRE_SDK   folder of an installed library (the gate sets it); if unset, the library of `make install` is built
 set -euo pipefail
