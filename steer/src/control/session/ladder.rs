@@ -85,10 +85,10 @@ impl Session {
     /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last
     /// `side`² rays. The refinement stops as soon as the probe's estimated error is at most the tolerance (a
     /// share of the frame's time; the step changes by about the same share). It also stops if the error
-    /// cannot change the plan: the finest step meets the target for every time within the error, or the
-    /// coarsest step misses the target for every such time. While the view has hardly turned since rays were
-    /// cast, plans reuse the rays' results and recompute only the volume's place in the image. So `side`
-    /// bounds the time of a plan, and most plans take less time than this bound.
+    /// is unlikely to change the plan: the finest step meets the target even if its time is longer by the
+    /// error, or the coarsest step exceeds the target by more than the error. While the view has hardly
+    /// turned since rays were cast, plans reuse the rays' results and recompute only the volume's place in
+    /// the image. So `side` bounds the time of a plan, and most plans take less time than this bound.
     /// [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the last probe. If the
     /// finest probe's number of rays changes, recorded frames are dropped. [`Session::predict`] and
     /// [`Session::choose`] use the finest probe, and so do plans while frames are recorded
@@ -180,7 +180,7 @@ impl Session {
         self.ladder.map_or(self.features.probe_side(), |ladder| ladder.finest)
     }
 
-    /// True if the probe's error is within the tolerance, or cannot change the plan.
+    /// True if the probe's error is within the tolerance, or is unlikely to change the plan.
     fn suffices(&mut self, frame: &Frame, target: f32, tolerance: f32) -> Result<bool> {
         let error = STANDARD_ERRORS * self.features.probe.error;
         if error <= tolerance {
