@@ -23,7 +23,8 @@ pub struct Metrics {
     pub rmse: f64,
     /// Standard deviation of the measured seconds.
     pub sd: f64,
-    /// RMSE divided by SD: 1 if every prediction is the mean of the measured seconds.
+    /// RMSE divided by SD: 1 if every prediction is the mean of the measured seconds; infinity or NaN if all
+    /// measured seconds are equal.
     pub rmse_over_sd: f64,
     /// Mean absolute error, seconds.
     pub mae: f64,
@@ -33,7 +34,8 @@ pub struct Metrics {
     pub p95: f64,
     /// 99th percentile of |predicted − measured| / measured.
     pub p99: f64,
-    /// 1 − Σ(ln predicted − ln measured)² / Σ(ln measured − their mean)².
+    /// 1 − Σ(ln predicted − ln measured)² / Σ(ln measured − their mean)²; negative infinity or NaN if all
+    /// measured seconds are equal.
     pub r2_log: f64,
     /// Median of predicted / measured − 1 in each tenth of the frames, fastest first.
     pub bias_by_decile: Vec<f64>,
@@ -53,11 +55,16 @@ impl Metrics {
         let (predicted, measured) = (&predicted[..frames], &measured[..frames]);
         let n = frames as f64;
         let pairs: Vec<(f64, f64)> = predicted.iter().zip(measured).map(|(&p, &t)| (usable(p), t)).collect();
+        // The mean of equal numbers is rounded, so the numbers may differ from it.
+        let equal = measured.iter().all(|t| *t == measured[0]);
+        let about = |mean: f64, values: &[f64]| -> f64 {
+            if equal { 0.0 } else { values.iter().map(|v| (v - mean).powi(2)).sum() }
+        };
         let mean = measured.iter().sum::<f64>() / n;
-        let sd = (measured.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / n).sqrt();
+        let sd = (about(mean, measured) / n).sqrt();
         let rmse = (pairs.iter().map(|(p, t)| (p - t).powi(2)).sum::<f64>() / n).sqrt();
-        let log_mean = measured.iter().map(|t| t.ln()).sum::<f64>() / n;
-        let log_total: f64 = measured.iter().map(|t| (t.ln() - log_mean).powi(2)).sum();
+        let logs: Vec<f64> = measured.iter().map(|t| t.ln()).collect();
+        let log_total = about(logs.iter().sum::<f64>() / n, &logs);
         let log_rest: f64 = pairs.iter().map(|(p, t)| (p.ln() - t.ln()).powi(2)).sum();
         let mut relative: Vec<f64> = pairs.iter().map(|(p, t)| (p - t).abs() / t).collect();
         relative.sort_by(f64::total_cmp);
@@ -180,7 +187,11 @@ pub fn percentile(ascending: &[f64], share: f64) -> f64 {
     let at = share.clamp(0.0, 1.0) * last as f64;
     let low = at.floor() as usize;
     let t = at - low as f64;
-    if t == 0.0 { ascending[low] } else { ascending[low] + t * (ascending[low + 1] - ascending[low]) }
+    // Neighbors that are both infinite have no difference.
+    if t == 0.0 || ascending[low] == ascending[low + 1] {
+        return ascending[low];
+    }
+    ascending[low] + t * (ascending[low + 1] - ascending[low])
 }
 
 #[cfg(test)]
@@ -221,6 +232,15 @@ mod tests {
     }
 
     #[test]
+    fn equal_times_have_no_deviation() {
+        // The computed mean of 30 times of 0.01 s is not 0.01 s.
+        let times = [0.01; 30];
+        let m = Metrics::new(&[0.02; 30], &times).unwrap();
+        assert_eq!((m.sd, m.rmse_over_sd, m.r2_log), (0.0, f64::INFINITY, f64::NEG_INFINITY));
+        assert!(Metrics::new(&times, &times).unwrap().rmse_over_sd.is_nan());
+    }
+
+    #[test]
     fn bounds_are_judged_overall_and_among_the_slowest() {
         let t: Vec<f64> = (1..=100).map(f64::from).collect();
         // A bound that holds for all but the ten slowest frames.
@@ -258,6 +278,7 @@ mod tests {
         assert_eq!(percentile(&[1.0, 2.0, 4.0], 0.5), 2.0);
         assert_eq!(percentile(&[1.0, 2.0, 4.0], 0.75), 3.0);
         assert_eq!(percentile(&[5.0], 0.95), 5.0);
+        assert_eq!(percentile(&[f64::INFINITY; 3], 0.3), f64::INFINITY);
         assert!(percentile(&[], 0.5).is_nan());
     }
 }
