@@ -100,7 +100,7 @@ fn heading(text: &str) {
 }
 
 fn found(name: &str, text: &str) {
-    println!("  {name:<17} {text}");
+    println!("  {name:<21} {text}");
 }
 
 fn print(name: &str, finding: &Finding) {
@@ -123,8 +123,11 @@ fn raycaster() -> String {
         Ok(renderer) => {
             let software = is_software(&renderer);
             let kind = if software { "a software driver" } else { "a GPU" };
-            let clock = if renderer.has_timestamps() && !software { "device" } else { "processor or wall" };
-            format!("Vulkan on {} ({kind}); frames are timed in {clock} time", renderer.device())
+            let clock = if renderer.has_timestamps() && !software { "device" } else { "wall" };
+            format!(
+                "Vulkan on {} ({kind}); models and steering use {clock} time by default",
+                renderer.device()
+            )
         }
         // If the environment names a device, the CPU version does not replace it.
         Err(error) if named => format!("none, except by --device cpu: {error}"),
