@@ -35,8 +35,8 @@ const PREVIEW: usize = 8;
 pub struct Summary {
     /// Number of images in the database.
     pub done: usize,
-    /// Ids of the tasks that were given up.
-    pub quarantined: Vec<String>,
+    /// Ids and last errors of the tasks that were given up.
+    pub quarantined: Vec<(String, String)>,
     /// Number of tasks that were finished in this run.
     pub now: usize,
     /// Seconds of this run.
@@ -271,10 +271,10 @@ impl Drive<'_, '_> {
         if interrupted && !self.planner.is_over() {
             bail!("interrupted: {done} of {tasks} images are done; continue with --resume");
         }
-        let quarantined = self.database.quarantined.keys();
+        let quarantined = self.database.quarantined.iter();
         Ok(Summary {
             done,
-            quarantined: quarantined.map(|t| self.id(*t)).collect(),
+            quarantined: quarantined.map(|(task, error)| (self.id(*task), error.clone())).collect(),
             now: self.now,
             seconds: clock.elapsed().as_secs_f64(),
         })

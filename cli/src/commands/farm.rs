@@ -1,7 +1,7 @@
 //! `entire farm`: render an image database by local processes, HyperQueue or Slurm.
 
 use crate::program::print_line;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use entire_farm::database::{self, Database};
 use entire_farm::dispatch::Order;
@@ -12,7 +12,9 @@ use entire_farm::planner::{Planner, Setting, State};
 use entire_farm::show::{duration, parse_duration};
 use entire_farm::worker::Worker;
 use entire_farm::{drive, openjd, predict, report, survey};
-use entire_io::files::{ensure_distinct, ensure_not_input, ensure_not_own, make_folder_of, write_whole};
+use entire_io::files::{
+    ensure_distinct, ensure_not_input, ensure_not_own, make_folder_of, note, write_whole,
+};
 use entire_io::machine;
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -194,14 +196,18 @@ pub(crate) fn run(options: &Options, program: &[OsString]) -> Result<()> {
     if let Some(file) = options.report.as_ref().filter(|_| summary.done > 0) {
         report::write(&job, file)?;
         print_line(file.display())?;
+    } else if let Some(file) = &options.report {
+        note(&format!("{} was not written, since no image is done", file.display()));
     }
-    ensure!(
-        summary.quarantined.is_empty(),
-        "{} tasks were given up ({}); their logs are in {}; --resume --retry-quarantined tries them again",
-        summary.quarantined.len(),
-        summary.quarantined.iter().take(3).cloned().collect::<Vec<_>>().join(", "),
-        job.state().join("quarantine").display()
-    );
+    if let Some((task, error)) = summary.quarantined.first() {
+        bail!(
+            "{} tasks were given up, such as {task}: {}; their logs are in {}; --resume --retry-quarantined tries \
+             them again",
+            summary.quarantined.len(),
+            error.lines().next().unwrap_or_default(),
+            job.state().join("quarantine").display()
+        );
+    }
     Ok(())
 }
 

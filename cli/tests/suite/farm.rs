@@ -212,7 +212,7 @@ fn programs_get_names_as_they_are_and_failures_are_set_aside() {
     std::fs::write(dir.path().join("draw.sh"), script).unwrap();
     render_picture(dir.path());
     let farm = "farm job.toml --slots 2 --quiet";
-    fails(dir.path(), farm, 1, &["4 tasks were given up", "--retry-quarantined"]);
+    fails(dir.path(), farm, 1, &["4 tasks were given up", "exit status: 4", "--retry-quarantined"]);
     assert_eq!(table(dir.path()).len(), 36);
     let logs = std::fs::read_dir(dir.path().join("db.cdb/.farm/quarantine")).unwrap();
     let logs: Vec<String> = logs.map(|f| std::fs::read_to_string(f.unwrap().path()).unwrap()).collect();
