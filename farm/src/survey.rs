@@ -70,7 +70,7 @@ pub fn text(
     );
     let bytes: u64 = job.volumes.iter().map(|v| v.bytes).sum();
     out += &format!(
-        "expected times are from {}; the work takes {} on one node; all volumes together have {:.1} MB\n",
+        "expected times are from {}; the work takes {} on one node; the files of all volumes have {:.1} MB\n",
         super::predict::source(job),
         duration(work),
         bytes as f64 / 1e6

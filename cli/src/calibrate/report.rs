@@ -148,7 +148,7 @@ impl Report {
         let rendered = match self.rounds {
             0 => String::new(),
             rounds => {
-                format!(", rendered in {rounds} rounds, {} warm-up renderings discarded", self.warm_ups)
+                format!("; rounds: {rounds}; discarded warm-up renderings: {}", self.warm_ups)
             }
         };
         let (frames, volumes, shading, clock) = (self.frames, self.volumes, self.shading, self.clock);

@@ -252,7 +252,7 @@ pub(super) fn write_report(
     write(PREDICTIONS, &String::from_utf8_lossy(&csv))?;
 
     let lead = format!(
-        "{} frames, clock {}. {}",
+        "{} frames, clock {}; {}",
         evaluation.frames,
         evaluation.clock,
         noise_text(evaluation.noise_floor)
