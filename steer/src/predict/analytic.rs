@@ -309,9 +309,8 @@ impl AnalyticModel {
             sums[part] += cost * amount;
         }
         let mut parts: [f32; TERMS] = sums.map(finite);
-        if !(parts.iter().sum::<f32>() >= SHORTEST) {
-            parts[0] = SHORTEST;
-        }
+        let sum: f32 = parts.iter().sum();
+        parts[0] += (SHORTEST - sum).max(0.0);
         CostTerms { parts, out_of_range: self.score(&work), source: Source::Analytic }
     }
 }
@@ -584,6 +583,22 @@ mod tests {
         }
         file.metadata.remove(Key::CachedVoxels.name());
         assert_eq!(read(&file).unwrap().unwrap().costs().cached_voxels, UnitCosts::CACHED_VOXELS);
+    }
+
+    #[test]
+    fn the_shortest_time_is_a_limit_and_is_not_added() {
+        use entire_core::scene::{Shading, Skipping};
+        let mut seconds = [0.0; COSTS];
+        seconds[1] = 1.0e-13;
+        let model = AnalyticModel::from_costs(UnitCosts::new(seconds)).unwrap();
+        for side in [1, 50, 99, 101] {
+            let modes = (Shading::None, Skipping::None);
+            let setting =
+                Setting { step: 1.0, width: side, height: side, shading: modes.0, skipping: modes.1 };
+            let expected = (1.0e-13 * (side * side) as f32).max(SHORTEST);
+            let found = model.parts(&FrameFeatures::default(), &setting).seconds();
+            assert!((found / expected - 1.0).abs() < 1e-5, "{side}: {found} {expected}");
+        }
     }
 
     #[test]
