@@ -119,7 +119,7 @@ impl Report {
         if self.others.busy() {
             out.push(format!(
                 "the machine was busy: other programs used {:.1} processors on average, and more than {3} \
-                 processors during {:.0} of {:.0} seconds. Repeats rendered in these busy seconds are used \
+                 processors during {:.1} of {:.1} seconds. Repeats rendered in these busy seconds are used \
                  only for frames that have no repeat from quiet seconds. Calibrate again on a quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
