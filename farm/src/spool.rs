@@ -105,16 +105,20 @@ pub(crate) fn end_of(log: &Path) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// Returns the last line that is not blank in the last MiB of a log, cut to 300 characters.
+/// Returns the last line that is not blank in the last MiB of a log, without sequences that set a terminal's
+/// colors, cut to 300 characters.
 pub(crate) fn tail(log: &Path) -> String {
-    end_of(log)
-        .lines()
-        .rev()
-        .find(|l| !l.trim().is_empty())
-        .unwrap_or("it printed nothing")
-        .chars()
-        .take(300)
-        .collect()
+    let text = end_of(log);
+    let line = text.lines().rev().map(without_colors).find(|l| !l.trim().is_empty());
+    line.map_or_else(|| "it printed nothing".into(), |l| l.chars().take(300).collect())
+}
+
+fn without_colors(line: &str) -> String {
+    let mut parts = line.split("\u{1b}[");
+    let first = parts.next().unwrap_or_default().to_owned();
+    // A sequence ends with its first letter.
+    let rest = parts.map(|part| part.split_once(|c: char| c.is_ascii_alphabetic()).map_or("", |ends| ends.1));
+    first + &rest.collect::<String>()
 }
 
 #[cfg(test)]
@@ -130,5 +134,7 @@ mod tests {
         let end = end_of(&log);
         assert!(end.len() == 1 << 20 && end.ends_with("a line\nno space left\n\n"), "{}", end.len());
         assert_eq!(tail(&folder.path().join("none")), "it printed nothing");
+        std::fs::write(&log, "\u{1b}[0m\u{1b}[31mFATL| Signal: SIGABRT\u{1b}[0m\n\u{1b}[0m\n").unwrap();
+        assert_eq!(tail(&log), "FATL| Signal: SIGABRT");
     }
 }
