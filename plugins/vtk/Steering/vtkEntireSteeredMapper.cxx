@@ -302,7 +302,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   {
     return "the renderer has no window or the volume no property";
   }
-  vtkDataSet* input = mapper->GetDataSetInput();
+  const vtkEntire::Hold<vtkVolumeMapper> source(this->Source());
+  vtkDataSet* input = source->GetDataSetInput();
   const vtkEntire::Hold<vtkImageData> image(vtkImageData::SafeDownCast(input));
   if (!image)
   {
@@ -314,7 +315,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   {
     return failure;
   }
-  failure = this->UpdateGrid(mapper, image, property);
+  failure = this->UpdateGrid(source, image, property);
   if (!failure.empty())
   {
     return failure;
@@ -366,7 +367,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     return {};
   }
   const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(),
-    mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0),
+    source->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0),
     vtkEntire::Jitters(mapper, this->Gpu), vtkEntire::Scatters(mapper, this->Gpu) } };
   this->MarkChanges(mode, frame);
   frame.shading = mode[0] ? ENTIRE_SHADING_LOCAL : ENTIRE_SHADING_NONE;
@@ -484,9 +485,11 @@ void vtkEntireSteering::vtkInternals::Leaf::ReadAhead()
 {
   const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
   const vtkSmartPointer<vtkVolume> volume(this->Internals->Volume);
-  vtkImageData* image = mapper ? vtkImageData::SafeDownCast(mapper->GetDataSetInput()) : nullptr;
+  // A smart mapper connects the inputs of its mappers only if it draws with them.
+  const vtkSmartPointer<vtkVolumeMapper> source(mapper && mapper->GetDataSetInput() ? this->Source() : nullptr);
+  vtkImageData* image = source ? vtkImageData::SafeDownCast(source->GetDataSetInput()) : nullptr;
   if (image && volume && volume->GetProperty() && this->Internals->MakeSession(*this).empty() &&
-    this->UpdateGrid(mapper, image, volume->GetProperty()).empty())
+    this->UpdateGrid(source, image, volume->GetProperty()).empty())
   {
     static_cast<void>(this->SetVolume());
   }
@@ -533,7 +536,8 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
       return;
     }
   }
-  else if (!this->UpdateInput(mapper) || !vtkEntire::IsDrawnBy(this->Internals->Renderer, volume))
+  const vtkEntire::Hold<vtkVolumeMapper> source(this->Source());
+  if (!this->UpdateInput(source) || !vtkEntire::IsDrawnBy(this->Internals->Renderer, volume))
   {
     // An observer of the pipeline ended the attachment, or removed the volume from the renderer.
     return;

@@ -225,6 +225,14 @@ public:
     // before it invokes its start event: so its settings are written at its renderer's start, and restored at its
     // renderer's end. Inside a smart mapper this is done only if the smart mapper is about to draw with it.
     bool SetEarly() const { return !this->Gpu; }
+    // Returns the mapper that has the input, cropping and blend mode of the coming frame. A smart mapper passes its own to
+    // its fixed-point mapper only while it draws, which is too late for SetEarly(); with a vector mode it passes another
+    // input, so that the input of its last frame is used.
+    vtkVolumeMapper* Source() const
+    {
+      vtkSmartVolumeMapper* const outer = this->SetEarly() ? this->Outer.GetPointer() : nullptr;
+      return outer && outer->GetVectorMode() == vtkSmartVolumeMapper::DISABLED ? outer : this->Mapper.GetPointer();
+    }
     // Brings the mapper's input up to date. Returns false if an observer of its pipeline ended the attachment.
     bool UpdateInput(vtkVolumeMapper* mapper);
     void Plan();
