@@ -243,7 +243,18 @@ void ReadTransferNodes(
   nodes.Unit = static_cast<float>(property->GetScalarOpacityUnitDistance(0));
   vtkPiecewiseFunction* opacity = property->GetScalarOpacity(0);
   nodes.Clamping = opacity->GetClamping() != 0;
-  for (int i = 0; i < opacity->GetSize(); ++i)
+  if (opacity->GetUseLogScale())
+  {
+    // The library interpolates nodes by their values, not by logarithms of them, so samples replace the nodes.
+    std::array<double, ENTIRE_TABLE_ENTRIES> samples;
+    opacity->GetTable(range[0], range[1], ENTIRE_TABLE_ENTRIES, samples.data());
+    const double step = (range[1] - range[0]) / (ENTIRE_TABLE_ENTRIES - 1);
+    for (int i = 0; i < ENTIRE_TABLE_ENTRIES; ++i)
+    {
+      nodes.Opacities.push_back({ range[0] + i * step, Unit(samples[i]), 0.5, 0 });
+    }
+  }
+  for (int i = 0; i < opacity->GetSize() && !opacity->GetUseLogScale(); ++i)
   {
     double node[4];
     opacity->GetNodeValue(i, node);

@@ -99,6 +99,8 @@ void NoticesNewFunctionsOnly(Kind kind)
   CHECK(readings() == ++expected);
   scene.Property->SetScalarOpacityUnitDistance(3.5);
   CHECK(readings() == ++expected);
+  scene.Opacity->UseLogScaleOn();
+  CHECK(readings() == ++expected);
   CHECK(readings() == expected);
 }
 
