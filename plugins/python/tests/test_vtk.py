@@ -283,6 +283,7 @@ def test_only_other_functions_are_new(voxels, kind):
     for other in (
         lambda: prop.GetScalarOpacity().AddPoint(120, 0.7, 0.9, 0.8),
         lambda: prop.GetScalarOpacity().ClampingOff(),
+        lambda: prop.GetScalarOpacity().UseLogScaleOn(),
         lambda: prop.GetRGBTransferFunction(0).AddRGBPoint(100, 0.2, 0.9, 0.2),
         lambda: prop.SetScalarOpacityUnitDistance(3.5),
         lambda: prop.SetScalarOpacity(opacity_function(TRANSPARENT)),

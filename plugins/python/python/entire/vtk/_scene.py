@@ -17,6 +17,8 @@ from .._native import Camera, TransferFunction, Volume
 
 _SUBVOLUME = 0x0002000
 _COMPOSITE = 0
+# Number of entries of a transfer function's table.
+_SAMPLES = 256
 
 #: Accumulated opacity at which the mappers stop a ray.
 GPU_TERMINATION = 0.996
@@ -203,9 +205,14 @@ def transfer_nodes(prop: Any, span: tuple[float, float]) -> Nodes:
     node = [0.0] * 4
     opacity = []
     function = prop.GetScalarOpacity(0)
-    for i in range(function.GetSize()):
-        function.GetNodeValue(i, node)
-        opacity.append((node[0], _unit(node[1]), _unit(node[2]), _unit(node[3])))
+    if function.GetUseLogScale():
+        # Nodes are interpolated by their values, not by logarithms of them, so samples replace the nodes.
+        for x in np.linspace(*span, _SAMPLES):
+            opacity.append((float(x), _unit(function.GetValue(x)), 0.5, 0.0))
+    else:
+        for i in range(function.GetSize()):
+            function.GetNodeValue(i, node)
+            opacity.append((node[0], _unit(node[1]), _unit(node[2]), _unit(node[3])))
     color = []
     if prop.GetColorChannels(0) == 3:
         colors = prop.GetRGBTransferFunction(0)
