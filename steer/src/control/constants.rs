@@ -14,8 +14,8 @@ crate::adapt::constants! {
         damping = 0.16,
         /// Standard deviation of the slope of the predicted step curve, d ln(seconds) / d ln(step).
         slope_sd = 0.1,
-        /// Difference between the predictions of two successive frames at one step, in ln(time), at or above
-        /// which the frames count as unrelated.
+        /// Distance between the predictions of two successive frames at one step, in ln(time) plus shares of
+        /// the time, at or above which the frames count as unrelated.
         far = 0.35,
         /// Initial margin, in standard deviations.
         margin_start = 2.0,
