@@ -569,8 +569,8 @@ impl Learner {
                 return (drawn, probable.max(LEAST));
             }
         }
-        // No draw was longer than `seconds`, so the returned time exceeds `seconds` by half a standard
-        // deviation.
+        // No draw was longer than `seconds`. The returned time exceeds `seconds` by a relative amount: half
+        // of the standard deviation of ln(the task's time).
         (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 

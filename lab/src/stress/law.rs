@@ -360,7 +360,7 @@ fn resonance(method: ControllerKind) -> Verdict {
         let got = spread(seen[60..].iter().map(|s| (s.seconds / s.target).ln()).collect());
         let open = spread((60..300).map(|i| factor(i).ln()).collect());
         if got > 1.35 * open {
-            broken.push(format!("period {period}: spread grows {:.2} times", got / open));
+            broken.push(format!("period {period}: the spread is {:.2} times that at a fixed step", got / open));
         }
         all.extend(seen);
     }
@@ -381,8 +381,8 @@ fn paging(method: ControllerKind) -> Verdict {
             seen.iter().enumerate().filter(|(i, s)| s.part == part && *i >= skip).map(|(_, s)| s).collect();
         frames.iter().filter(|s| f(s)).count() as f64 / frames.len() as f64
     };
-    // A frame that takes over 1.1 times the target counts as missed even if only the coarsest step meets the
-    // target.
+    // A frame that takes over 1.1 times the target counts as missed even if the coarsest step misses the
+    // target, too.
     let over = |s: &Seen| s.seconds > 1.1 * s.target;
     let (inside, outside) = (share(1, 0, &over), share(0, 0, &over));
     broken.extend((inside > 0.45).then(|| format!("{:.0} % of a burst's frames over 1.1 T", 100.0 * inside)));

@@ -112,7 +112,8 @@ impl Drop for Picture {
         }
         if !gpu.is_lost() && !gpu.is_abandoned() {
             let queue = gpu.queue();
-            // A viewer may still be reading the picture. A failure means a lost device, which reads nothing.
+            // A viewer may still be reading the picture. `drop` cannot report that the wait failed; a lost
+            // device reads nothing.
             // SAFETY: the queue belongs to this device, and the lock keeps other threads from it.
             let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
         }

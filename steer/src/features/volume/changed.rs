@@ -376,9 +376,9 @@ impl<T: Voxel> Part<'_, T> {
     }
 }
 
-/// Adds a row of voxels to partial checksums, one per 8-byte word of the row. Each word is XORed with the
-/// row's key, so that the checksum depends on the row, and the product of the two halves of the result is
-/// added.
+/// Adds a row of voxels to partial checksums: each 8-byte word of the row to one checksum in `first` and one
+/// in `second`. The word is XORed with the first or second of the row's two `keys`, so that the checksum
+/// depends on the row, and the product of the two halves of the result is added.
 #[inline(always)]
 fn absorb(bytes: &[u8], keys: Sums, first: &mut [u64], second: &mut [u64]) {
     let (whole, rest) = chunks::<8, _>(bytes);
