@@ -92,7 +92,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
         }
         page.table(&table, "Tasks that were given up. --resume --retry-quarantined tries them again.");
     }
-    page.heading("Where this comes from");
+    page.heading("Where the numbers come from");
     let mut facts = vec![
         ("Database", job.output.display().to_string()),
         ("Expected times", super::predict::source(job)),

@@ -119,9 +119,9 @@ pub unsafe extern "C" fn entire_budget_drew(
     }))
 }
 
-/// Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included unusual
-/// work, such as reading a volume or compiling a shader. The time of such a frame outside of its passes is
-/// used only if the previous frame was unusual, too.
+/// Ends the window's frame, which took `seconds` in all. Pass 0 for `usual` if the frame included unusual
+/// work, such as reading a volume or compiling a shader. The time that an unusual frame spends outside of its
+/// passes counts only if the previous frame was unusual, too.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -19,9 +19,9 @@ type Outcome = Result<(), Failed>;
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     Sound,
-    /// Every call returns `VK_ERROR_DEVICE_LOST` after this many calls.
+    /// This many calls succeed; every later call returns `VK_ERROR_DEVICE_LOST`.
     Lost(usize),
-    /// Every wait returns `VK_TIMEOUT` after this many waits.
+    /// This many waits for fences succeed; every later one returns `VK_TIMEOUT`.
     Hangs(usize),
     /// Every dispatch takes [`SLOW_TICKS`] by the device's timestamps.
     Slow,
@@ -308,8 +308,8 @@ fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
     new_renderer_draws(&image)
 }
 
-/// Checks that dropping a picture waits for the queue of a working device, but not for that of a hanging one:
-/// this wait has no time limit.
+/// Checks that dropping a picture waits for the queue of a working device, but not for the queue of a hanging
+/// device: a wait for a queue has no time limit.
 fn a_picture_of_a_hanging_device_is_left_alone() -> Outcome {
     for (fault, waits) in [(Fault::Sound, 1), (Fault::Hangs(0), 0)] {
         set(Fault::Sound);

@@ -62,7 +62,8 @@ pub(crate) struct Metrics {
     pub(crate) p95_seconds: f64,
     /// Longest frame time, in seconds.
     pub(crate) worst_seconds: f64,
-    /// Mean PSNR against the reference step's pictures, decibels, each at most [`BEST_PSNR`].
+    /// Mean over the frames of the PSNR against the picture at the reference step, decibels. A PSNR above
+    /// [`BEST_PSNR`] counts as [`BEST_PSNR`].
     pub(crate) mean_psnr: f64,
     pub(crate) mean_step: f64,
 }

@@ -359,7 +359,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         page.pictures(pictures.iter().map(|(png, caption)| (png.as_slice(), caption.clone())));
     }
 
-    page.heading("Where this comes from");
+    page.heading("Where the numbers come from");
     for remark in &story.remarks {
         page.paragraph(remark);
     }

@@ -1,5 +1,5 @@
 //! Paths: camera and transfer function of a user, frame by frame. Both are given at keyframes. Between two
-//! keyframes they are interpolated, or the later keyframe switches abruptly.
+//! keyframes, they are interpolated, or they remain those of the earlier keyframe until the later one.
 //!
 //! # File format
 //!

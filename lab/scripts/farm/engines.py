@@ -221,7 +221,7 @@ def over_bound(bars, name, what, run, slots, cost):
     print(f"{what}: {makespan:.3f} s; lower bound {bound:.3f} s of the tasks alone, {least:.3f} s with a start of {start:.3f} s "
           f"and {1e3 * turn:.1f} ms between {bundles} bundles; {makespan / bound:.4f} of the bound of the tasks alone", flush=True)
     if makespan < least:
-        print(f"the overhead was measured too high: by it, a run takes at least {least:.3f} s, but this run took {makespan:.3f} s. "
+        print(f"the overhead was measured too high: with it, a run takes at least {least:.3f} s, but this run took {makespan:.3f} s. "
               "The bar ignores the overhead; measure again on a quiet machine", flush=True)
         bars.found(name, makespan / bound, "divided by the lower bound of the tasks alone")
     else:

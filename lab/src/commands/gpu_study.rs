@@ -1,4 +1,4 @@
-//! `entire-lab gpu-study`: measurements of a device in minutes.
+//! `entire-lab gpu-study`: measures a device within a time limit of a few minutes.
 
 use crate::bars::{self, Bar};
 use crate::gpu::pictures::{Difference, compare};

@@ -176,7 +176,7 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
     Ok(Some(begun))
 }
 
-/// Writes a timing table of random scenes, each at every calibration step.
+/// Writes a timing table of random scenes; each scene is rendered at all six ray steps of a calibration.
 fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
     let timing: fn(f64) -> Timing = match options.clock {

@@ -123,10 +123,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let (trials, unplayed) = trials_of_all(&traces, &targets);
     for name in &unplayed {
         note(&format!(
-            "trace {name} is not played: no target is met by an allowed step in half of its frames"
+            "trace {name} is not played: it has no target that some allowed step meets exactly in at least \
+             half of the frames"
         ));
     }
-    ensure!(!trials.is_empty(), "no trace has a target that an allowed step meets in half of its frames");
+    ensure!(
+        !trials.is_empty(),
+        "no trace has a target that some allowed step meets exactly in at least half of the frames"
+    );
     let played =
         |trial: &Trial| play(trial, &traces[trial.trace], &players, &calibrated, &response, options.rounds);
     let outcomes = trials.iter().map(played).collect::<Result<Vec<_>>>()?;

@@ -72,7 +72,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             println!("{}", fits_table(&study, &found, &set.name, &split.name).to_text());
         }
         if let Some(selected) = by_rule(&study, &found, &set.name) {
-            println!("{}: selected by the rule: {}\n", set.name, selected.name);
+            println!("{}: the rule selects {}\n", set.name, selected.name);
         }
         for split in &set.splits {
             println!("{}, split by {}", set.name, split.name);

@@ -105,7 +105,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for (course, (recorded, _)) in courses.iter().zip(&played) {
         ensure!(
             !course.is_empty(),
-            "{} has no target that an allowed step meets in half of its frames; name other --targets",
+            "{} has no target that some allowed step meets exactly in at least half of the frames; name \
+             other --targets",
             recorded[0].trace.name
         );
     }

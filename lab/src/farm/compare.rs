@@ -40,11 +40,11 @@ pub(crate) fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
     Ok(range)
 }
 
-/// Methods of the comparison: title, method, times that it plans by.
+/// Methods of the comparison: title, method, times by which the method plans.
 const COMPARED: [(&str, Method, By); 6] = [
     ("static longest first, measured", Method::Longest, By::Measured),
     ("static longest first, predicted", Method::Longest, By::Predicted),
-    ("static longest first, uniform", Method::Longest, By::Uniform),
+    ("static longest first, equal times", Method::Longest, By::Uniform),
     ("queue, arrival order", Method::Arrival, By::Uniform),
     ("queue, predicted longest first", Method::Queue, By::Predicted),
     ("static with exchanges, predicted", Method::Static, By::Predicted),
@@ -120,14 +120,15 @@ pub(crate) fn compare(
     println!("{}", table.to_text());
     if let Some((low, high)) = noise {
         let text = format!(
-            "Effect of noise: tasks are assigned longest first, once by the medians of all repeats but one and once by \
-             the remaining repeat. By the times of this repeat, the first assignment takes at most {low:.3} to \
-             {high:.3} times as long as the second."
+            "Effect of noise: for each repeat, tasks are assigned longest first, once by the medians of the \
+             other repeats and once by this repeat. By the times of this repeat, the first assignment takes \
+             longer than the second: at the worst number of nodes, by a factor of {low:.3} to {high:.3}, \
+             depending on the repeat."
         );
         println!("{text}");
         page.paragraph(&text);
     }
-    page.heading("Where this comes from");
+    page.heading("Where the numbers come from");
     let mut facts = vec![("Tasks", source)];
     facts.extend(Provenance::of("scheduled, not rendered".into()).facts());
     page.facts(facts);

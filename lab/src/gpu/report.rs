@@ -80,7 +80,8 @@ impl Found {
     pub(crate) fn times(&self) -> Table {
         const EDGES: [u64; 4] = [0, 128 * 128, 512 * 512, u64::MAX];
         let mut table = Table::headed(
-            "shading | frames | #voxels, most | #below 128² pixels / ms | #128² to 512² | #512² and more",
+            "shading | frames | #voxels of the largest volume | #below 128² pixels / ms | #128² to 512² | \
+             #512² and more",
         );
         for (kind, mode, frames) in &self.tables {
             let most =
@@ -134,8 +135,9 @@ impl Found {
         );
         page.table(&self.steps(), "Steps. A step that ran out of time counts with its partial results.");
         page.heading("Pictures");
-        let mut worst =
-            Table::headed("volume | shading | #camera | #largest difference / 255 | #mean | same samples");
+        let mut worst = Table::headed(
+            "volume | shading | #camera | #largest difference | #mean difference | equal sample counts",
+        );
         for d in &self.pictures {
             worst.row(vec![
                 d.volume.as_str().into(),
@@ -148,7 +150,8 @@ impl Found {
         }
         page.table(
             &worst,
-            "Differences of single channels between device and CPU version; at most 2 of 255 are accepted.",
+            "Differences of single channels between device and CPU version, on a scale of 0 to 255; a \
+             difference of at most 2 is accepted.",
         );
         if let Some(probe) = &self.probe {
             page.heading("The device");

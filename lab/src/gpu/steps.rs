@@ -102,7 +102,7 @@ fn words(parts: &[&str]) -> Vec<String> {
 
 /// Volumes of held-out members, at least one, in the order of their names.
 pub(crate) fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
-    let help = "name a folder like the project's data/ with --data";
+    let help = "give --data a folder with the layout of the project's data/";
     let found =
         held_out_in(data).with_context(|| format!("cannot read the folder {}; {help}", data.display()))?;
     ensure!(

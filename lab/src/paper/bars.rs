@@ -18,7 +18,7 @@ fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
     match (value, interval) {
         (None, _) => bar,
         (_, Some((low, high))) => bar.with_note(format!("interval: {low:.4} to {high:.4}")),
-        (_, None) => bar.with_note("interval: not kept"),
+        (_, None) => bar.with_note("interval: unknown"),
     }
 }
 
@@ -80,7 +80,8 @@ pub(crate) fn bars(
             Some(((_, row), voxels)) if voxels < limits.lvrp_voxels => {
                 let over = row.over_lvrp.map_or("-".into(), |v| format!("{v:.4}"));
                 let (here, papers) = (voxels.round(), limits.lvrp_voxels);
-                let note = format!("{over} with 1/{here} of the voxels, the paper has 1/{papers}");
+                let note =
+                    format!("{over}, but LVRP rendered 1/{here} of the voxels, the paper's LVRP 1/{papers}");
                 at_most(name, (None, None), limits.over_lvrp).with_note(note)
             }
             Some(((r, row), _)) => {
@@ -282,15 +283,15 @@ mod tests {
         let name = "nyx_cosmology/network-over-lvrp";
         assert_eq!(
             of(&paper, &all, name),
-            "- 0.6000 short (0.3200 with 1/27 of the voxels, the paper has 1/512)"
+            "- 0.6000 short (0.3200, but LVRP rendered 1/27 of the voxels, the paper's LVRP 1/512)"
         );
         paper.proxy = 24;
         assert_eq!(of(&paper, &all, name), "0.3200 0.6000 ok (interval: 0.1000 to 0.2000)");
-        // Results that were kept without errors by volume have no interval.
+        // Stored results that lack the errors of single volumes have no interval.
         let mut kept = all[0].clone();
         kept.rows.iter_mut().for_each(|r| r.by_volume.clear());
         let name = "nyx_cosmology/network-over-constant";
-        assert_eq!(of(&paper, &[kept], name), "0.1600 0.2000 ok (interval: not kept)");
+        assert_eq!(of(&paper, &[kept], name), "0.1600 0.2000 ok (interval: unknown)");
     }
 
     #[test]

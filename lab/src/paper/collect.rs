@@ -1,4 +1,5 @@
-//! Collects frames of our raycaster, volume by volume, in all modes, also of low-resolution proxies.
+//! Collects frames of this project's raycaster: volume by volume, in all modes, and also at the low
+//! resolution of LVRP.
 
 use super::Work;
 use super::description::{Panel, Paper, RAYCASTER_MODES};

@@ -333,9 +333,10 @@ pub(crate) enum Panel {
     Balancing,
     /// Renderings of the data sets.
     Pictures,
-    /// The paper's recipe on the repository's frames, one change at a time; runs only if it is named.
+    /// The paper's recipe on the repository's frames, one change at a time; runs only if --only names it.
     Procedure,
-    /// The paper's recipe on a teacher's labels, by their number; runs only if it is named.
+    /// The paper's recipe on different numbers of frame times that a teacher predicted; runs only if --only
+    /// names it.
     Frames,
 }
 

@@ -36,7 +36,8 @@ pub(crate) struct Encoder {
 }
 
 impl Encoder {
-    /// The study's encoders of a data set or [`ALL`]: of every side and length, then the capacity sweep.
+    /// The study's encoders of a data set or [`ALL`]: one for each pair of input side and number of features,
+    /// then those of the capacity sweep.
     pub(crate) fn of_set(asked: &Encoders, set: &str) -> Vec<Self> {
         let one = |size: usize, features: usize, channels: &[usize]| Self {
             set: set.to_owned(),
@@ -177,7 +178,8 @@ fn train(
     }
     ensure!(
         status.success(),
-        "{} failed; name a Python with lab/volumenet/requirements.txt by --python",
+        "{} failed; use --python to name an interpreter that has the packages of \
+         lab/volumenet/requirements.txt",
         asked.script.display()
     );
     Ok(())

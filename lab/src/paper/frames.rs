@@ -104,7 +104,7 @@ fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
     Ok(all.chain(work.paper.encoders.shipped.iter().cloned()).collect())
 }
 
-/// The trained encoders, of one data set if it is given, without those of the capacity sweep.
+/// The trained encoders, except those of the capacity sweep. With `set`, only the encoders of this data set.
 pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>> {
     let mut out = Vec::new();
     let names = work.paper.data_sets.iter().map(|d| d.name.as_str()).chain([ALL]);

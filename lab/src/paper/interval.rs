@@ -74,9 +74,9 @@ pub(super) fn of_ratio(over: &ByVolume, under: &ByVolume) -> Option<(f64, f64)> 
     Some((percentile(&ratios, outside), percentile(&ratios, 1.0 - outside)))
 }
 
-/// An interval in brackets, as it is printed beside its ratio.
+/// An interval in brackets, as it is printed beside its ratio; for `None`, states that it is unknown.
 pub(super) fn in_brackets(interval: Option<(f64, f64)>) -> String {
-    interval.map_or_else(|| "(not kept)".into(), |(low, high)| format!("({low:.2}–{high:.2})"))
+    interval.map_or_else(|| "(interval unknown)".into(), |(low, high)| format!("({low:.2}–{high:.2})"))
 }
 
 /// Explanation of the brackets beside ratios.

@@ -1,5 +1,6 @@
-//! Training and evaluation of predictors on the frames of a data set and mode: the paper's network and ours
-//! with several seeds, the mean of 15 % of the frames, the low-resolution proxy.
+//! Training and evaluation of predictors on the frames of a data set and mode. The paper's network and this
+//! project's analytic model are trained with several seeds. The baselines are LVRP and the mean time of 15 %
+//! of the test frames.
 
 use super::Work;
 use super::description::RAYCASTER_MODES;
@@ -74,7 +75,8 @@ impl At<'_> {
         models.iter().map(|m| predict(m, &self.context, frames)).collect()
     }
 
-    /// Evaluates the baselines on some frames (the proxy is fitted to `training`) and returns a judge.
+    /// Evaluates the baselines on `frames`; the line of LVRP is fitted to `training`. Returns their errors as
+    /// a [`Judge`], to which [`At::add`] adds the errors of other predictors on the same frames.
     pub(super) fn judge<'f>(
         &self,
         split: &str,

@@ -95,7 +95,8 @@ fn reconstruct(work: &Work<'_>, place: &Place, encoder: &Encoder, name: &str) ->
     let output = command.output().with_context(|| format!("cannot start {}", work.python.display()))?;
     if !output.status.success() {
         bail!(
-            "{} failed: {}; name a Python with lab/volumenet/requirements.txt by --python",
+            "{} failed: {}; use --python to name an interpreter that has the packages of \
+             lab/volumenet/requirements.txt",
             script.display(),
             String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or_default()
         );

@@ -190,7 +190,8 @@ fn errors_by_data_set(
         let interval = ours.and_then(|o| interval::of_ratio(&o.by_volume, &network.by_volume));
         let ours_over = with_interval(ours.map(|o| o.rmse / network.rmse), interval);
         parts.push(format!(
-            "{}: {over_mean} of the mean, {over_lvrp} of LVRP, ours {ours_over} of the network",
+            "{}: RMSE network / mean of 15 % {over_mean}, network / LVRP {over_lvrp}, ours / network \
+             {ours_over}",
             title(paper, r)
         ));
         table.row(vec![

@@ -297,7 +297,7 @@ fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
     let what = "An arrow joins an encoder and a PredNet. RD, the relative deviation, is the RMSE divided by \
                 the smallest RMSE of the row, minus 1.";
     s.tables.push((table, what.into()));
-    s.summary = format!("{} over {} renderers and data sets", names.join(" beside "), shown.len());
+    s.summary = format!("{} on {} data sets and renderers", names.join(" and "), shown.len());
 }
 
 fn codes(of: &[&Results], s: &mut Section) {
@@ -406,7 +406,7 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
         let mut chart = Chart::new(
             title(paper, r),
             Axis::categories("nodes", NODES.iter().map(ToString::to_string).collect()),
-            Axis::linear("load of a node over GT's slowest"),
+            Axis::linear("load of a node / load of the slowest node under GT"),
         );
         let columns = methods.map(|m| format!(" | #{m}")).concat();
         let mut table = Table::headed(&format!("nodes{columns}"));
@@ -438,7 +438,11 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
                     measured times of its tasks. The table has the load of the slowest node, divided by the \
                     load of the slowest node under GT.";
         s.tables.push((table, what.into()));
-        s.summary = format!("{}: at most {:.1} % over GT", title(paper, r), 100.0 * (worst - 1.0));
+        s.summary = format!(
+            "{}: by the network's times, the slowest node takes at most {:.1} % longer than under GT",
+            title(paper, r),
+            100.0 * (worst - 1.0)
+        );
     }
 }
 
@@ -480,7 +484,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
             let (low, high) = r.over_constant_interval(row)?;
             Some((x(row)?, low, high))
         });
-        let (x, y) = (Axis::log("frames"), Axis::log("network over the mean of 15 %"));
+        let (x, y) = (Axis::log("frames"), Axis::log("RMSE: network / mean of 15 %"));
         let chart = Chart::new("Error by the number of frames learned from", x, y)
             .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
             .series(Series::new("mean over runs", Mark::Line(line)).color(0));

@@ -73,7 +73,7 @@ fn of_volume(work: &Work<'_>, place: &Place, job: &Job, low: bool, to: &std::pat
     let output = command.output().with_context(|| format!("cannot start {}", work.python.display()))?;
     ensure!(
         output.status.success(),
-        "{} failed on {}: {}; name a Python with yt by --python (pip install yt)",
+        "{} failed on {}: {}; use --python to name an interpreter that has yt (pip install yt)",
         yt.script.display(),
         job.name(),
         String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or_default()

@@ -8,7 +8,7 @@ use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_steer::control::HybridOptions;
 
-/// Promised share of sessions whose second frame takes at most the upper bound of its plan.
+/// Lower limit of the share of sessions whose second frame takes no longer than the upper bound of its plan.
 const PROMISED: f64 = 0.95;
 
 /// Controllers that use past frame times only.

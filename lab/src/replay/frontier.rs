@@ -71,8 +71,8 @@ pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option
     (frames > 0).then(|| {
         format!(
             "Quality law (step and image size) on {frames} pairs of a frame and a target, of volumes that \
-             the law was not fitted to: mean SSIM {:.4} if the law chooses, {:.4} by the step alone, {:.4} at \
-             best.",
+             the law was not fitted to: mean SSIM {:.4} if the law chooses both, {:.4} if only the step is \
+             coarsened, {:.4} for the best choice.",
             by_model / n,
             by_step / n,
             best / n

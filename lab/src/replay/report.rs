@@ -219,7 +219,7 @@ impl Results<'_> {
             &ResponseCurve::new(samples, response).chart(),
             "Algorithm 1 and OLP use this one curve for all scenes.",
         );
-        page.heading("Where this comes from");
+        page.heading("Where the numbers come from");
         page.paragraph(
             "Every frame of a path was drawn several times at nine ray steps. The time of a controller's \
              step is interpolated between these steps and multiplied by the noise of one rendering, the same \

@@ -1,10 +1,10 @@
 //! Search for better constants of the controller on recorded paths.
 //!
 //! The cost of a path is the sum of the controller's errors on it over every useful target, each divided by
-//! its promised limit: the mean distance from the target (8 %), the share of frames over 1.1 targets (3 %),
-//! the loss of quality (8 %), the share of frames that are coarser than full quality although full quality
-//! meets the target (8 %), and the share of calm frames at which the step jumps (8 %). All errors except the
-//! share of jumps are added once more for sessions without a model, over the frames after their first one.
+//! a limit: the mean of |time − target| / target (8 %), the share of frames over 1.1 targets (3 %), the loss
+//! of quality (8 %), the share of frames that are coarser than full quality although full quality meets the
+//! target (8 %), and the share of calm frames at which the step jumps (8 %). All errors except the share of
+//! jumps are added once more for sessions without a model, over the frames after their first one.
 //! Sessions without a model start anywhere on the path, as in a program that knows only its own frame times.
 //! The renderer of such a program is not the recorded one, so these sessions are played on three renderers:
 //! the recorded one, one whose time falls faster with the step, and one whose time falls more slowly
@@ -30,10 +30,10 @@ const SURE: f64 = 2.0;
 /// Factors on a constant that are tried.
 const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 
-/// Promised limit of every error except misses. The steering bars have the same limit for distance and loss
-/// of quality.
+/// Divisor of every error in the cost, except of the share of missed frames. The steering bars limit the mean
+/// of |time − target| / target and the loss of quality to the same value.
 const PROMISED: f64 = 0.08;
-/// Promised limit of the share of frames over 1.1 targets: that of the steering bars.
+/// Divisor, in the cost, of the share of frames over 1.1 targets: the limit of the steering bars.
 const PROMISED_MISSES: f64 = 0.03;
 
 /// Number of frames that each session without a model plays.
@@ -164,7 +164,7 @@ pub(crate) struct Cost {
 }
 
 impl Cost {
-    /// Returns the cost that the search lowers: the sum of the errors, each divided by its promised limit.
+    /// Returns the cost that the search lowers: the sum of the errors, each divided by its limit.
     pub(crate) fn value(&self) -> f64 {
         let wrong = |t: &Three| (t.deviation + 1.0 - t.quality) / PROMISED + t.missed / PROMISED_MISSES;
         let others = self.jumps + self.fitted_coarse + self.cold_coarse;
@@ -257,9 +257,9 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// The difference of two costs: its mean over the recorded paths and its standard error. Courses are the
-/// paths, then the same paths with each disturbance, which are not independent: a path's difference is the
-/// mean over its courses.
+/// The difference of two costs: its mean over the recorded paths and its standard error. The courses are the
+/// paths, followed by the same paths with each disturbance. Courses of one path are not independent, so a
+/// path's difference is the mean over its courses.
 fn difference(paths: usize, before: &[Cost], after: &[Cost]) -> (f64, f64) {
     let mut d = vec![0.0; paths];
     for (i, (b, a)) in before.iter().zip(after).enumerate() {

@@ -1,9 +1,9 @@
 //! Stress scenes in which methods of holding a frame time are known to fail: scripts with rules for passing.
 //!
-//! [`law`] has scenes whose frame times are a function of the step, which the script changes; [`world`] has
-//! scenes of real geometry, whose work is counted by the CPU version of the raycaster. Both run on a scripted
-//! clock, the same in every run. Some scenes of [`world`] can also be played on a real renderer with a real
-//! clock.
+//! In the scenes of [`law`], a formula gives the frame time as a function of the ray step, and a script
+//! changes the formula from frame to frame. The scenes of [`world`] have real geometry, and the CPU version
+//! of the raycaster counts their work. The clock of both is simulated, so that all runs give the same times.
+//! Some scenes of [`world`] can also be played on a real renderer with a real clock.
 
 pub(crate) mod law;
 pub(crate) mod world;
@@ -19,7 +19,7 @@ use serde::Serialize;
 /// only entire's controller must meet.
 const SCENES: [&str; 31] = [
     "abrupt transfer-function switches, then one in every frame",
-    "transfer-function drag, its map rebuilt in every frame",
+    "transfer function dragged: the distance map is rebuilt in every frame",
     "camera flies into the volume and through it",
     "extreme zoom: from one block filling the image to a few pixels",
     "fully transparent transfer function, on and off",

@@ -180,7 +180,7 @@ pub(super) fn noise_of(
 /// Number of frames to which predictors are calibrated.
 pub(crate) const CALIBRATION_FRAMES: usize = 100;
 
-pub(crate) const CONSTANT: &str = "constant (mean of 15 % probes)";
+pub(crate) const CONSTANT: &str = "constant (mean of 15 % of each volume's frames)";
 pub(crate) const PROXY: &str = "LVRP (64³ render, linear fit)";
 
 /// Measures the errors of predictions on a split; `None` if the split has no frames.

@@ -342,10 +342,11 @@ pub(crate) const STUDY_KEY: &str = "entire.study_key";
 /// Version of the fits: raised whenever the same recipe gives another model for the same frames.
 const MADE_AS: u32 = 2;
 
-/// Identity of a model: a hash of the program's version, the recipe, the bytes of the model files that it
-/// starts from, the frames of each part with their seconds (which depend on the clock) and the bytes of
-/// their tables and feature tables, and `residuals`, from which the upper bound follows (empty without a
-/// cross-validation). Paths of files are not part of the hash.
+/// Identity of a model: a hash of everything on which the model depends. The hash covers the program's
+/// version, [`MADE_AS`], the recipe, and the bytes of the model files that the recipe names. For each frame
+/// of `parts`, it covers the frame's number and seconds and the hashes of its timing table and feature table.
+/// It also covers `residuals`, from which the upper bound follows (empty without a cross-validation). It does
+/// not cover the paths of files.
 pub(super) fn identity(
     recipe: &Recipe,
     tables: &[Table],

@@ -74,8 +74,8 @@ impl Trace {
         let trace = Self::open_begun(path)?;
         ensure!(
             trace.is_complete(),
-            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same \
-             `entire-lab record` and --resume",
+            "{} holds {} frames, its path has {}: its recording was interrupted; to continue, repeat the \
+             same `entire-lab record` command with --resume",
             path.display(),
             trace.frames.len(),
             trace.path.frames

@@ -87,7 +87,7 @@ fn tune_says_what_recorded_paths_cost() {
     }
     for (traces, targets, why) in [
         (&both[..1], "45fps", "a standard error needs several paths"),
-        (&both[..], "3600s", "train-orbit has no target that an allowed step meets"),
+        (&both[..], "3600s", "train-orbit has no target that some allowed step meets"),
     ] {
         let output = tune(traces, targets, &["--rounds", "0"]);
         let said = printed(&output.stderr);

@@ -101,7 +101,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     let (output, text) = study(at, &["--ship", "models"]);
     assert_eq!(output.status.code(), Some(0), "{text}");
     let card = std::fs::read_to_string(at.join("models/small-selected.md")).unwrap();
-    let selected = text.lines().find_map(|l| l.strip_prefix("small: selected by the rule: ")).unwrap();
+    let selected = text.lines().find_map(|l| l.strip_prefix("small: the rule selects ")).unwrap();
     assert!(card.contains(&format!("The rule selects `{selected}`")), "{card}");
 
     // Stored features of a table that has changed since are refused.

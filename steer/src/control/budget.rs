@@ -117,8 +117,8 @@ impl FrameBudget {
             }
             (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
         }
-        // In the sum of seconds at full quality, each pass of this object counts as the object's newest mean.
-        // The next frame's shares are computed from the sum.
+        // The sum of seconds at full quality contains the object's newest mean once per pass. The shares of
+        // the next frame are computed from this sum.
         self.full[1] -= pass.passes as f32 * pass.mean;
         if full.is_finite() && full > 0.0 {
             pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST * (full - pass.mean) } else { full };
@@ -129,9 +129,9 @@ impl FrameBudget {
         self.drawn += seconds;
     }
 
-    /// Ends a frame that took `seconds` in all; `usual` is false if it included work that most frames do not
-    /// include. The time of an unusual frame counts only if the frame before was unusual, too. A frame
-    /// without passes and the first frame with passes never count.
+    /// Ends a frame that took `seconds` in all; `usual` is false if the frame included work that most frames
+    /// do not include. The time that an unusual frame spends outside of its passes counts only if the
+    /// previous frame was unusual, too. A frame without passes and the first frame with passes never count.
     pub fn end(&mut self, seconds: f32, usual: bool) {
         let rest = seconds - self.drawn;
         let counts = usual || self.unusual > 0;

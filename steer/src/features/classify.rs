@@ -317,8 +317,9 @@ mod tests {
         (0..words).map(|i| i.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5555_0f0f_3333_00ff).collect()
     }
 
-    /// Compares [`classify_blocks`] with a loop over single blocks. In some cases all cells have the same
-    /// number of blocks, with and without whole words per cell; in others, some cells have fewer blocks.
+    /// Compares [`classify_blocks`] with a loop over single blocks. In some cases, all cells have the same
+    /// number of blocks: a multiple of the 64 bits of a word, or less than 64. In other cases, some cells
+    /// have fewer blocks.
     #[test]
     fn shares_are_those_of_one_block_after_another() {
         let mut below = [0u16; TABLE_LEN + 1];

@@ -415,9 +415,10 @@ fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
     }
 }
 
-/// Returns the bricks from front to back. Along each axis, rays go away from the eye (parallel rays: from the
-/// side of the box where they enter). The bricks are therefore sorted by their distance in bricks from the
-/// brick at the eye (at that side), summed over the axes.
+/// Returns the bricks from front to back. With a perspective camera, the first brick is the one nearest to
+/// the eye. With parallel rays, it is the brick in the corner of the box that the rays reach first. Along
+/// each axis, no ray approaches the first brick. The bricks are therefore sorted by their distance from it,
+/// in bricks, summed over the axes.
 fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     let parallel = setup.origin_up != [0.0; 3];
     let inside = |brick: &Brick, a: usize| {

@@ -139,8 +139,8 @@ fn session_of(method: ControllerKind, model: AnalyticModel) -> Session {
 }
 
 /// Plays a scene of real geometry, or scene 28. On a real machine the limits are wider, since the noise is
-/// unpredictable: 5 % more of the frames may take longer than 1.1 times the target, and two more in a row;
-/// quality may be lower by 0.1; 80 % of first frames within their bound suffice.
+/// unpredictable. The share of frames over 1.1 times the target may be 5 percentage points higher, with two
+/// more in a row; quality may be 0.1 lower; 80 % of first frames within their bound suffice.
 pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     if number == 28 {
         return damaged(method, machine);

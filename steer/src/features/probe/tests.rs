@@ -273,9 +273,9 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
     }
 }
 
-/// Checks, by the definition, the number of samples for which the rays of a group of eight wait. Adjacent
-/// rays shade at the same time and do not wait. Rays far apart wait while any of them shades, unless all
-/// eight shade.
+/// Checks the number of shadow samples of eight rays that march in lockstep against a closed formula. A ray
+/// whose own sample is transparent waits while another of the eight shades. Adjacent rays shade at the same
+/// time and do not wait. Rays far apart have independent samples.
 #[test]
 fn rays_far_apart_wait_while_any_of_eight_shades() {
     let dims = [64, 64, 64];
