@@ -1,6 +1,6 @@
 //! Training and evaluation of predictors on the frames of a data set and mode. The paper's network and this
-//! project's analytic model are trained with several seeds. The baselines are LVRP and the mean time of 15 %
-//! of the test frames.
+//! project's predictor (an analytic model times a learned factor) are trained with several seeds. The
+//! baselines are LVRP and the mean time of 15 % of the test frames.
 
 use super::Work;
 use super::description::RAYCASTER_MODES;

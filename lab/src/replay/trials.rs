@@ -71,7 +71,7 @@ pub(crate) fn trials_of_all(traces: &[Replayable], targets: &[(f64, &str)]) -> (
     (out, unplayed)
 }
 
-/// A target of the trace: halfway, in ln(seconds), between its median times at finest and coarsest step.
+/// A target of the trace, seconds: the geometric mean of its median times at the finest and coarsest steps.
 fn own_target(trace: &Replayable) -> Option<f64> {
     let middle = |step: f32| {
         let mut seconds: Vec<f64> = trace.curves.iter().map(|c| c.seconds(f64::from(step))).collect();
