@@ -209,8 +209,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
 /// Prints the table and the bars, and writes the chart.
 fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
-    let mut table =
-        Table::headed("frames of | #frames | #median error, % | #largest | #RMSE/SD | #expected, %");
+    let mut table = Table::headed(
+        "table | #frames | #median error, % | #largest median error, % | #RMSE/SD | \
+         #expected median error, %",
+    );
     let mut chart = Chart::new(
         "Frames that a calibration needs, from models of other types of machine",
         Axis::log("frames"),

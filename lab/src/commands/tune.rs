@@ -171,8 +171,8 @@ fn set(constants: &mut Constants, given: &str) -> Result<()> {
 /// Returns a table with the costs of every path before and after the search.
 fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
     let mut table = Table::headed(
-        "path | #cost | #… after | #fitted: |t-T|/T | #> 1.1 T | #quality | #coarse | #jumps | \
-         #cold: |t-T|/T | #> 1.1 T | #quality | #coarse | #second in bound",
+        "path | #cost before | #cost after | #fitted: |t-T|/T | #> 1.1 T | #quality | #too coarse | #jumps | \
+         #cold: |t-T|/T | #> 1.1 T | #quality | #too coarse | #second frame in bound",
     );
     for (i, (recorded, _)) in played.iter().enumerate() {
         let mut row = vec![

@@ -57,7 +57,7 @@ impl Found {
     /// Returns a table of the errors of the machine's models on held-out volumes.
     pub(crate) fn errors(&self) -> Table {
         let mut table = Table::headed(
-            "shading | frames | #n | #median error / % | #RMSE/SD | #noise floor / % | \
+            "shading | table | #frames | #median error / % | #RMSE/SD | #noise floor / % | \
              #in a session, median error / %",
         );
         for (kind, mode, found) in &self.evaluations {
@@ -80,7 +80,7 @@ impl Found {
     pub(crate) fn times(&self) -> Table {
         const EDGES: [u64; 4] = [0, 128 * 128, 512 * 512, u64::MAX];
         let mut table = Table::headed(
-            "shading | frames | #voxels of the largest volume | #below 128² pixels / ms | #128² to 512² | \
+            "shading | table | #voxels of the largest volume | #below 128² pixels / ms | #128² to 512² | \
              #512² and more",
         );
         for (kind, mode, frames) in &self.tables {

@@ -85,14 +85,14 @@ pub(crate) struct Removed {
     pub(crate) value: f64,
     /// The constant's value in [`WITHOUT`].
     pub(crate) without: f64,
-    /// Increase of the paths' mean cost when the constant has the value `without`.
+    /// Increase of the paths' mean cost if the constant has the value `without`.
     pub(crate) more: f64,
     /// Standard error of the increase, among paths.
     pub(crate) standard_error: f64,
 }
 
-/// Effect of each constant of [`WITHOUT`]: the paths' cost without its effect, compared with the costs `now`.
-/// The other constants stay unchanged.
+/// Effect of each constant of [`WITHOUT`]: the increase of the paths' mean cost over that of `now` if this
+/// constant alone has its value in [`WITHOUT`].
 pub(crate) fn removed(
     courses: &[Course<'_>],
     paths: usize,

@@ -360,7 +360,7 @@ fn resonance(method: ControllerKind) -> Verdict {
         let got = spread(seen[60..].iter().map(|s| (s.seconds / s.target).ln()).collect());
         let open = spread((60..300).map(|i| factor(i).ln()).collect());
         if got > 1.35 * open {
-            broken.push(format!("period {period}: the spread is {:.2} times that at a fixed step", got / open));
+            broken.push(format!("period {period}: {:.2} times the spread at a fixed step", got / open));
         }
         all.extend(seen);
     }

@@ -19,8 +19,8 @@ pub(super) const INTERVALS: &str = "Each interval holds the errors of 90 % of 20
 pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
     let mut table = Table::headed(
         "predictor | #RMSE, ms | #RMSE/SD | #90 % interval | #median error, % | #90 % interval | #p95, % | \
-         #p99, % | #R² in log | #below the upper bound, % | #slowest tenth | #pinball | #cold µs | \
-         #per transfer function",
+         #p99, % | #R² in log | #below the upper bound, % | #… in the slowest tenth, % | #pinball loss | \
+         #cold latency, µs | #work per transfer function, µs",
     );
     let rows: Vec<&SplitResult> = found
         .results
@@ -66,7 +66,8 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
     let mut table = Table::headed(
         "predictor | #RMSE/SD (90 %), training frames | #… cross-validated | #… test | \
          #median error % (90 %), training frames | #… cross-validated | #… test | \
-         #geometric mean of both, cross-validated, without noise | #fitted parameters | #cold µs | rule",
+         #geometric mean of both, cross-validated, without noise | #fitted parameters | \
+         #cold latency, µs | rule",
     );
     let rule = by_rule(study, found, set).map(|p| p.name.as_str());
     for f in found.fits.iter().filter(|f| f.set == set) {

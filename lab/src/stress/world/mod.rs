@@ -188,7 +188,7 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
             // Uploads and the first use of a volume or transfer function are not part of frame times.
             truth(machine, &shot, &frame, FINEST)?;
         }
-        // Times at a grid of steps, which the oracle knows.
+        // The oracle knows these times at a grid of steps.
         let grid: Vec<(f64, f64)> = [1.0f32, 1.5, 2.2, 3.3, 5.0, 7.7, 12.0]
             .into_iter()
             .map(|s| Ok((f64::from(s), truth(machine, &shot, &frame, s)?)))
@@ -335,11 +335,11 @@ fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict>
     let before = session.plan(&frame, 0.01)?.step;
     for cut in 0..state.len() {
         if session.load_state(&state[..cut]).is_ok() {
-            broken.push(format!("a state cut to {cut} bytes was taken"));
+            broken.push(format!("a state cut to {cut} bytes was accepted"));
         }
     }
     if session.load_state(b"ENS1not a state").is_ok() {
-        broken.push("a foreign state was taken".into());
+        broken.push("a foreign state was accepted".into());
     }
     session.load_state(&state)?;
     let after = session.plan(&frame, 0.01)?.step;
