@@ -390,10 +390,13 @@ fn paging(method: ControllerKind) -> Verdict {
     if method == ControllerKind::Hybrid {
         let wide = share(1, 200, &|s| s.upper > 2.0 * s.predicted);
         if wide < 0.5 {
-            broken.push(format!("the bound is wide in only {:.0} % of a burst's frames", 100.0 * wide));
+            broken.push(format!(
+                "the bound is over twice the expected time in only {:.0} % of a burst's later frames",
+                100.0 * wide
+            ));
         }
         let narrow = seen[100..150].iter().filter(|s| s.upper < 1.6 * s.predicted).count();
-        broken.extend((narrow < 45).then(|| "the bound is wide where times are steady".to_owned()));
+        broken.extend((narrow < 45).then(|| "the bound is too wide before the burst".to_owned()));
     }
     judge(26, method, &seen, Limits::missed(1.0), broken)
 }
@@ -447,7 +450,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     c.save(&mut state);
     broken.extend((state.len() > 4096).then(|| format!("the state has {} bytes", state.len())));
     if method == ControllerKind::Hybrid && new(method).load(&state).is_err() {
-        broken.push("the state is out of bounds".into());
+        broken.push("the saved state cannot be loaded".into());
     }
     judge(27, method, &seen, Limits { missed: 0.05, run: 3, quality: 0.8, inside: 0.0 }, broken)
 }
