@@ -951,9 +951,9 @@ entire_result entire_budget_drew(struct entire_budget *budget,
                                  float full_seconds);
 
 /**
- * Ends a frame of the window that took `seconds` in all. Pass 0 for `usual` if the frame included unusual
- * work, such as reading a volume or compiling a shader. The time of such a frame outside of its passes is
- * used only if the previous frame was unusual, too.
+ * Ends the window's frame, which took `seconds` in all. Pass 0 for `usual` if the frame included unusual
+ * work, such as reading a volume or compiling a shader. The time that an unusual frame spends outside of its
+ * passes counts only if the previous frame was unusual, too.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a time that is not finite, or negative), ENTIRE_NULL_ARGUMENT.
  */
