@@ -6,6 +6,8 @@ use anyhow::Result;
 const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the makespan.
 const LEAST_GAIN: f64 = 1.0e-6;
+/// More than the rounding errors of two nodes' ends, as a share of the makespan.
+const ROUNDING: f64 = 1.0e-12;
 
 /// A round's change: the node that ends last gives the task `give` to the node `to` and takes `take`, if any.
 struct Change {
@@ -77,6 +79,12 @@ fn best_change(
             // Seconds of an ideal task to take: if `last` took this task in exchange for `give`, both nodes
             // would end at the same time.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
+            // The time at which both nodes would end if tasks could be divided: no change of these two nodes ends
+            // earlier.
+            let ideal = loads[to] + (loads[last] - loads[to]) * (other / (own + other));
+            if best.as_ref().is_some_and(|b| ideal - ROUNDING * loads[last] >= b.longest) {
+                continue;
+            }
             let even = times[give] - (loads[last] - loads[to]) / (own + other);
             let above = held[to].partition_point(|&t| times[t] < even);
             let around = [above.checked_sub(1), Some(above)];

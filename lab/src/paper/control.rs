@@ -355,8 +355,7 @@ pub(super) fn response_section(of: &[&Results], s: &mut Section) {
     for r in of {
         let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == "G").collect();
         let x = shown.first().map_or(String::new(), |c| c.x.clone());
-        let mut drawn =
-            Chart::new("G", Axis::linear(x), Axis::linear("time / time at the reference step"));
+        let mut drawn = Chart::new("G", Axis::linear(x), Axis::linear("time / time at the reference step"));
         for c in &shown {
             let own = c.name == "G";
             let name = if own { c.name.as_str() } else { "" };
