@@ -12,7 +12,7 @@ use entire_io::dataset::{
 };
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
-use entire_io::metrics::{Metrics, bootstrap_by_group};
+use entire_io::metrics::{Metrics, intervals_by_group};
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::predict::UpperBound;
@@ -278,9 +278,10 @@ fn assess(
         pairs.into_iter().filter_map(|(g, (p, t))| Some((g.to_owned(), Metrics::new(&p, &t)?))).collect();
     let bound = upper.and_then(|u| bound::judge(&u, &predicted, measured));
     let bound_coverage = bound.as_ref().map(|b| b.coverage);
-    let interval =
-        |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, groups, BOOTSTRAP_ROUNDS, f);
-    let (rmse_over_sd_interval, mdape_interval) = (interval(|m| m.rmse_over_sd), interval(|m| m.mdape));
+    // Both intervals are of the same draws.
+    let both = |m: &Metrics| [m.rmse_over_sd, m.mdape];
+    let intervals = intervals_by_group(&predicted, measured, groups, (BOOTSTRAP_ROUNDS, 0.95), both);
+    let [rmse_over_sd_interval, mdape_interval] = intervals.map_or([None; 2], |both| both.map(Some));
     let by_kind = by_kind(frames, &predicted, measured);
     Ok(Predictor {
         name,
