@@ -2,7 +2,7 @@
 //! error.
 
 use crate::quiet::is_quiet;
-use crate::volume::{Reading, Stream, Volume, numbers_in, without_mark};
+use crate::volume::{Reading, Stream, Volume, Watcher, numbers_in, without_mark};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Component, Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Maximum size of a model file, in bytes.
 const MAX_MODEL_BYTES: u64 = 4 << 30;
@@ -338,7 +338,19 @@ pub fn fnv1a_text(bytes: &[u8]) -> String {
 /// # Errors
 /// Those of [`Volume::open_as`].
 pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
-    let volume = Volume::open_as(path, reading, None)?;
+    open_watched_volume(path, reading, None)
+}
+
+/// Reads a volume file as [`open_volume`] does; the watcher may observe the progress and stop the reading.
+///
+/// # Errors
+/// Those of [`Volume::open_as`].
+pub fn open_watched_volume(
+    path: &Path,
+    reading: &Reading,
+    watcher: Option<Arc<dyn Watcher>>,
+) -> Result<Volume> {
+    let volume = Volume::open_as(path, reading, watcher)?;
     say_notes(&volume);
     Ok(volume)
 }

@@ -1,6 +1,8 @@
 //! Ctrl-C and similar signals: they raise a flag, so that a command can finish its current piece of work.
 
+use crate::volume::Watcher;
 use anyhow::{Context, Result};
+use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
@@ -40,6 +42,15 @@ pub fn flag() -> Result<Arc<AtomicBool>> {
             .context("cannot watch for Ctrl-C")?;
     }
     Ok(REQUESTED.get_or_init(|| flag).clone())
+}
+
+/// A raised flag stops the reading of a volume.
+impl Watcher for AtomicBool {
+    fn expect(&self, _bytes: u64) {}
+
+    fn advance(&self, _bytes: u64) -> io::Result<()> {
+        if requested(self) { Err(io::Error::other("interrupted")) } else { Ok(()) }
+    }
 }
 
 /// True if the flag was raised.

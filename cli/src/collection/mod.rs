@@ -89,8 +89,8 @@ pub(crate) fn timed_repeats(
 }
 
 /// Collects the frames of each job in turn, except those that are in the table already. Frame `i` of job `j`
-/// has number `j · frames + i`. `stop` is called before every rendering; when it returns true, the unfinished
-/// frame is dropped.
+/// has number `j · frames + i`. `stop` is called after a volume is read and before every rendering; when it
+/// returns true, the unfinished frame is dropped.
 ///
 /// # Errors
 /// A volume that cannot be read, a renderer that fails, a table that cannot be written; the error names the
@@ -119,7 +119,13 @@ pub(crate) fn collect(
         }
         let shown = job.path.display();
         progress.set_message(format!("{shown}"));
-        let volume = protocol.sized(open(&job.path).with_context(|| format!("{shown}"))?);
+        let opened = open(&job.path);
+        // The reading fails if it was stopped.
+        if stop() {
+            outcome.interrupted = true;
+            return Ok(outcome);
+        }
+        let volume = protocol.sized(opened.with_context(|| format!("{shown}"))?);
         let volume = volume.with_context(|| format!("{shown}"))?;
         renderer.set_volume(&volume.view()).with_context(|| format!("{shown}"))?;
         let mut warm_up = protocol.warm_up;

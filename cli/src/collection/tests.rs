@@ -76,7 +76,7 @@ fn stopping_anywhere_and_resuming_gives_the_same_table() {
     assert_eq!(outcome, Outcome { done: 8, total: 8, discarded: 4, interrupted: false });
     let expected = without_times(&whole);
     assert_eq!(expected.len(), 1 + 8 * 3);
-    for stop_after in 0..28 {
+    for stop_after in 0..30 {
         let path = dir.path().join(format!("{stop_after}.csv"));
         let first = run_until(&path, Some(stop_after), &some_jobs());
         assert!(first.interrupted, "{stop_after}");
@@ -127,7 +127,7 @@ fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere
     }
     std::fs::remove_file(single).unwrap();
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "pass files are left");
-    for stop_after in [0, 3, 19, 20, 21, 39] {
+    for stop_after in [0, 3, 21, 22, 23, 43] {
         let out = dir.path().join(format!("{stop_after}.csv"));
         let stopped = run(&out, stop_after);
         assert!(stopped.interrupted && stopped.total == 16, "{stop_after}");
@@ -135,6 +135,20 @@ fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere
         assert!(!run(&out, 1000).interrupted);
         assert_eq!(without_times(&out), expected, "{stop_after}");
     }
+}
+
+#[test]
+fn a_volume_whose_reading_is_stopped_interrupts_the_collection() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut table = Writer::create(&dir.path().join("t.csv")).unwrap();
+    let stopped = Cell::new(false);
+    let mut open = |_: &Path| -> Result<Volume> {
+        stopped.set(true);
+        bail!("the voxels cannot be read: interrupted")
+    };
+    let (mut renderer, stop, bar) = (ScriptedRenderer::default(), || stopped.get(), ProgressBar::hidden());
+    let outcome = collect(&some_jobs(), &protocol(), &mut renderer, &mut open, &mut table, &stop, &bar);
+    assert_eq!(outcome.unwrap(), Outcome { done: 0, total: 8, discarded: 0, interrupted: true });
 }
 
 #[test]

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
 use entire_io::files::{
-    ensure_distinct, fnv1a_text, make_folder_of, note, open_volume, parse_model, read_model_bytes,
+    ensure_distinct, fnv1a_text, make_folder_of, note, open_watched_volume, parse_model, read_model_bytes,
 };
 use entire_io::identity::{self, Identity};
 use entire_io::options::{RenderArgs, check_termination};
@@ -265,7 +265,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let files: HashMap<PathBuf, Vec<Identity>> =
         jobs.iter().filter_map(|j| Some((j.path.clone(), manifest.files.get(&j.name())?.clone()))).collect();
     let mut open = |path: &Path| {
-        let volume = open_volume(path, &protocol.reading)?;
+        let volume = open_watched_volume(path, &protocol.reading, Some(stop.clone()))?;
         if let Some(then) = files.get(path)
             && let Some(what) = identity::difference(then, &identity::of_volume(path)?)
         {

@@ -202,7 +202,7 @@ const IO: &Rooms = &[
     ("files", &["quiet", "volume"]),
     ("device", &["files"]),
     ("identity", &["files", "volume"]),
-    ("interrupt", &[]),
+    ("interrupt", &["volume"]),
     ("machine", &[]),
     ("metrics", &[]),
     ("path", &["files"]),
