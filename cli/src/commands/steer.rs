@@ -175,6 +175,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(text) = entire_io::clock::unstated(clock, given) {
         note(&text);
     }
+    // The path is checked before the volumes are read, which may take minutes.
+    let stored =
+        options.path.as_deref().map(|file| anyhow::Ok((FlightPath::open(file)?, file))).transpose()?;
+    let frames = stored.as_ref().map_or(options.frames as usize, |(path, _)| path.frames.len());
+    let named_frames = options.scales.iter().map(|s| ("--scales", s.0 as usize));
+    for (option, frame) in named_frames.chain(options.pictures.iter().map(|&frame| ("--pictures", frame))) {
+        ensure!(frame < frames, "{option} names frame {frame}; the path has {frames} frames, from 0");
+    }
     let volumes = options
         .volumes
         .iter()
@@ -187,9 +195,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let shown = options.volumes[0].display().to_string();
     let view = volume.view();
     let series: Vec<VolumeView<'_>> = volumes[1..].iter().map(Volume::view).collect();
-    let (path, path_name) = match (&options.path, options.generate) {
-        (Some(file), _) => {
-            let path = FlightPath::open(file)?;
+    let (path, path_name) = match (stored, options.generate) {
+        (Some((path, file)), _) => {
             let name = format!("{} ({})", path.name, file.display());
             (path, name)
         }
@@ -232,11 +239,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         model: &steers,
         prior,
     };
-    let frames = path.frames.len();
-    let named = options.scales.iter().map(|s| ("--scales", s.0 as usize));
-    for (option, frame) in named.chain(options.pictures.iter().map(|&frame| ("--pictures", frame))) {
-        ensure!(frame < frames, "{option} names frame {frame}; the path has frames 0 to {}", frames - 1);
-    }
     let mut timings =
         options.table.as_ref().map(|file| begin_table(file, &options.out, &path)).transpose()?;
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;

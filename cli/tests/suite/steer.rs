@@ -192,6 +192,15 @@ fn bad_input_is_one_line_and_status_1() {
     }
     std::fs::remove_file(&table).unwrap();
     told("--target 9ms --path bad.json", &["bad.json is no path: there is no keyframe"]);
+    // The path is checked before the volumes are read.
+    for (more, expected) in [
+        ("--path bad.json", "bad.json is no path: there is no keyframe"),
+        ("--generate orbit --pictures 3,120", "--pictures names frame 120; the path has 120 frames, from 0"),
+        ("--generate orbit --frames 8 --scales 8:0.5", "--scales names frame 8; the path has 8 frames"),
+    ] {
+        let line = format!("steer none.nrrd --target 9ms --out out {more}");
+        fails(dir.path(), &line, 1, &[expected]);
+    }
     for usage in [
         "--target 9ms",
         "--target 9ms --size 9 --generate orbit",
