@@ -128,13 +128,16 @@ pub(crate) struct Options {
     /// Seed of the random scenes.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
-    /// Frames whose pictures are added to the report, besides the frames of switches.
+    /// Frames whose pictures are added to the report, besides the frames of the first 20 switches.
     #[arg(long, value_delimiter = ',', value_name = "FRAME,…")]
     pub(crate) pictures: Vec<usize>,
 }
 
 /// Default of `--max-image-sample-distance`, in pixels between rays.
 const MAX_IMAGE_SAMPLE_DISTANCE: f32 = 4.0;
+
+/// Number of switches whose pictures are kept for the report.
+const PICTURED_SWITCHES: usize = 20;
 
 pub(super) const INTERRUPTED: &str = "interrupted; no report was written";
 
@@ -243,6 +246,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         options.table.as_ref().map(|file| begin_table(file, &options.out, &path)).transpose()?;
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let mut keep = path.switches();
+    keep.truncate(PICTURED_SWITCHES);
     keep.extend(&options.pictures);
     let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let story = Story {
