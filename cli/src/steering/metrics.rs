@@ -77,7 +77,10 @@ impl Metrics {
         let n = frames.len() as f64;
         let share = |limit: f64| frames.iter().filter(|f| f.seconds > limit * f.target).count() as f64 / n;
         let switches: Vec<usize> = (0..frames.len()).filter(|i| frames[*i].switched).collect();
-        let near = |i: usize| switches.iter().any(|s| (*s..s + SWITCH_FRAMES).contains(&i));
+        let near = |i: usize| {
+            let before = switches.partition_point(|s| *s <= i);
+            before > 0 && i - switches[before - 1] < SWITCH_FRAMES
+        };
         let mean_error = |take: &dyn Fn(usize) -> bool| {
             let taken: Vec<f64> =
                 (0..frames.len()).filter(|i| take(*i)).map(|i| frames[i].error().abs()).collect();
@@ -95,8 +98,9 @@ impl Metrics {
             mean_error_in_calm: mean_error(&|i| i >= SWITCH_FRAMES && !near(i)),
             recovery_frames: switches
                 .iter()
-                .map(|&s| {
-                    let end = switches.iter().copied().find(|t| *t > s).unwrap_or(frames.len());
+                .enumerate()
+                .map(|(k, &s)| {
+                    let end = switches.get(k + 1).copied().unwrap_or(frames.len());
                     let settled = |i: usize| {
                         frames[i].on_target()
                             && frames.get(i + 1).filter(|_| i + 1 < end).is_some_and(Played::on_target)

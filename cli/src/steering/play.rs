@@ -105,7 +105,7 @@ pub(crate) struct Playback {
     pub(crate) acts_on: Vec<ActsOn>,
     pub(crate) records: Vec<Vec<Record>>,
     pub(crate) references: Vec<Reference>,
-    /// Frames at which the path switches abruptly, or the volume or the image size changes.
+    /// Frames at which the path switches abruptly, or the volume or the image size changes, ascending.
     pub(crate) switches: Vec<usize>,
     /// Target, seconds.
     pub(crate) target: f64,
@@ -137,7 +137,7 @@ impl Playback {
                 finest: if enlarged(r) { 0.0 } else { f64::from(limits.finest) },
                 coarsest: f64::from(limits.coarsest),
                 psnr: r.psnr,
-                switched: self.switches.contains(&i),
+                switched: self.switches.binary_search(&i).is_ok(),
             })
             .collect()
     }

@@ -154,7 +154,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
             out.write_record([
                 frame.to_string(),
                 name.clone(),
-                u8::from(playback.switches.contains(&frame)).to_string(),
+                u8::from(playback.switches.binary_search(&frame).is_ok()).to_string(),
                 playback.target.to_string(),
                 known(f64::from(r.predicted)),
                 known(f64::from(r.upper)),
@@ -334,9 +334,9 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     }
     for (frame, reference) in playback.references.iter().enumerate() {
         let Some(image) = &reference.image else { continue };
-        let what = match playback.switches.iter().position(|s| *s == frame) {
-            Some(i) => format!("Frame {frame}, the first after switch {}:", i + 1),
-            None => format!("Frame {frame} of {frames}:"),
+        let what = match playback.switches.binary_search(&frame) {
+            Ok(i) => format!("Frame {frame}, the first after switch {}:", i + 1),
+            Err(_) => format!("Frame {frame} of {frames}:"),
         };
         page.paragraph(&what);
         let mut pictures =
