@@ -16,7 +16,6 @@
 #include <array>
 #include <chrono>
 #include <cmath>
-#include <cstring>
 
 namespace
 {
@@ -581,7 +580,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
   {
     owner->NumberOfSteeredFrames++;
   }
-  else if (owner->Reason && !std::strcmp(owner->Reason, "fallback"))
+  else if (this->FellBack)
   {
     owner->NumberOfFallbackFrames++;
   }
@@ -609,6 +608,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Plan()
   this->Restore();
   this->Planned = {};
   const std::string failure = this->Prepare();
+  this->FellBack = !failure.empty();
   if (!this->Alive)
   {
     return;

@@ -285,6 +285,8 @@ public:
     bool Ready = false;
     bool Drawing = false;
     bool Steered = false;
+    // True if the frame could not be predicted.
+    bool FellBack = false;
     double StartTime = 0;
     // State of this mapper in the window's frame budget, and the mapper's estimated time at full quality divided by its
     // time at the planned settings.

@@ -347,6 +347,41 @@ void ReadsRefusedVoxelsOnce(Kind kind)
   CHECK(steered == asked());
 }
 
+// Each drawing of a mapper that cannot be steered counts, also if other mappers of the frame are steered after it.
+void CountsEachMapper(Kind kind)
+{
+  Scene scene(kind);
+  const auto refused = Image(8);
+  vtkNew<vtkDoubleArray> large;
+  large->DeepCopy(refused->GetPointData()->GetScalars());
+  // Infinite in single precision.
+  large->SetValue(0, 1e39);
+  refused->GetPointData()->SetScalars(large);
+  vtkNew<vtkMultiBlockDataSet> blocks;
+  blocks->SetBlock(0, refused);
+  blocks->SetBlock(1, scene.Data);
+  auto* const mapper = vtkMultiBlockVolumeMapper::SafeDownCast(scene.Mapper);
+  CHECK(mapper);
+  mapper->SetInputDataObject(blocks);
+  mapper->SetRequestedRenderMode(vtkSmartVolumeMapper::RayCastRenderMode);
+  vtkNew<vtkEntireSteering> steering;
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  steering->AddObserver(vtkCommand::WarningEvent, warnings);
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  scene.Draw(2);
+  for (const double azimuth : { 30.0, 210.0 })
+  {
+    // The mapper draws its blocks from back to front.
+    scene.Pose(azimuth);
+    const vtkIdType steered = steering->GetNumberOfSteeredFrames(), other = steering->GetNumberOfFallbackFrames();
+    scene.Draw(2);
+    CHECK(steering->GetNumberOfSteeredFrames() == steered + 2);
+    CHECK(steering->GetNumberOfFallbackFrames() == other + 2);
+  }
+}
+
 // A file that is not a model is read once, until Reset() or a change of its name.
 void ReadsRefusedModelsOnce(Kind kind)
 {
@@ -485,6 +520,7 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "LeavesPathsAlone", LeavesPathsAlone },
   { "KnowsItsPictures", KnowsItsPictures },
   { "ReadsRefusedVoxelsOnce", ReadsRefusedVoxelsOnce },
+  { "CountsEachMapper", CountsEachMapper },
   { "ReadsRefusedModelsOnce", ReadsRefusedModelsOnce },
   { "SaysItsClocks", SaysItsClocks },
   { "LeavesCoarsenedFramesAlone", LeavesCoarsenedFramesAlone },
