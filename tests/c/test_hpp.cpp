@@ -130,7 +130,7 @@ int main(int argc, char **argv) {
         CHECK(session.observe(one.id, 0.001f * float(2 + i)));
     }
     CHECK(session.recorded_count().value() == 20);
-    auto made = session.calibrate();
+    const auto made = session.calibrate();
     CHECK(made && made.value().report.frames == 20 && session.set_model(made.value().fitted));
     CHECK(made.value().fitted.save("/no/such/folder/m.safetensors").code() == ENTIRE_IO);
     CHECK(session.record(made.value().fitted, 8));
