@@ -41,6 +41,7 @@ int main(void) {
     desc.voxels = voxels;
     desc.voxel_count = sizeof voxels;
     desc.dims[0] = desc.dims[1] = desc.dims[2] = N;
+    desc.range[0] = 128, desc.range[1] = 255; /* that of the transfer function; by default 0 to 255 for U8 voxels */
     entire_volume *volume = NULL;
     check(entire_volume_new(&desc, &volume));
 

@@ -822,11 +822,12 @@ void entire_volume_free(struct entire_volume *volume);
 /**
  * Makes a transfer function of opacity and color nodes as in VTK and ParaView. Its values equal those of
  * vtkPiecewiseFunction and vtkColorTransferFunction (RGB) within 1e-6. `low` and `high` are the scalar
- * values that map to 0 and 1: pass the volume's range. Nodes must be in ascending order of position; two
- * nodes at the same position make a step. Without opacity nodes everything is transparent; without color
- * nodes the built-in ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond
- * them, which is VTK's default; if it is 0, everything beyond them is transparent and black. The unit
- * distance is one reference step until entire_transfer_function_set_unit_distance changes it.
+ * values that map to 0 and 1: pass the volume's range, that of entire_volume_desc, or, if that was NaN, of
+ * entire_volume_describe (advanced.h). Nodes must be in ascending order of position; two nodes at the same
+ * position make a step. Without opacity nodes everything is transparent; without color nodes the built-in
+ * ramp is used. If `clamping` is not 0, the values of the outermost nodes continue beyond them, which is
+ * VTK's default; if it is 0, everything beyond them is transparent and black. The unit distance is one
+ * reference step until entire_transfer_function_set_unit_distance changes it.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names), ENTIRE_SIZE_MISMATCH
  * (over ENTIRE_MAX_TRANSFER_POINTS opacity or color nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
