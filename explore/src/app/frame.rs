@@ -250,7 +250,7 @@ impl App {
         let frame = self.full_frame(size)?;
         let (Some(scene), Some(pictures)) = (&mut self.scene, &mut self.pictures) else { return Ok(None) };
         let state = &mut self.state;
-        if self.number.is_multiple_of(FULL_EVERY) || changed.abrupt() {
+        if self.number.is_multiple_of(FULL_EVERY) || changed.abrupt() || changed.settings {
             state.steer.predict_full(&frame)?;
         }
         let before = begin.elapsed().as_secs_f64();

@@ -23,11 +23,10 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
     let title = steer.controllers[steer.controller].1;
     if let Some(last) = history.back() {
         ui.horizontal(|ui| {
-            let full = match steer.full {
-                Some((seconds, _)) => {
-                    format!("At full quality this frame would take {:.0} ms.", seconds * 1e3)
-                }
-                None => String::new(),
+            let full = if last.full.is_finite() {
+                format!("At full quality this frame would take {:.0} ms.", last.full * 1e3)
+            } else {
+                String::new()
             };
             let text = format!("{} {full}", words(last, title));
             ui.add(egui::Label::new(egui::RichText::new(&text).small()).truncate()).on_hover_text(&text);

@@ -52,9 +52,15 @@ fn steering(ui: &mut Ui, state: &mut State) {
         ui.label("px between rays");
     });
     if let Some((seconds, upper)) = steer.full {
-        let bound =
-            if upper.is_finite() { format!(", upper bound {:.0} ms", upper * 1e3) } else { String::new() };
-        ui.label(format!("full quality: {:.0} ms expected{bound}", seconds * 1e3));
+        // Before the first measured times, the bound may be hundreds of times the expected time.
+        let bound = if upper > 10.0 * seconds {
+            ", no useful upper bound yet".to_owned()
+        } else if upper.is_finite() {
+            format!(", upper bound {:.0} ms", upper * 1e3)
+        } else {
+            String::new()
+        };
+        ui.label(format!("ray casting at full quality: {:.0} ms expected{bound}", seconds * 1e3));
     }
     ui.weak(&state.predictor);
     ui.horizontal(|ui| {
