@@ -32,6 +32,8 @@ pub(crate) struct FrameRecord {
     pub(crate) cast: f64,
     /// Processor time of the thread that lays out and records the interface.
     pub(crate) interface: f64,
+    /// Time of all work other than ray casting, as expected when the frame was planned.
+    pub(crate) other: f64,
     pub(crate) target: f64,
     /// Predicted time of ray casting and all other work; NaN without a prediction.
     pub(crate) predicted: f64,
@@ -265,12 +267,19 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         format!("step {:.2} and a ray for every pixel", record.step)
     };
     let expected = match (record.predicted.is_nan(), record.upper.is_nan()) {
-        (true, _) => "without a prediction".to_owned(),
+        (true, _) => "No prediction".to_owned(),
         (false, true) => format!("{} expected", ms(record.predicted)),
         (false, false) => format!("{} expected, upper bound {}", ms(record.predicted), ms(record.upper)),
     };
     let target = ms(record.target);
+    // `Steer::plan` gives ray casting at least this share of the target.
+    let squeezed = record.target - record.other < LEAST_SHARE * record.target;
     let why = match record.reason {
+        Reason::Fits | Reason::Damped | Reason::Held | Reason::FinestAllowed if squeezed => format!(
+            "ray casting was planned for {:.0} % of {target}, because the frame's other work takes {}",
+            LEAST_SHARE * 1e2,
+            ms(record.other)
+        ),
         Reason::Fits => format!("a setting that is expected to fit {target}"),
         Reason::Damped => {
             format!("gradually approaches the step that fits {target}, because nothing changed abruptly")
@@ -346,6 +355,7 @@ mod tests {
         seconds: 0.03,
         cast: 0.02,
         interface: 0.001,
+        other: 0.005,
         target: 0.03,
         predicted: 0.028,
         upper: 0.031,
@@ -416,5 +426,8 @@ mod tests {
         assert!(other.plan.seconds != learned.plan.seconds);
         let text = words(&RECORD, "hybrid");
         assert!(text.contains("1.5 × 1.5 pixels") && text.contains("upper bound 31.0 ms"), "{text}");
+        assert!(text.contains("expected to fit 30.0 ms"), "{text}");
+        let text = words(&FrameRecord { other: 0.04, predicted: 0.045, ..RECORD }, "hybrid");
+        assert!(text.contains("15 % of 30.0 ms, because the frame's other work takes 40.0 ms"), "{text}");
     }
 }

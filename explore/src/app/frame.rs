@@ -283,6 +283,7 @@ impl App {
             seconds,
             cast,
             interface,
+            other: planned.other,
             target: steer.target,
             predicted: f64::from(planned.plan.seconds) + planned.other,
             upper: f64::from(planned.plan.upper) + planned.other,
