@@ -137,7 +137,10 @@ fn handles(state: &State, axes: Axes) -> Vec<(Handle, Pos2)> {
             .iter()
             .enumerate()
             .flat_map(|(i, l)| {
-                let side = l.center + l.width.sqrt();
+                // To the right of the center, or to its left where the right side is beyond the curve's end.
+                let half = l.width.sqrt();
+                let side =
+                    if l.center + half <= 1.001 { l.center + half } else { (l.center - half).max(0.0) };
                 [
                     (Handle::Lobe(i), axes.place(l.center, l.height.min(1.0))),
                     (Handle::Width(i), axes.place(side, (l.height / std::f32::consts::E).min(1.0))),
@@ -355,6 +358,19 @@ mod tests {
         // Opacity 0.001 is drawn at a tenth of the height.
         let fine = Axes { rect, fine: true };
         assert!((fine.place(0.0, 0.001).y - 110.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn handles_of_widths_are_within_the_editor() {
+        let mut state = State::empty(0.03);
+        let rect = Rect::from_min_max(pos2(10.0, 20.0), pos2(210.0, 120.0));
+        for (center, half, at) in [(0.3, 0.1, 90.0), (0.98, 0.08, 190.0), (0.6, 0.7, 10.0)] {
+            let lobe = GaussianLobe { center, width: half * half, height: 0.5 };
+            state.edited.curve.opacity = Opacity::Lobes(vec![lobe]);
+            let handles = handles(&state, Axes { rect, fine: false });
+            let (_, place) = handles.iter().find(|(h, _)| *h == Handle::Width(0)).unwrap();
+            assert!((place.x - at).abs() < 1e-3, "{center} {half}: {place}");
+        }
     }
 
     #[test]
