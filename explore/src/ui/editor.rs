@@ -277,12 +277,14 @@ fn numbers(ui: &mut Ui, state: &mut State) {
         |ui: &mut Ui, label: &str, value: &mut f32, range: std::ops::RangeInclusive<f32>, speed: f32| {
             ui.label(label);
             let value = DragValue::new(value).range(range).clamp_existing_to_range(false);
-            let response = ui.add(value.speed(speed).max_decimals(6));
+            // Volumes of small values need more decimals than opacities.
+            let decimals = ((2.0 - speed.log10()) as usize).max(6);
+            let response = ui.add(value.speed(speed).max_decimals(decimals));
             changed |= response.changed();
             done |= response.drag_stopped() || response.lost_focus();
             response.changed()
         };
-    ui.horizontal(|ui| match (&mut state.edited.curve.opacity, handle) {
+    ui.horizontal_wrapped(|ui| match (&mut state.edited.curve.opacity, handle) {
         (Opacity::Points(points), Handle::Point(i)) if i < points.len() => {
             let before = if i > 0 { points[i - 1][0] } else { 0.0 };
             let after = points.get(i + 1).map_or(1.0, |p| p[0]);
@@ -343,6 +345,30 @@ mod tests {
             shown.drop_without_applying_deltas();
             assert!(!state.edited.can_undo() && !state.changed.any(), "{:?}", state.edited.curve);
         }
+    }
+
+    #[test]
+    fn numbers_of_small_scalars_are_shown() {
+        let mut state = State::empty(0.03);
+        let options = VolumeOptions { range: Some((0.0, 1e-7)), ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::F32(&[1e-8; 8]), [2; 3], options).unwrap();
+        state.facts = Some(Facts::of(&view));
+        let mut curve = state.edited.curve.clone();
+        curve.opacity = Opacity::Points(vec![[0.5, 0.2]]);
+        state.edited = Edited::new(curve);
+        state.selected = Some(Handle::Point(0));
+        let shown = egui::Context::default().run_ui(egui::RawInput::default(), |ui| numbers(ui, &mut state));
+        let texts: Vec<String> = shown
+            .shapes
+            .iter()
+            .filter_map(|s| match &s.shape {
+                Shape::Text(text) => Some(text.galley.text().to_owned()),
+                _ => None,
+            })
+            .collect();
+        shown.drop_without_applying_deltas();
+        let close = |text: &String| text.parse::<f32>().is_ok_and(|v| (v - 5e-8).abs() < 1e-9);
+        assert!(texts.iter().any(close), "{texts:?}");
     }
 
     #[test]
