@@ -41,8 +41,12 @@ impl App {
                 self.state.say("all controllers are reset");
             }
             Command::Screenshot(shot) => {
-                if self.scene.is_some() && self.screenshot.is_none() {
+                if self.screenshot.is_some() {
+                    self.state.say("a screenshot is being drawn; wait for its end");
+                } else if self.scene.is_some() {
                     self.start_screenshot(shot)?;
+                } else {
+                    self.state.say("there is no picture; open a volume first");
                 }
             }
             Command::LoadTransfer(file) => {

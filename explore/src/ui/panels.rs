@@ -42,8 +42,8 @@ fn steering(ui: &mut Ui, state: &mut State) {
             }
         });
     });
-    ui.horizontal(|ui| {
-        ui.label("never coarser than step");
+    ui.horizontal_wrapped(|ui| {
+        ui.label("coarsest step");
         let step = DragValue::new(&mut steer.coarsest).range(1.0..=64.0).speed(0.1).max_decimals(1);
         state.changed.settings |= ui.add(step).changed();
         ui.label("and");
@@ -72,7 +72,9 @@ fn steering(ui: &mut Ui, state: &mut State) {
             "Copies two commands to the clipboard. The first calibrates this machine by wall time, as the \
              window measures it; the second opens the volume again with the new model",
         );
-        if copy.clicked() && !state.calibration.is_empty() {
+        if copy.clicked() && state.calibration.is_empty() {
+            state.said = Some(("the commands name the volume; open a volume first".into(), false));
+        } else if copy.clicked() {
             ui.ctx().copy_text(state.calibration.clone());
             state.said = Some((format!("copied: {}", state.calibration), false));
         }
@@ -215,7 +217,7 @@ fn files(ui: &mut Ui, state: &mut State) {
             ui.add(egui::ProgressBar::new(share as f32).desired_width(80.0));
         }
     });
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.add(egui::TextEdit::singleline(&mut state.texts.recording).desired_width(120.0));
         match &state.recorder {
             None => {
@@ -232,6 +234,9 @@ fn files(ui: &mut Ui, state: &mut State) {
                     let file = state.texts.recording.trim().into();
                     state.commands.push(Command::SaveRecording(file));
                 }
+                if ui.button("Discard").clicked() {
+                    state.recorder = None;
+                }
             }
         }
     });
@@ -244,7 +249,7 @@ fn about(ui: &mut Ui, state: &mut State) {
         ui.label(format!("{x} × {y} × {z} voxels, {}, {} … {}", facts.kind, facts.range.0, facts.range.1));
         let (low, high) = facts.own_range;
         if facts.range != facts.own_range && low < high {
-            ui.horizontal(|ui| {
+            ui.horizontal_wrapped(|ui| {
                 ui.label(format!("values of the voxels: {low} … {high}"));
                 let why = "The transfer function spans the voxels' own range";
                 if ui.button("Span the data").on_hover_text(why).clicked() {
