@@ -177,7 +177,11 @@ fn probe(painter: &Painter, facts: &Facts, state: &State, place: &impl Fn(Vec3) 
         painter.circle_filled(at, 1.8, color);
     }
     let text = format!("{} probe rays, {hits} met the volume", side * side);
-    painter.text(around.left_top(), Align2::LEFT_BOTTOM, text, FontId::proportional(12.0), color);
+    // Above the rectangle, or within it where the view ends there.
+    let [above, within] = [Vec2::new(0.0, -3.0), Vec2::new(3.0, 3.0)].map(|by| around.left_top() + by);
+    let (at, align) =
+        if above.y - 16.0 > rect.min.y { (above, Align2::LEFT_BOTTOM) } else { (within, Align2::LEFT_TOP) };
+    note(painter, at, align, text, 12.0, color);
 }
 
 /// Draws the map of samples per ray.
@@ -199,7 +203,7 @@ fn work(painter: &Painter, state: &State, rect: Rect) {
     }
     let text = format!("samples per ray at full quality; largest mean of a tile: {most:.0}");
     let at = rect.left_bottom() + Vec2::new(8.0, -26.0);
-    painter.text(at, Align2::LEFT_BOTTOM, text, FontId::proportional(12.0), Color32::WHITE);
+    note(painter, at, Align2::LEFT_BOTTOM, text, 12.0, Color32::WHITE);
 }
 
 /// Draws the line at the bottom of the picture: its time and resolution, or the expected time to full
@@ -221,14 +225,18 @@ fn caption(painter: &Painter, state: &State, rect: Rect) {
         _ => return,
     };
     let at = rect.left_bottom() + Vec2::new(8.0, -8.0);
-    painter.text(at, Align2::LEFT_BOTTOM, text, FontId::proportional(13.0), Color32::from_white_alpha(200));
+    note(painter, at, Align2::LEFT_BOTTOM, text, 13.0, Color32::from_gray(220));
     if state.fly {
-        painter.text(
-            rect.right_bottom() + Vec2::new(-8.0, -8.0),
-            Align2::RIGHT_BOTTOM,
-            "flying: W A S D Q E to move, drag to look around, F to stop",
-            FontId::proportional(13.0),
-            Color32::from_white_alpha(200),
-        );
+        let at = rect.right_bottom() + Vec2::new(-8.0, -8.0);
+        let text = "flying: W A S D Q E to move, drag to look around, F to stop".to_owned();
+        note(painter, at, Align2::RIGHT_BOTTOM, text, 13.0, Color32::from_gray(220));
     }
+}
+
+/// Draws a text on a dark ground, since the picture below may have any color.
+fn note(painter: &Painter, at: Pos2, align: Align2, text: String, size: f32, color: Color32) {
+    let galley = painter.layout_no_wrap(text, FontId::proportional(size), color);
+    let place = align.anchor_size(at, galley.size());
+    painter.rect_filled(place.expand(2.0), 2.0, Color32::from_black_alpha(150));
+    painter.galley(place.min, galley, color);
 }
