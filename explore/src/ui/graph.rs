@@ -29,7 +29,7 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
                 String::new()
             };
             let text = format!("{} {full}", words(last, title));
-            ui.add(egui::Label::new(egui::RichText::new(&text).small()).truncate()).on_hover_text(&text);
+            ui.add(egui::Label::new(RichText::new(&text).small()).truncate()).on_hover_text(&text);
         });
     } else {
         ui.weak("Frame times appear here once a volume is shown.");
