@@ -29,7 +29,10 @@ class FrameTime:
         manager = servermanager.ProxyManager()
         proxy = manager.SMProxyManager.NewProxy("entire", "EntireSteering")
         if not proxy:
-            raise RuntimeError("the plugin EntireSteering is not loaded: LoadPlugin('.../EntireSteering.so')")
+            raise RuntimeError(
+                "the plugin EntireSteering is not loaded: LoadPlugin('.../EntireSteering.so', remote=False), and with a "
+                "server also remote=True"
+            )
         self.proxy = servermanager._getPyProxy(proxy)
         self.proxy.SMProxy.GetProperty("View").SetProxy(0, view.SMProxy)
         self.proxy.TargetFrameTime = target
