@@ -128,6 +128,7 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
         ok(entire_session_save_state(session, state.as_mut_ptr(), count, &raw mut count));
         ok(entire_session_load_state(session, state.as_ptr(), count));
         assert_ne!(entire_session_load_state(session, state.as_ptr(), count - 1), ENTIRE_OK);
+        ok(entire_session_withdraw(session, 1));
         ok(entire_session_reset(session));
         entire_session_free(session);
     }

@@ -756,6 +756,15 @@ entire_result entire_session_recorded_count(const entire_session *session, size_
 entire_result entire_session_set_model(entire_session *session, const entire_model *model);
 
 /**
+ * Withdraws the newest plan if no frame was drawn with it, such as for a volume that is outside of the view.
+ * The next plan then gets its id, and knows all changes since the last drawn frame. Has no effect on an
+ * older or an observed plan, nor on the plan before a withdrawn one.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_withdraw(entire_session *session, uint64_t plan_id);
+
+/**
  * Forgets every observation and every pending plan; volume, transfer function and limits stay.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.

@@ -484,6 +484,8 @@ public:
         if (auto code = entire_session_observe(get(), plan_id, seconds, flags, &verdict)) return failure::last(code);
         return verdict;
     }
+    // Withdraws the newest plan if no frame was drawn with it.
+    status withdraw(std::uint64_t plan_id) { return detail::done(entire_session_withdraw(get(), plan_id)); }
     status reset() { return detail::done(entire_session_reset(get())); }
 
     // Records observed frames for calibrate(), which starts from the unit costs of a software renderer or from a model.

@@ -351,7 +351,7 @@ static void call(void) {
         note(entire_session_mark(session, (uint32_t)below(70)));
         break;
     case 23:
-        note(entire_session_reset(session));
+        note(one_in(2) ? entire_session_withdraw(session, below(100)) : entire_session_reset(session));
         break;
     case 24: {
         size_t size = 0;

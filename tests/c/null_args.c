@@ -123,6 +123,7 @@ int main(int argc, char **argv) {
     NONE(entire_session_choose(p, &frame, &setting, 1, 1, NULL, &plan));
     NONE(entire_session_choose(p, &frame, &setting, 1, 1, &n, NULL));
     NONE(entire_session_observe(NULL, 1, 1, 0, NULL));
+    NONE(entire_session_withdraw(NULL, 1));
     NONE(entire_session_reset(NULL));
     NONE(entire_session_save_state(NULL, &byte, 1, &n));
     NONE(entire_session_save_state(p, NULL, 1, &n));

@@ -103,6 +103,14 @@ static void observations(void) {
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, ids[15], 0.01f, 0, NULL));
     OK(entire_session_observe(session, ids[16], 0.01f, 0, NULL));
     OK(entire_session_observe(session, ids[79], 0.01f, 0, NULL));
+
+    /* A withdrawn plan is forgotten, and the next one has its id. */
+    plan = plan_of(session, &frame, 0.03f);
+    OK(entire_session_withdraw(session, plan.id));
+    EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id, 0.01f, 0, NULL));
+    CHECK(plan_of(session, &frame, 0.03f).id == plan.id);
+    OK(entire_session_withdraw(session, ids[79]));
+    OK(entire_session_observe(session, plan.id, 0.01f, 0, NULL));
     OK(entire_session_reset(session));
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, ids[78], 0.01f, 0, NULL));
     entire_session_free(session);

@@ -63,6 +63,22 @@ pub unsafe extern "C" fn entire_session_observe(
     }))
 }
 
+/// Withdraws the newest plan if no frame was drawn with it, such as for a volume that is outside of the view.
+/// The next plan then gets its id, and knows all changes since the last drawn frame. Has no effect on an
+/// older or an observed plan, nor on the plan before a withdrawn one.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_withdraw(
+    session: *mut entire_session,
+    plan_id: u64,
+) -> entire_result {
+    entry!(changing(session, |state| {
+        state.session.withdraw(plan_id);
+        Ok(())
+    }))
+}
+
 /// Forgets every observation and every pending plan; volume, transfer function and limits stay.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
