@@ -189,7 +189,15 @@ bool vtkEntireSteering::LoadState(const char* fileName)
   this->Internals->State = std::move(bytes);
   for (const auto& leaf : this->Internals->Drawing)
   {
-    leaf->Forget();
+    // A session that accepts the state keeps its volume, so that the voxels are not read again.
+    if (leaf->Session && leaf->Session->load_state(this->Internals->State))
+    {
+      leaf->RefusedState = false;
+    }
+    else
+    {
+      leaf->Forget();
+    }
   }
   return true;
 }

@@ -409,9 +409,12 @@ void KeepsState(Kind kind)
   double learned[2];
   for (double& prediction : learned)
   {
+    const vtkIdType readings = steering->GetNumberOfVolumeReadings();
     CHECK(steering->LoadState(file));
     scene.Draw();
     prediction = steering->GetPredictedTime();
+    // The changed option made a new session, which the first state is loaded into.
+    CHECK(&prediction == learned || steering->GetNumberOfVolumeReadings() == readings);
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
   // A state of another clock, or of another mapper, is not loaded.
