@@ -40,8 +40,8 @@
  * `entire train`), the first frame is predicted too.
  *
  * The prediction ignores clipping planes, geometry in front of the volume, gradient opacity, 2D transfer
- * functions, masks, cropping other than to a box, and all independent components except the first. Their
- * effect on the time is corrected from frame to frame.
+ * functions, masks, cropping other than to a box, all independent components except the first, and all volumes
+ * of a vtkMultiVolume except that of port 0. Their effect on the time is corrected from frame to frame.
  */
 #ifndef vtkEntireSteering_h
 #define vtkEntireSteering_h
