@@ -187,7 +187,12 @@ impl Span {
     /// Returns the label of a tick. The labels of neighboring ticks differ from it.
     pub(super) fn label(&self, value: f64, ticks: &[f64]) -> String {
         let step = match (self.scale, ticks) {
-            (Scale::Log, _) => 10f64.powf(value.abs().log10().floor()),
+            // The ticks of a narrow logarithmic axis are linear, and closer than the value's power of ten.
+            (Scale::Log, _) => ticks
+                .iter()
+                .map(|tick| (tick - value).abs())
+                .filter(|gap| *gap > 0.0)
+                .fold(10f64.powf(value.abs().log10().floor()), f64::min),
             (_, [first, second, ..]) => second - first,
             _ => 1.0,
         };
@@ -264,6 +269,18 @@ mod tests {
         assert_eq!(tick_label(0.02, 0.01), "0.02");
         assert_eq!(tick_label(1e-7, 1e-7), "1e-7");
         assert_eq!(tick_label(3e-17, 0.2), "0");
+    }
+
+    #[test]
+    fn labels_of_a_logarithmic_axis_are_the_ticks() {
+        for (low, high, most) in [(32.5, 32.95, 8), (32.9, 35.1, 10), (0.03, 300.0, 10), (1e-3, 2e5, 4)] {
+            let span = Span { low, high, scale: Scale::Log };
+            let ticks = span.ticks(most);
+            for tick in &ticks {
+                let text = span.label(*tick, &ticks);
+                assert!((text.parse::<f64>().unwrap() / tick - 1.0).abs() < 1e-9, "{tick}: {text}");
+            }
+        }
     }
 
     #[test]
