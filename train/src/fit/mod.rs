@@ -66,6 +66,15 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
     rows_by_network(model, &PredNet::new(parts)?, rows, width)
 }
 
+/// As [`predict_rows`], but with another storage format of the network's weights.
+///
+/// # Errors
+/// Those of [`predict_rows`].
+pub fn predict_rows_stored(model: &Model, storage: Storage, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
+    rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, rows, width)
+}
+
 /// As [`predict_rows`], with the model's network already built.
 fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
@@ -98,8 +107,7 @@ pub fn predict_stored(
     frames: &[&TimedFrame],
 ) -> Result<Vec<f64>> {
     let (rows, width) = rows_of(model, context, frames)?;
-    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
-    rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, &rows, width)
+    predict_rows_stored(model, storage, &rows, width)
 }
 
 /// Returns a model's inputs for frames, and the number of inputs per frame.

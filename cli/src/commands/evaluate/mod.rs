@@ -18,10 +18,9 @@ use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
 use entire_train::evaluation::{PROBE_SHARE, by_kind, in_session, noise_by_kind, probe_means, warm_latency};
-use entire_train::fit::{FitContext, predict_rows, predict_stored};
+use entire_train::fit::{predict_rows, predict_rows_stored};
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Split};
-use indicatif::ProgressBar;
 use report::{Evaluation, PREDICTIONS, Predictor, detail_table, noise_text, tables_of, write_report};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -171,7 +170,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let frames_seen =
         |m: &Loaded| (!m.splits.is_empty()).then(|| refs.iter().filter(|f| m.has_seen(f)).count());
-    let mut predictors = Vec::new();
+    let (mut predictors, mut inputs) = (Vec::new(), Vec::new());
     for m in &models {
         let bar = templated_bar(INPUTS_BAR);
         let rows = m.layout.rows(&tables, &refs, &pool, &bar).with_context(|| m.name.clone())?;
@@ -190,14 +189,15 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             frames_seen: frames_seen(m),
             ..assess(m.name.clone(), predicted, bound::of(&m.model))?
         });
+        inputs.push(rows);
     }
-    let hidden = ProgressBar::hidden();
-    let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &|| false };
-    for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
-        let predicted = predict_stored(&m.model, storage, &context, &refs).with_context(|| m.name.clone())?;
-        let name = format!("{}, {} weights", m.name, storage);
-        let stored = assess(name, predicted, bound::of(&m.model))?;
-        predictors.push(Predictor { frames_seen: frames_seen(m), ..stored });
+    for (m, rows) in models.iter().zip(&inputs) {
+        for &storage in &options.storage {
+            let predicted = predict_rows_stored(&m.model, storage, rows, m.layout.width());
+            let name = format!("{}, {} weights", m.name, storage);
+            let stored = assess(name, predicted.with_context(|| m.name.clone())?, bound::of(&m.model))?;
+            predictors.push(Predictor { frames_seen: frames_seen(m), ..stored });
+        }
     }
     let constant = probe_means(&refs, &measured, options.seed);
     let name = format!("mean time of {:.0} % of each volume's frames", 100.0 * PROBE_SHARE);
