@@ -163,8 +163,17 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
     table
 }
 
+/// Largest number of points of a scatter chart; a browser needs seconds to draw more.
+const MOST_POINTS: usize = 10_000;
+
+/// Returns the distance between the frames that a scatter chart shows, in frames; 1 for all frames.
+fn thinning(frames: usize) -> usize {
+    frames.div_ceil(MOST_POINTS).max(1)
+}
+
 fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
-    let points = measured.iter().zip(&p.predicted).map(|(t, y)| (*t, *y, String::new())).collect();
+    let shown = measured.iter().zip(&p.predicted).step_by(thinning(measured.len()));
+    let points = shown.map(|(t, y)| (*t, *y, String::new())).collect();
     Chart::new(p.name.as_str(), Axis::log("measured, s"), Axis::log("predicted, s"))
         .size(620.0, 480.0)
         .rule(Rule::Diagonal("exact".into()))
@@ -285,10 +294,14 @@ pub(super) fn write_report(
         "Median of predicted / measured - 1, in %, for each tenth of the frames, from the fastest to the slowest.",
     );
     page.heading("Predicted against measured");
+    let drawn = match thinning(measured.len()) {
+        1 => String::new(),
+        every => format!("One of {every} frames is drawn."),
+    };
     for (i, p) in predictors.iter().enumerate() {
         let chart = scatter(p, measured, i);
         write(&format!("scatter-{}.svg", i + 1), &chart.to_svg_file())?;
-        page.chart(&chart, "");
+        page.chart(&chart, &drawn);
     }
     page.heading("By member");
     page.table(by_group, "SD is the standard deviation of the measured seconds of the member's frames.");
