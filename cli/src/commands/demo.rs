@@ -145,16 +145,19 @@ fn fit_size(
     view: &VolumeView<'_>,
     renderings: f64,
     renderer: &mut dyn Renderer,
+    stop: &dyn Fn() -> bool,
 ) -> Result<DrawSettings> {
     let transfer = Generated::Switches.path(view, 8)?.resolve()?.frames[3].transfer.function().to_table()?;
     renderer.set_volume(view)?;
     renderer.set_transfer(&transfer)?;
     let camera = Camera::from_arcball(Arcball { rx: 15.0, ry: 30.0, dz: 2.2 })?;
     let frame = Frame { step: 2.0, ..draw.frame(camera)? }.checked()?;
+    ensure!(!stop(), INTERRUPTED);
     renderer.render(&frame)?;
     const TRIALS: u32 = 4;
     let begin = Instant::now();
     for _ in 0..TRIALS {
+        ensure!(!stop(), INTERRUPTED);
         renderer.render(&frame)?;
     }
     let seconds = begin.elapsed().as_secs_f64() / f64::from(TRIALS) * renderings;
@@ -229,7 +232,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let asked = DrawSettings::new(options.size, &options.render, clock);
     let renderings =
         (7 * options.scenes + (ControllerKind::USUAL.len() + 1) * options.frames as usize) as f64;
-    let draw = fit_size(asked, &view, renderings, renderer.as_mut())?;
+    let draw = fit_size(asked, &view, renderings, renderer.as_mut(), &stop)?;
     let shrunk = draw != asked;
     print_line(format!(
         "images     {} x {} pixels{}",

@@ -71,6 +71,9 @@ pub fn measure(
         // The first renderings on a device or after a change of scene are slower than later ones, so they are
         // discarded.
         for _ in 0..if scene == 0 { 2 } else { 1 } {
+            if stop() {
+                return Ok(None);
+            }
             renderer.render(&frame).with_context(place)?;
         }
         for step in CALIBRATION_STEPS {

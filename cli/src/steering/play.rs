@@ -280,6 +280,9 @@ pub(crate) fn play(
         let reference = renderer.render(&frame).with_context(place)?;
         let keep = task.keep.contains(&index);
         for turn in 0..contenders.len() {
+            if stop() {
+                return Ok(None);
+            }
             let c = (index + turn) % contenders.len();
             let (chooses, acts_on) = (contenders[c].chooses_image_sample_distance, contenders[c].acts_on);
             let session = &mut contenders[c].session;

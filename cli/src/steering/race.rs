@@ -161,6 +161,9 @@ pub(crate) fn prepare(
     stop: &dyn Fn() -> bool,
 ) -> Result<Option<Prepared>> {
     let summary = VolumeSummary::new(race.volume)?;
+    if stop() {
+        return Ok(None);
+    }
     let bar = progress_bar("measure");
     let samples = measure(
         race.volume,
@@ -231,6 +234,9 @@ pub(crate) fn run(
     let volume_features = race.model.volume_features().map(<[f32]>::to_vec);
     let mut shown = vec![Shown { view: race.volume, summary: prepared.summary.clone(), volume_features }];
     for view in race.series {
+        if stop() {
+            return Ok(None);
+        }
         let (summary, volume_features) = (VolumeSummary::new(view)?, race.model.encode(view)?);
         shown.push(Shown { view, summary, volume_features });
     }
