@@ -118,8 +118,11 @@ fn gather<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
     let mut out = vec![U::default(); nx * ny * nz];
     out.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
         let start = row % ny * along_y + row / ny * along_z;
-        for (x, o) in out.iter_mut().enumerate() {
-            *o = map(stored[start + x * stride]);
+        if stride == 1 {
+            // Without a check of each index, compilers vectorize this loop.
+            out.iter_mut().zip(&stored[start..start + nx]).for_each(|(o, &v)| *o = map(v));
+        } else {
+            out.iter_mut().enumerate().for_each(|(x, o)| *o = map(stored[start + x * stride]));
         }
     });
     out
