@@ -125,10 +125,10 @@ fn legend(ui: &mut Ui) {
     });
 }
 
-/// The marks of an axis from 0 on: multiples of 1, 2 or 5 times a power of ten, at least 24 points apart.
+/// The marks of an axis from 0 on: multiples of 1, 2 or 5 times a power of ten, at least 16 points apart.
 fn marks(input: GridInput) -> Vec<GridMark> {
     // The given step takes 8 points.
-    let least = 3.0 * input.base_step_size;
+    let least = 2.0 * input.base_step_size;
     let power = 10f64.powf(least.log10().floor());
     let steps = [power, 2.0 * power, 5.0 * power];
     let step_size = steps.into_iter().find(|step| *step >= least).unwrap_or(10.0 * power);
@@ -143,10 +143,11 @@ mod tests {
     #[test]
     fn an_axis_of_any_range_has_numbers() {
         for (top, points, expected) in [
-            (66.0, 125.0, vec![0.0, 20.0, 40.0, 60.0]),
+            (66.0, 125.0, vec![0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]),
             (160.0, 125.0, vec![0.0, 50.0, 100.0, 150.0]),
             (2.0, 54.0, vec![0.0, 1.0, 2.0]),
-            (16.0, 54.0, vec![0.0, 10.0]),
+            (16.0, 54.0, vec![0.0, 5.0, 10.0, 15.0]),
+            (23.0, 46.0, vec![0.0, 10.0, 20.0]),
         ] {
             let marks = marks(GridInput { bounds: (0.0, top), base_step_size: 8.0 * top / points });
             assert_eq!(marks.iter().map(|m| m.value).collect::<Vec<_>>(), expected, "up to {top}");
