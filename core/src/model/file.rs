@@ -21,10 +21,10 @@ use serde::{Deserialize, Deserializer, Serialize};
 const PREFIX: usize = 8;
 /// Largest accepted header, in bytes.
 const MAX_HEADER: usize = 16 << 20;
-/// Upper estimate of the parser's memory per byte of header, in bytes. An element of an array has at least
-/// two characters in the header and 32 bytes in the parser's memory. A growing vector takes up to three times
-/// the memory of its elements.
-const HEADER_MEMORY: usize = 48;
+/// Upper estimate of the parser's memory per byte of header, in bytes. The most memory is taken by arrays
+/// within arrays: each has two characters in the header, and a vector with room for four elements of 32 bytes
+/// and 16 bytes of the allocator in the parser's memory.
+const HEADER_MEMORY: usize = 72;
 
 /// One tensor as stored in the file: little-endian values, last axis fastest.
 #[derive(Clone, Debug, PartialEq)]
