@@ -726,7 +726,8 @@ typedef struct entire_plan {
 #define ENTIRE_REASON_FINEST_ALLOWED 4
 
 /**
- * Even the coarsest allowed step is not expected to meet the target.
+ * Even the coarsest allowed step is not expected to meet the target. The plan has this step, or the step of
+ * the previous frame if that step is expected to exceed the target by less than 1 %.
  */
 #define ENTIRE_REASON_TARGET_UNREACHABLE 5
 

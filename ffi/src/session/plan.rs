@@ -23,7 +23,8 @@ pub const ENTIRE_REASON_HELD: entire_reason = 3;
 /// The finest allowed step, which is expected to meet the target; its upper bound may exceed (1 + tolerance)
 /// times the target.
 pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
-/// Even the coarsest allowed step is not expected to meet the target.
+/// Even the coarsest allowed step is not expected to meet the target. The plan has this step, or the step of
+/// the previous frame if that step is expected to exceed the target by less than 1 %.
 pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;
 /// The step was chosen from recent frame times, because the prediction is missing, out of range or recently
 /// wrong.

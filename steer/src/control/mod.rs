@@ -87,8 +87,8 @@ pub enum Reason {
     /// The finest allowed step, which is expected to meet the target; its upper bound may exceed the
     /// tolerance.
     FinestAllowed = 4,
-    /// Even the coarsest allowed step is not expected to fit. The plan has this step, or the previous step if
-    /// its expected time exceeds the target by less than 1 %.
+    /// Even the coarsest allowed step is not expected to fit. The plan has this step, or the step of the
+    /// previous frame if that step is expected to exceed the target by less than 1 %.
     TargetUnreachable = 5,
     /// The step was chosen from recent frame times, since the prediction is missing, is out of range at the
     /// step that it would choose, or was recently wrong.
