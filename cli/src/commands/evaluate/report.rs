@@ -18,7 +18,7 @@ pub(super) struct Predictor {
     pub(super) by_group: BTreeMap<String, Metrics>,
     pub(super) latency: Option<WarmLatency>,
     /// Number of evaluated frames whose group the model was trained or validated on; `None` if its file does
-    /// not state these groups, as after `entire calibrate`.
+    /// not state these groups, as after `entire calibrate`, and for a predictor without a model.
     pub(super) frames_seen: Option<usize>,
     /// Share of frames that took no longer than the model's upper bound.
     pub(super) bound_coverage: Option<f64>,
@@ -271,9 +271,9 @@ pub(super) fn write_report(
         overall,
         "RMSE/SD is the RMSE divided by the standard deviation of the measured times; it is 1 for a \
          predictor that always gives their mean. The median error, p95 and p99 are the median, the 95th and the \
-         99th percentile of the absolute percentage error. A dash under \"in training or validation\": the file \
-         of the model does not state its training data. A time per prediction is the median of warm calls in one \
-         thread, scene features included.",
+         99th percentile of the absolute percentage error. A dash under \"in training or validation\": \
+         the model's file does not state its training data, or the predictor has no model. A time per \
+         prediction is the median of warm calls in one thread, scene features included.",
     );
     page.table(
         more,
