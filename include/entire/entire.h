@@ -60,10 +60,10 @@
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
  * whose `absent` says so. If a model's result is anything else, the call returns ENTIRE_INVALID_MODEL.
  *
- * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
- * not allocate, lock or call the system when they succeed. For entire_model_predict this holds while at most
- * ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time; further calls allocate. Equal model,
- * inputs, correction and SIMD level (entire_simd_level) give equal bits.
+ * Hot calls. entire_session_plan, entire_session_observe, entire_session_withdraw, entire_session_choose and
+ * entire_model_predict do not allocate, lock or call the system when they succeed. For entire_model_predict
+ * this holds while at most ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time; further
+ * calls allocate. Equal model, inputs, correction and SIMD level (entire_simd_level) give equal bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library is reported as ENTIRE_PANIC,
  * with its place in the error text; the handle then refuses every call but entire_<noun>_free.

@@ -204,6 +204,11 @@ static entire_result observe(void) {
     return entire_session_observe(trained, plan_id, 0.01f, 0, NULL);
 }
 
+static entire_result plan_and_withdraw(void) {
+    entire_result result = plan();
+    return result == ENTIRE_OK ? entire_session_withdraw(trained, plan_id) : result;
+}
+
 static entire_result plan_and_observe(void) {
     entire_result result = plan();
     return result == ENTIRE_OK ? observe() : result;
@@ -243,6 +248,7 @@ static const struct {
     {"entire_session_plan", plan, 1, 0},
     {"entire_session_choose", choose, 1, 0},
     {"entire_session_plan, entire_session_observe", plan_and_observe, 1, 0},
+    {"entire_session_plan, entire_session_withdraw", plan_and_withdraw, 1, 0},
     {"entire_model_encode, from its second call on", encode, 1, 0},
     {"entire_volume_set_features", set_features, 0, ROWS * sizeof(float)},
     {"entire_volume_new", new_volume, 0, LARGE},
