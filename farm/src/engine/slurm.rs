@@ -168,12 +168,13 @@ impl Slurm {
         let listed = ask("sinfo", &["-h", "-o", "%P %l"], None)?;
         let named = partitions(&options.sbatch, std::env::var("SBATCH_PARTITION").ok());
         let limit = options.limit.or(longest_request(&listed, named.as_deref()));
-        let limit = limit.map(longest_bundle);
         ensure!(
-            limit.is_none_or(|l| l > 0.0),
-            "the time limit of a bundle is less than a minute, Slurm's unit of time limits; give a longer limit \
-             with --time-limit"
+            limit.is_none_or(|l| longest_bundle(l) > 0.0),
+            "the time limit of a bundle is {} s; Slurm counts whole minutes, so give at least 60 s with \
+             --time-limit",
+            limit.unwrap_or_default()
         );
+        let limit = limit.map(longest_bundle);
         let new = Self::new(places, run, options, slots, limit)?;
         new.clear_queue()?;
         Ok(new)
