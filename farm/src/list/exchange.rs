@@ -6,7 +6,7 @@ use anyhow::Result;
 const ROUNDS_PER_NODE: usize = 40;
 /// Smallest gain of a round, as a share of the makespan.
 const LEAST_GAIN: f64 = 1.0e-6;
-/// More than the rounding errors of two nodes' ends, as a share of the makespan.
+/// Upper bound of the rounding errors of two nodes' ends, as a share of the makespan.
 const ROUNDING: f64 = 1.0e-12;
 
 /// A round's change: the node that ends last gives the task `give` to the node `to` and takes `take`, if any.
@@ -79,8 +79,8 @@ fn best_change(
             // Seconds of an ideal task to take: if `last` took this task in exchange for `give`, both nodes
             // would end at the same time.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
-            // The time at which both nodes would end if tasks could be divided: no change of these two nodes ends
-            // earlier.
+            // The time at which both nodes would end if tasks could be divided: no change of these two nodes
+            // ends earlier.
             let ideal = loads[to] + (loads[last] - loads[to]) * (other / (own + other));
             if best.as_ref().is_some_and(|b| ideal - ROUNDING * loads[last] >= b.longest) {
                 continue;
@@ -99,4 +99,40 @@ fn best_change(
         }
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Compares the best change with that of all pairs of tasks.
+        #[test]
+        fn no_change_is_better_than_the_best(
+            times in prop::collection::vec(0.01f64..10.0, 1..24),
+            nodes in prop::collection::vec(0usize..4, 24),
+            speeds in prop::collection::vec(0.2f64..4.0, 4),
+        ) {
+            let (mut held, mut loads) = (vec![Vec::new(); 4], [0.0; 4]);
+            for (task, (&time, &node)) in times.iter().zip(&nodes).enumerate() {
+                held[node].push(task);
+                loads[node] += time / speeds[node];
+            }
+            held.iter_mut().for_each(|tasks| tasks.sort_by(|&a, &b| times[a].total_cmp(&times[b])));
+            let last = (0..4).fold(0, |m, n| if loads[n] > loads[m] { n } else { m });
+            let mut expected = f64::INFINITY;
+            for to in (0..4).filter(|&n| n != last) {
+                for &give in &held[last] {
+                    for taken in held[to].iter().map(|&t| times[t]).chain([0.0]) {
+                        let moved = times[give] - taken;
+                        let ends = [loads[last] - moved / speeds[last], loads[to] + moved / speeds[to]];
+                        expected = expected.min(ends[0].max(ends[1]));
+                    }
+                }
+            }
+            let found = best_change(last, &times, &speeds, &loads, &held).unwrap();
+            prop_assert!((found.longest - expected).abs() < 1e-9, "{} {expected}", found.longest);
+        }
+    }
 }
