@@ -185,6 +185,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     check_termination(options.termination)?;
     let modes = options.modes()?;
     let outs = outs_of(options, &modes)?;
+    // A model that replaced the open table would lose the table's frames.
+    ensure_distinct(&[&outs[..], options.table.as_slice()].concat()).context("--table and --out")?;
     let threads = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
@@ -195,8 +197,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         renderer.device()
     );
     say_prior_clock(options, clock)?;
-    // A model that replaced the open table would lose the table's frames.
-    ensure_distinct(&[&outs[..], options.table.as_slice()].concat()).context("--table and --out")?;
     let begin = |file: &PathBuf| make_folder_of(file).and_then(|()| Writer::create(file));
     let mut table = options.table.as_ref().map(begin).transpose()?;
     let mut written = 0;
