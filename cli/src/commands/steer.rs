@@ -184,7 +184,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let frames = stored.as_ref().map_or(options.frames as usize, |(path, _)| path.frames.len());
     let named_frames = options.scales.iter().map(|s| ("--scales", s.0 as usize));
     for (option, frame) in named_frames.chain(options.pictures.iter().map(|&frame| ("--pictures", frame))) {
-        ensure!(frame < frames, "{option} names frame {frame}; the path has {frames} frames, from 0");
+        let last = frames.saturating_sub(1);
+        ensure!(frame < frames, "{option} names frame {frame}; the path has frames 0 to {last}");
     }
     let volumes = options
         .volumes

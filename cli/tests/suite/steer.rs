@@ -195,8 +195,8 @@ fn bad_input_is_one_line_and_status_1() {
     // The path is checked before the volumes are read.
     for (more, expected) in [
         ("--path bad.json", "bad.json is no path: there is no keyframe"),
-        ("--generate orbit --pictures 3,120", "--pictures names frame 120; the path has 120 frames, from 0"),
-        ("--generate orbit --frames 8 --scales 8:0.5", "--scales names frame 8; the path has 8 frames"),
+        ("--generate orbit --pictures 3,120", "--pictures names frame 120; the path has frames 0 to 119"),
+        ("--generate orbit --frames 8 --scales 8:0.5", "--scales names frame 8; the path has frames 0 to 7"),
     ] {
         let line = format!("steer none.nrrd --target 9ms --out out {more}");
         fails(dir.path(), &line, 1, &[expected]);
