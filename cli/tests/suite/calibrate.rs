@@ -87,9 +87,11 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
 
     // Frames of another shading are not used, and do not affect the choice of the clock.
     let table = std::fs::read_to_string(at.join("frames.csv")).unwrap();
+    let column = |name: &str| COLUMNS.iter().position(|column| *column == name).unwrap();
+    let (shading, device) = (column("shading"), column("seconds_device"));
     let others = table.lines().skip(1).map(|row| {
         let mut cells: Vec<&str> = row.split(',').collect();
-        (cells[15], cells[19]) = ("local", "0.1");
+        (cells[shading], cells[device]) = ("local", "0.1");
         format!("9{}\n", cells.join(","))
     });
     std::fs::write(at.join("mixed.csv"), table.clone() + &others.collect::<String>()).unwrap();
