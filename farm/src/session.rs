@@ -167,7 +167,7 @@ impl Session {
                         "the renderer answered after {took:.3} s with load_s = {load_s} and seconds = {}; \
                          load_s must lie between 0 and the time of the answer, and seconds must not be \
                          negative",
-                        reply.seconds.unwrap_or(0.0)
+                        reply.seconds.map_or_else(|| "none".into(), |s| s.to_string())
                     );
                     return Ok(reply);
                 }
