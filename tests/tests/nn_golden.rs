@@ -1,5 +1,5 @@
-//! Compares PredNet and VolumeNet with float64 evaluations by PyTorch (`tests/golden/make_golden.py`), with one
-//! test for every level (instruction set). A level that this CPU lacks is reported as ignored.
+//! Compares PredNet and VolumeNet with float64 evaluations by PyTorch (`tests/golden/make_golden.py`), with
+//! one test for every level (instruction set). A level that this CPU lacks is reported as ignored.
 
 use entire_core::kernels::{Executor, Level, Storage};
 use entire_core::model::Model;
@@ -90,8 +90,8 @@ fn prednets_agree(level: Level) {
     }
 }
 
-/// Checks the features of encoders with kernels, strides and paddings of several sizes, and with weights in each
-/// format of a file.
+/// Checks the features of encoders with kernels, strides and paddings of several sizes, and with weights in
+/// each format of a file.
 fn encoders_agree(level: Level) {
     for case in cases("volumenets") {
         let (model, expected) = (model(&case), numbers(&case["features"]));

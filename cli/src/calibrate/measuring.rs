@@ -192,7 +192,8 @@ impl<'a> Measuring<'a> {
         Ok(())
     }
 
-    /// Counts the load of the stretches in which the frames in `seen` were rendered, and stores their repeats.
+    /// Counts the load of the stretches in which the frames in `seen` were rendered. Stores the repeats of
+    /// these frames, and leaves `seen` empty.
     fn keep(&mut self, stretches: &Joined, seen: &mut Vec<(usize, Vec<Timing>)>) {
         let (wall, others) = stretches.mean();
         self.others.add(wall, others);

@@ -26,8 +26,8 @@ impl CpuSnapshot {
     }
 
     /// Returns the wall seconds since the snapshot, and the processor seconds that other programs used; `None`
-    /// for the latter where the system does not report them. The counters' resolution of 0.01 s may make short
-    /// stretches negative.
+    /// instead of the processor seconds where the system does not report them. The counters have a resolution
+    /// of 0.01 s, so the processor seconds of a short stretch may be negative.
     pub(crate) fn others(&self) -> (f64, Option<f64>) {
         let now = Self::now();
         let wall = now.at.duration_since(self.at).as_secs_f64();
@@ -35,7 +35,7 @@ impl CpuSnapshot {
     }
 }
 
-/// Wall seconds that a stretch of rendering needs: for less time, the counters are too coarse.
+/// Shortest stretch of rendering for which the counters are fine enough, wall seconds.
 const SHORTEST: f64 = 0.1;
 
 /// Successive stretches of rendering, joined until they are long enough for the counters.

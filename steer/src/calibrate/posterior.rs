@@ -36,7 +36,8 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 /// Prior of a calibration: unit costs.
 #[derive(Clone, Debug)]
 pub struct PriorModel {
-    /// Unit costs; 0 for work that has no cost in the typical costs and in at least one of the prior's models.
+    /// Unit costs; 0 for work whose typical cost is 0 and whose cost is missing in at least one of the
+    /// prior's models.
     pub costs: UnitCosts,
     /// True for costs that the prior's models have, false for guesses.
     known: [bool; COSTS],

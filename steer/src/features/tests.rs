@@ -399,12 +399,16 @@ proptest! {
             }
             last = now;
         }
-        let work = |step: f32, size: u32| features.cost_work(&Setting { step, width: size, height: size, ..Setting::from(&f) });
+        let work = |step: f32, size: u32| {
+            features.cost_work(&Setting { step, width: size, height: size, ..Setting::from(&f) })
+        };
         for (k, q) in COST_QUANTITIES.iter().enumerate() {
             for size in [2, 10, 100, 1000] {
-                let [all, coarser, smaller] = [work(1.0, size), work(2.0, size), work(1.0, size / 2)].map(|w| w[k + 1]);
-                prop_assert!(coarser <= all * (1.0 + 1e-6), "{} rose with the step at size {}", q.name(), size);
-                prop_assert!(q.is_far() || smaller <= all * (1.0 + 1e-6), "{} fell at size {}", q.name(), size);
+                let settings = [(1.0, size), (2.0, size), (1.0, size / 2)];
+                let [all, coarser, smaller] = settings.map(|(step, size)| work(step, size)[k + 1]);
+                let (name, most) = (q.name(), all * (1.0 + 1e-6));
+                prop_assert!(coarser <= most, "{name} rose with the step at size {size}");
+                prop_assert!(q.is_far() || smaller <= most, "{name} fell at size {size}");
             }
         }
     }

@@ -3,8 +3,8 @@
 
 use entire_core::model::{Model, ModelFile};
 
-/// Returns the PredNet of one golden model and the VolumeNet of another in one file. Together they use panels of
-/// each width, and numbers of inputs and channels that are no multiples of a vector length.
+/// Returns the PredNet of one golden model and the VolumeNet of another in one file. Together they use panels
+/// of each width, and numbers of inputs and channels that are no multiples of a vector length.
 fn model() -> Vec<u8> {
     let golden = |name: &str| {
         let path = format!("{}/golden/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));

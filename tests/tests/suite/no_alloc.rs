@@ -1,5 +1,5 @@
-//! Checks that predictions of networks allocate nothing after set-up, on every level (instruction set) and with
-//! every storage format. If a call allocates, the test's allocator aborts the process.
+//! Checks that predictions of networks allocate nothing after set-up, on every level (instruction set) and
+//! with every storage format. If a call allocates, the test's allocator aborts the process.
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
 use entire_core::kernels::{Executor, Level, Storage};
