@@ -29,6 +29,8 @@ pub(super) struct Swapchain {
     pub(super) waits: bool,
     /// True if the surface has changed since the swapchain was made.
     pub(super) stale: bool,
+    /// The swapchain that this one replaced while the device was hanging, which may still use it.
+    _replaced: Option<Box<Self>>,
     device: SharedDevice,
 }
 
@@ -108,9 +110,9 @@ impl Swapchain {
             format,
             waits: mode == vk::PresentModeKHR::FIFO,
             stale: false,
+            _replaced: old.filter(|_| device.is_hanging() && !device.is_lost()).map(Box::new),
             device: device.clone(),
         };
-        drop(old);
         let d = device.device();
         let attachments = [vk::AttachmentDescription::default()
             .format(format.format)
