@@ -256,7 +256,7 @@ def judge(bars, before):
             if step != "total" and None not in (cpu, once) and cpu > 2 * once and cpu > once + NOISE_SECONDS:
                 doubled.append(f"{gate}, {step}: processor {cpu:.0f} s, committed {once:.0f} s")
     # A failed gate has no times of the steps after its failure, and the bar then has no value.
-    if all("total" in found.get(gate, {}) for gate in committed):
+    if committed and all("total" in found.get(gate, {}) for gate in committed):
         bars.count("gate/steps-doubled", doubled)
     now = test_names(ROOT)
     removed = {name for names in REMOVED.values() for name in names}
