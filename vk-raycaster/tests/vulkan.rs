@@ -436,14 +436,15 @@ fn oversized_volumes_are_refused_with_size_and_limit() -> Outcome {
     Ok(())
 }
 
-/// Checks that a message of the validation layer reaches the tests: a fence with an unknown flag must cause one.
+/// Checks that a message of the validation layer reaches the tests: a fence with an unknown flag must cause a
+/// message.
 fn validation_layer_was_heard() -> Outcome {
     let gpu = open(VulkanOptions { validation: true, ..Default::default() })?;
     expect_silence(&gpu)?;
     let shared = gpu.shared_device();
     let unknown = vk::FenceCreateInfo::default().flags(vk::FenceCreateFlags::from_raw(1 << 20));
-    // SAFETY: the device is alive, and no work uses the fence. The flag is the error that the layer must find; drivers
-    // ignore flags that they do not know.
+    // SAFETY: the device is alive, and no work uses the fence. The flag is the error that the layer must find;
+    // drivers ignore unknown flags.
     unsafe {
         let fence = shared.device().create_fence(&unknown, None)?;
         shared.device().destroy_fence(fence, None);

@@ -30,8 +30,8 @@ class FrameTime:
         proxy = manager.SMProxyManager.NewProxy("entire", "EntireSteering")
         if not proxy:
             raise RuntimeError(
-                "the plugin EntireSteering is not loaded: LoadPlugin('.../EntireSteering.so', remote=False), and with a "
-                "server also remote=True"
+                "the plugin EntireSteering is not loaded: call LoadPlugin('.../EntireSteering.so', remote=False); "
+                "with a server, call it once more with remote=True"
             )
         self.proxy = servermanager._getPyProxy(proxy)
         self.proxy.SMProxy.GetProperty("View").SetProxy(0, view.SMProxy)

@@ -225,9 +225,9 @@ public:
     // before it invokes its start event: so its settings are written at its renderer's start, and restored at its
     // renderer's end. Inside a smart mapper this is done only if the smart mapper is about to draw with it.
     bool SetEarly() const { return !this->Gpu; }
-    // Returns the mapper that has the input, cropping and blend mode of the coming frame. A smart mapper passes its own to
-    // its fixed-point mapper only while it draws, which is too late for SetEarly(); with a vector mode it passes another
-    // input, so that the input of its last frame is used.
+    // Returns the mapper that has the input, cropping and blend mode of the coming frame. A smart mapper passes its own
+    // input, cropping and blend mode to its fixed-point mapper only while it draws, which is too late for SetEarly().
+    // With a vector mode, the smart mapper passes another input, so the inner mapper's input of the last frame is used.
     vtkVolumeMapper* Source() const
     {
       vtkSmartVolumeMapper* const outer = this->SetEarly() ? this->Outer.GetPointer() : nullptr;
