@@ -4,4 +4,5 @@
 extern const entire::volume &volume;
 extern float rx, ry, distance;
 extern std::uint32_t width, height;
-void draw(double step);
+extern const entire::transfer_function &transfer_function;
+float draw(double step);

@@ -5,7 +5,7 @@ use crate::support::*;
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
 use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
-use entire_io::dataset::{Clock, read_tables};
+use entire_io::dataset::{COLUMNS, Clock, read_tables};
 use entire_steer::predict::load;
 use std::path::Path;
 use std::process::Output;
