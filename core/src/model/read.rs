@@ -124,7 +124,10 @@ impl Source<'_> {
             let ends =
                 ["prednet.input.mean", "prednet.input.std", "prednet.output.mean", "prednet.output.std"];
             if let Some(name) = ends.into_iter().find(|name| self.tensors.contains_key(*name)) {
-                bail!(InvalidTensor, "prednet.0.weight is missing, although the file holds {name}");
+                bail!(
+                    InvalidTensor,
+                    "prednet.0.weight is missing, expected shape [out, in], because the file holds {name}"
+                );
             }
         }
         Ok(last.map(|n| n + 1))
@@ -264,7 +267,8 @@ impl Source<'_> {
             .filter_map(|name| numbered(name, "volumenet.encoder.", &["conv.weight"]))
             .max()
             .map_or(0, |n| n + 1);
-        if layout.blocks.is_empty() || layout.blocks.len() != found {
+        // If the list has more blocks than the file, the loop below names the first missing tensor.
+        if layout.blocks.is_empty() || layout.blocks.len() < found {
             bail!(
                 InvalidModel,
                 "{key} lists {} blocks, but the file holds volumenet.encoder.*.conv.weight for {found}: expected one \
@@ -300,7 +304,8 @@ impl Source<'_> {
         let conv = format!("{name}.conv.weight");
         let expected = format!("[channels, {inputs}, k, k, k] with channels and k at least 1");
         let Some(tensor) = self.tensors.get(&conv) else {
-            bail!(InvalidTensor, "{conv} is missing, expected shape {expected}");
+            let key = Key::VolumeNet;
+            bail!(InvalidTensor, "{conv} is missing, expected shape {expected}; {key} lists this block");
         };
         let &[outputs, cin, kernel, k1, k2] = tensor.shape.as_slice() else {
             bail!(InvalidTensor, "{conv} has shape {:?}, expected {expected}", tensor.shape);
