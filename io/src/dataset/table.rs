@@ -226,11 +226,12 @@ impl Row<'_> {
         const WHOLE: &str = "a whole number";
         const NUMBER: &str = "a number";
         const OR_EMPTY: &str = "a number or nothing";
+        const WHOLE_OR_EMPTY: &str = "a whole number or nothing";
         let scene = Scene {
             // Spaces at the ends of a name belong to it.
             volume: self.raw("volume").to_owned(),
             member: self.raw("member").to_owned(),
-            time_step: self.optional("time_step", "a whole number or nothing")?,
+            time_step: self.optional("time_step", WHOLE_OR_EMPTY)?,
             dims: [
                 self.number("dims_x", WHOLE)?,
                 self.number("dims_y", WHOLE)?,
@@ -251,13 +252,13 @@ impl Row<'_> {
             lobes: parse_lobes(self.text("tf")).context("column tf")?,
         };
         scene.check()?;
-        let samples = self.optional("samples", OR_EMPTY)?;
+        let samples = self.optional("samples", WHOLE_OR_EMPTY)?;
         let counts = match samples {
             Some(samples) => Some(WorkCounts {
                 samples,
-                skips: self.optional("skips", OR_EMPTY)?.unwrap_or(0),
-                rays: self.optional("rays", OR_EMPTY)?.unwrap_or(0),
-                shaded: self.optional("shaded", OR_EMPTY)?.unwrap_or(0),
+                skips: self.optional("skips", WHOLE_OR_EMPTY)?.unwrap_or(0),
+                rays: self.optional("rays", WHOLE_OR_EMPTY)?.unwrap_or(0),
+                shaded: self.optional("shaded", WHOLE_OR_EMPTY)?.unwrap_or(0),
             }),
             None => None,
         };
