@@ -159,6 +159,7 @@ fn numbered(pattern: &str, number: i64) -> Result<String> {
         put = true;
         rest = &after[1..];
     }
+    ensure!(put, "{pattern:?} would name the same file again and again; a pattern of file names has one %d");
     name.push_str(rest);
     Ok(name)
 }
@@ -204,6 +205,7 @@ mod tests {
             "a%d.raw 1 2",
             "a%s.raw 1 2 1",
             "a%d%d.raw 1 2 1",
+            "a%%.raw 1 2 1",
             "a%999999d 1 2 1",
             "a%d 0 2000000000 1",
         ] {
