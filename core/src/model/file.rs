@@ -195,8 +195,11 @@ impl ModelFile {
     /// # Errors
     /// As [`Model::from_bytes`].
     pub fn to_model(&self) -> Result<Model> {
-        let borrow = |(name, t): (&String, &TensorData<'static>)| (name.clone(), t.clone());
-        Source { tensors: self.tensors.iter().map(borrow).collect(), metadata: self.metadata.clone() }.model()
+        let tensors = self.tensors.iter().map(|(name, t)| {
+            let data = Cow::Borrowed(&t.data[..]);
+            (name.clone(), TensorData { dtype: t.dtype, shape: t.shape.clone(), data })
+        });
+        Source { tensors: tensors.collect(), metadata: self.metadata.clone() }.model()
     }
 
     /// Returns the bytes of the file. Refuses content that could not be read back as a model.
