@@ -106,10 +106,10 @@ pub(crate) fn end_of(log: &Path) -> String {
 }
 
 /// Returns the last line that is not blank in the last MiB of a log, without sequences that set a terminal's
-/// colors, cut to 300 characters.
+/// colors, cut to 300 characters. A carriage return ends a line, since progress bars are printed with it.
 pub(crate) fn tail(log: &Path) -> String {
     let text = end_of(log);
-    let line = text.lines().rev().map(without_colors).find(|l| !l.trim().is_empty());
+    let line = text.rsplit(['\n', '\r']).map(without_colors).find(|l| !l.trim().is_empty());
     line.map_or_else(|| "it printed nothing".into(), |l| l.chars().take(300).collect())
 }
 
@@ -136,5 +136,7 @@ mod tests {
         assert_eq!(tail(&folder.path().join("none")), "it printed nothing");
         std::fs::write(&log, "\u{1b}[0m\u{1b}[31mFATL| Signal: SIGABRT\u{1b}[0m\n\u{1b}[0m\n").unwrap();
         assert_eq!(tail(&log), "FATL| Signal: SIGABRT");
+        std::fs::write(&log, "10 %\r20 %\rout of memory\r\n").unwrap();
+        assert_eq!(tail(&log), "out of memory");
     }
 }
