@@ -46,7 +46,7 @@ for target in $targets; do
 done
 echo "building the fuzz targets"
 # Lock file and output stay in fuzz/, which is not part of the workspace.
-cargo build --quiet --release --manifest-path fuzz/Cargo.toml --target-dir fuzz/target --target "$host" \
+cargo build --quiet --locked --release --manifest-path fuzz/Cargo.toml --target-dir fuzz/target --target "$host" \
     $(printf -- '--bin %s ' $targets)
 
 each=$((seconds / $(wc -w <<<"$targets")))
