@@ -32,6 +32,9 @@ print(" ".join("--exclude " + p["name"] for p in json.load(sys.stdin)["packages"
 # shellcheck disable=SC2086
 "$cargo" package --quiet --locked --workspace $private ${RELEASE_DIRTY:+--allow-dirty} --target-dir "$target/release-crates"
 cp "$target"/release-crates/package/*-"$version".crate "$folder/"
+for crate in "$folder"/*.crate; do
+    tar -tzf "$crate" | grep /LICENSE-MIT >/dev/null || { echo "release.sh: $crate has no license text" >&2; exit 1; }
+done
 
 step "C library: installed, archived, and a program built against the archive"
 name=entire-$version-$(uname -s | tr '[:upper:]' '[:lower:]')-$(uname -m)

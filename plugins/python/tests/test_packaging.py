@@ -23,6 +23,7 @@ def test_extras_and_entry_points():
     assert set(metadata.metadata("entire").get_all("Provides-Extra")) == {"vtk", "pyvista", "napari", "farm"}
     required = [r for r in metadata.requires("entire") if "extra ==" not in r]
     assert [re.match(r"[\w-]+", r)[0] for r in required] == ["numpy"]
+    assert metadata.metadata("entire").get_all("License-File") == ["LICENSE-APACHE", "LICENSE-MIT"]
     named = {(e.group, e.name): e.value for e in metadata.distribution("entire").entry_points}
     assert named["pyvista.plotter_components", "entire"] == "entire.pyvista"
     assert named["console_scripts", "entire"] == "entire._command:main"
