@@ -60,7 +60,7 @@ cp out/wheels/entire-"$version"*.whl out/wheels/entire-"$version".tar.gz "$folde
 (cd "$scratch" && clean/bin/python -c 'import entire; print("models:", ", ".join(entire.models()))' && clean/bin/entire --version)
 
 step "SBOM, notes and checksums"
-"$python" scripts/sbom.py "$("$cargo" pkgid --package entire-cli)" >"$folder/entire-$version.cdx.json"
+"$python" scripts/sbom.py entire-ffi entire-python >"$folder/entire-$version.cdx.json"
 section() { awk -v word="$1" '/^## / { if (told) exit; told = $2 == word || $2 == "[" word "]"; next } told' CHANGELOG.md; }
 section "$version" >"$folder/NOTES.md"
 # Until the version is released, its section has the heading Unreleased.

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Prints a software bill of materials (CycloneDX 1.5, JSON) of a package: every crate that it links, with version,
+"""Prints a software bill of materials (CycloneDX 1.5, JSON) of packages: every crate that they link, with version,
 license and checksum.
 
-    sbom.py PACKAGE-ID        as `cargo pkgid` prints it
+    sbom.py PACKAGE...
 """
 import json
 import re
@@ -16,9 +16,9 @@ def run(*command):
 
 
 def main():
-    package = sys.argv[1]
+    packages = [word for name in sys.argv[1:] for word in ("--package", name)]
     metadata = json.loads(run("cargo", "metadata", "--locked", "--format-version", "1"))
-    tree = run("cargo", "tree", "--locked", "--package", package, "--edges", "normal,build", "--prefix", "none", "--format",
+    tree = run("cargo", "tree", "--locked", *packages, "--edges", "normal,build", "--prefix", "none", "--format",
                "{p}")
     linked = {tuple(line.split()[:2]) for line in tree.splitlines() if line.strip()}
     with open("Cargo.lock", encoding="utf-8") as lock:
