@@ -4,6 +4,8 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
+# With `make -j`, too, `setup` installs cargo before a build needs it, and no target runs beside one that measures.
+.NOTPARALLEL:
 
 CARGO ?= cargo
 # Rust's installer puts cargo into this folder. A shell that was open before does not have the folder in its PATH.
