@@ -66,6 +66,9 @@ IFS=. read -r major minor _ <<<"$version"
 soversion=$major
 if [[ $major == 0 ]]; then soversion=0.$minor; fi
 
+# Bits of an address on the machine for which cargo builds.
+bits=$("${RUSTC:-rustc}" --print cfg ${CARGO_BUILD_TARGET:+--target "$CARGO_BUILD_TARGET"} | sed -n 's/^target_pointer_width="\(.*\)"/\1/p')
+
 upwards() { # as many ".." as the path has parts
     sed 's|[^/][^/]*|..|g' <<<"$1"
 }
@@ -120,7 +123,7 @@ fill() { # fill TEMPLATE OUT
         -e "s|@NATIVE_LIBS@|$native|g" -e "s|@NATIVE_LIBS_CMAKE@|${native// /;}|g" \
         -e "s|@PREFIX_FROM_PC@|$(upwards "$libdir/pkgconfig")|g" \
         -e "s|@PREFIX_FROM_CMAKE@|$(upwards "$libdir/cmake/entire")|g" \
-        -e "s|@POINTER_BYTES@|$(($(getconf LONG_BIT) / 8))|g" "$1" >"$2"
+        -e "s|@POINTER_BYTES@|$((bits / 8))|g" "$1" >"$2"
     if grep -n '@[A-Z_]*@' "$2" >&2; then echo "install.sh: $1 has a placeholder that nothing fills" >&2; exit 1; fi
     chmod 644 "$2"
 }

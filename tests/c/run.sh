@@ -100,6 +100,12 @@ env -u CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR="$elsewhere" CARGO_BUILD_TARGET="
     fail "install.sh does not find a library that cargo builds in another folder"
 [[ -e $work/from-elsewhere/lib/libentire.so && ! -s $work/from-elsewhere/lib/libentire.so ]] ||
     fail "install.sh installs another library than the one in cargo's target folder"
+mkdir -p "$elsewhere/i686-unknown-linux-gnu/debug"
+touch "$elsewhere/i686-unknown-linux-gnu/debug/libentire."{so,a}
+env -u CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR="$elsewhere" CARGO_BUILD_TARGET=i686-unknown-linux-gnu \
+    ffi/package/install.sh --profile dev --no-build --prefix "$work/from-elsewhere" >/dev/null || fail "install.sh of a 32-bit library"
+grep -q 'CMAKE_SIZEOF_VOID_P EQUAL 4' "$work/from-elsewhere/lib/cmake/entire/entireConfigVersion.cmake" ||
+    fail "the CMake package of a 32-bit library is not for 32-bit programs"
 if env -u CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR="$elsewhere/none" ffi/package/install.sh --no-build \
     --prefix "$work/from-elsewhere" 2>"$work/elsewhere.log"; then
     fail "install.sh installs a library that does not exist"
