@@ -2,13 +2,17 @@
 
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Frame, TransferTable, VolumeView};
+use entire_io::dataset::Clock;
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
 
-/// Renderer that draws nothing. Its time by every clock is the model's prediction.
+/// Renderer that draws nothing. Its wall time, and its time by the model's clock, are the model's prediction;
+/// it has no time by other clocks, so that a model of its times states the same clock. A model that states no
+/// clock gives every time.
 pub struct Teacher {
     name: String,
+    clock: Option<Clock>,
     predictor: Box<dyn Predictor + Send>,
     features: FrameFeatures,
     summary: Option<VolumeSummary>,
@@ -30,7 +34,8 @@ impl Teacher {
             );
         }
         let features = FrameFeatures::with_probe_side(predictor.probe_side());
-        Ok(Self { name: name.into(), predictor, features, summary: None, transfer: None })
+        let clock = entire_io::clock::of(model);
+        Ok(Self { name: name.into(), clock, predictor, features, summary: None, transfer: None })
     }
 }
 
@@ -73,9 +78,10 @@ impl Renderer for Teacher {
         };
         let prediction = self.predictor.predict(&inputs).map_err(|e| Error::new(e.to_string()))?;
         let seconds = f64::from(prediction.seconds);
+        let by = |clock: Clock| self.clock.is_none_or(|c| c == clock).then_some(seconds);
         Ok(Rendered {
             image: Image { width: 0, height: 0, rgba: Vec::new() },
-            time: FrameTime { device: Some(seconds), wall: seconds, cpu: Some(seconds) },
+            time: FrameTime { device: by(Clock::Device), wall: seconds, cpu: by(Clock::Cpu) },
             counts: None,
         })
     }
@@ -119,6 +125,18 @@ mod tests {
         // Setting another volume clears the transfer function.
         teacher.set_volume(&volume.view()).unwrap();
         assert!(teacher.render(&frame).is_err());
+        // Only the clock that the model states has a time, besides the wall.
+        for (clock, has) in
+            [(Clock::Wall, [false, false]), (Clock::Device, [true, false]), (Clock::Cpu, [false, true])]
+        {
+            let mut file = file.clone();
+            entire_io::clock::set(&mut file, clock);
+            let mut teacher = Teacher::new("a model", &file.to_model().unwrap()).unwrap();
+            teacher.set_volume(&volume.view()).unwrap();
+            teacher.set_transfer(&table).unwrap();
+            let time = teacher.render(&frame).unwrap().time;
+            assert_eq!([time.device.is_some(), time.cpu.is_some()], has, "{clock:?}");
+        }
     }
 
     #[test]

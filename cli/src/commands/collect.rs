@@ -75,8 +75,9 @@ pub(crate) struct Options {
     /// Options for reading the volumes.
     #[command(flatten)]
     pub(crate) reading: Reading,
-    /// Write this model's predicted times instead of rendering the frames, to distill another model from it;
-    /// every clock gets the predicted time.
+    /// Write this model's predicted times instead of rendering the frames, to distill another model from it.
+    /// The predicted time is written as wall time and as time by the model's clock; by every clock if the
+    /// model states none.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
     pub(crate) teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
