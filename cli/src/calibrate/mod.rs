@@ -25,11 +25,13 @@ use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::UnitCosts;
 use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
 use entire_train::inputs::work_of;
+use entire_train::split::shortest;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use measuring::Measuring;
 use pool::Pool;
 use report::Pictures;
+use std::collections::BTreeSet;
 #[cfg(test)]
 use std::path::Path;
 use std::path::PathBuf;
@@ -216,6 +218,7 @@ fn fit_to_frames(
     priors: &[ModelFile],
 ) -> Result<(Chosen, Vec<Observed>)> {
     let mut groups = Groups::default();
+    let volumes: BTreeSet<String> = part.frames.iter().map(|f| f.scene.volume.clone()).collect();
     let renderer = expected_costs(context, part);
     let prior = PriorModel::new(priors, &renderer)?;
     let unknown = UnitCosts::OF_UNKNOWN;
@@ -234,7 +237,7 @@ fn fit_to_frames(
         .map(|((frame, counted), &seconds)| Observed {
             work: work_of(counted),
             seconds,
-            group: groups.number(&frame.scene.volume),
+            group: groups.number(shortest(&frame.scene.volume, &volumes)),
         })
         .collect();
     let chosen = prior.choose(&observed, renderers)?;

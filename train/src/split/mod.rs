@@ -67,6 +67,7 @@ pub struct Split {
 impl Split {
     /// Splits groups: `validation` and `test` name groups, all others are for training. If both are empty and
     /// there are at least three groups, a random tenth of the groups (at least one group) is taken for each.
+    /// Groups go to one part if the path of one is the end of the other's.
     ///
     /// # Errors
     /// When a name is no group or is named twice, or no training group is left.
@@ -82,25 +83,28 @@ impl Split {
         for name in validation.iter().chain(test) {
             ensure!(groups.contains(name), "{} {name:?} is not in the data; there are {}", by.name(), list());
         }
-        if let Some(both) = validation.iter().find(|v| test.contains(v)) {
+        let name = |group: &String| shortest(group, &groups).to_owned();
+        let [mut held, mut tested]: [BTreeSet<String>; 2] =
+            [validation, test].map(|named| named.iter().map(name).collect());
+        if let Some(both) = validation.iter().find(|v| tested.contains(&name(v))) {
             bail!("{} {both:?} is named both for validation and for testing; name it once", by.name());
         }
-        let mut split = Self {
-            by,
-            validation: validation.iter().cloned().collect(),
-            test: test.iter().cloned().collect(),
-            ..Self::default()
-        };
-        if validation.is_empty() && test.is_empty() && groups.len() >= 3 {
-            let (shuffled, tenth) = shuffled(&groups, seed);
-            split.test = shuffled[..tenth].iter().map(|g| (*g).clone()).collect();
-            split.validation = shuffled[tenth..2 * tenth].iter().map(|g| (*g).clone()).collect();
+        let names: BTreeSet<String> = groups.iter().map(name).collect();
+        if validation.is_empty() && test.is_empty() && names.len() >= 3 {
+            let (shuffled, tenth) = shuffled(&names, seed);
+            tested = shuffled[..tenth].iter().map(|g| (*g).clone()).collect();
+            held = shuffled[tenth..2 * tenth].iter().map(|g| (*g).clone()).collect();
         }
-        split.training = groups
-            .iter()
-            .filter(|g| !split.validation.contains(*g) && !split.test.contains(*g))
-            .cloned()
-            .collect();
+        let mut split = Self { by, ..Self::default() };
+        for group in &groups {
+            let name = name(group);
+            let part = match (held.contains(&name), tested.contains(&name)) {
+                (true, _) => &mut split.validation,
+                (_, true) => &mut split.test,
+                _ => &mut split.training,
+            };
+            part.insert(group.clone());
+        }
         ensure!(
             !split.training.is_empty(),
             "no {} is left to train on; name fewer for validation and testing",
@@ -152,6 +156,17 @@ impl Split {
         }
         parts
     }
+}
+
+/// Returns the shortest of `groups` that is the end of this group's path: the same volume or member, since
+/// tables state paths relative to different folders.
+pub fn shortest<'a>(group: &'a str, groups: &BTreeSet<String>) -> &'a str {
+    let mut rest = Path::new(group).components();
+    let mut found = group;
+    while rest.next().is_some() {
+        found = rest.as_path().to_str().filter(|end| groups.contains(*end)).unwrap_or(found);
+    }
+    found
 }
 
 /// Returns the groups in random order, and a tenth of their number, but at least 1.
@@ -246,5 +261,20 @@ mod tests {
         assert!(fails(&["a"], &["b", "c"]).contains("left to train on"));
         let few = Split::new(&frames[..2], GroupBy::Volume, &[], &[], 1).unwrap();
         assert_eq!((few.training.len(), few.test.len()), (2, 0));
+    }
+
+    #[test]
+    fn a_volume_that_two_tables_name_differently_stays_in_one_part() {
+        let names = ["a", "b", "c", "./a", "x/b", "/y/x/c"];
+        let frames = names.map(|name| TimedFrame::of_no_volume(name, ""));
+        for seed in 0..8 {
+            let split = Split::new(&frames, GroupBy::Volume, &[], &[], seed).unwrap();
+            assert_eq!((split.training.len(), split.validation.len(), split.test.len()), (2, 2, 2));
+            for pair in 0..3 {
+                assert_eq!(split.part(&frames[pair].scene), split.part(&frames[pair + 3].scene), "{split:?}");
+            }
+        }
+        let split = Split::new(&frames, GroupBy::Volume, &[], &["x/b".into()], 1).unwrap();
+        assert_eq!(split.test, BTreeSet::from(["b", "x/b"].map(String::from)));
     }
 }
