@@ -18,7 +18,8 @@ pub use report::Report;
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Shading, Skipping};
-use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed};
+use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, manifests_of, mixed, noise_floor, timed};
+use entire_io::files::note;
 use entire_io::volume::Reading;
 use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
 use entire_steer::features::PROBE_SIDE;
@@ -281,6 +282,10 @@ pub fn calibrate_to_tables(
         frames.len(),
         shading
     );
+    let manifests = manifests_of(tables, &frames);
+    if let Some(text) = mixed(&manifests) {
+        note(&text);
+    }
     let (files, names) = named(priors);
     let hidden = ProgressBar::hidden();
     let context = FitContext { tables, pool: threads, bar: &hidden, stop: &|| false };
@@ -288,11 +293,11 @@ pub fn calibrate_to_tables(
     let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
     let seconds = start.elapsed().as_secs_f64();
     let report = Report {
-        files: tables.iter().filter_map(|t| t.manifest.as_ref()).flat_map(|m| m.files.clone()).collect(),
+        files: manifests.iter().flat_map(|m| m.files.clone()).collect(),
         ..Report::new((shading, clock), names, &observed, &chosen, |_| true, noise, seconds)?
     };
-    let manifest = tables.iter().find_map(|t| t.manifest.as_ref());
-    let device = manifest.map_or(("not stated", "not stated"), |m| (m.renderer.as_str(), m.device.as_str()));
+    let device =
+        manifests.first().map_or(("not stated", "not stated"), |m| (m.renderer.as_str(), m.device.as_str()));
     let mut file = chosen.file;
     report.write_into(&mut file, device, &observed, &chosen.crossed)?;
     Ok((file, report))

@@ -4,8 +4,8 @@ use crate::calibrate::{can_be_prior, report::law_text};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_io::dataset::{
-    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, open_tables, read_pictures, shaded,
-    timed,
+    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, manifests_of, mixed, noise_floor, open_tables,
+    read_pictures, shaded, timed,
 };
 use entire_io::device::names_software;
 use entire_io::files::{check_model_out, ensure_not_input, note, open_model, write_whole};
@@ -135,6 +135,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let seconds: BTreeMap<(usize, u64), f64> =
         frames.iter().map(|(f, t)| ((f.table, f.number), *t)).collect();
     let refs: Vec<&TimedFrame> = frames.iter().map(|f| f.0).collect();
+    let manifests = manifests_of(&tables, &refs);
+    if let Some(text) = mixed(&manifests) {
+        note(&text);
+    }
     let mut parts = split.divide(&refs);
     if let Some(limit) = options.limit {
         ensure!(limit > 0, "--limit is 0; at least 1 training frame is needed");
@@ -269,7 +273,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(law) = &pictures {
         law.quality.store(&mut fitted.file)?;
     }
-    if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
+    if let Some(manifest) = manifests.first() {
         fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
         fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
         fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
@@ -321,9 +325,9 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
     let base = base.and_then(|(name, model)| Some((name.to_string(), entire_io::clock::of(model)?)));
     let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
     // On a GPU, processor time is only that of the thread that waits.
-    let on_gpu = tables
+    let frames: Vec<&TimedFrame> = shaded(tables, options.shade).collect();
+    let on_gpu = manifests_of(tables, &frames)
         .iter()
-        .filter_map(|t| t.manifest.as_ref())
         .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
     let asked = options.clock.or((base.is_none() && on_gpu).then_some(Clock::Auto));
     entire_io::clock::for_training(asked, base, shaded(tables, options.shade))

@@ -307,6 +307,18 @@ fn frames_without_the_clock_are_left_out_by_number() {
 }
 
 #[test]
+fn a_mixture_of_renderers_is_named_and_unused_tables_do_not_count() {
+    let of = |renderer: &str| Manifest { renderer: renderer.into(), ..Manifest::default() };
+    let tables = ["vulkan", "yt", "vulkan"].map(|r| Table { manifest: Some(of(r)), ..Table::default() });
+    let frames = [0, 1, 2].map(|table| TimedFrame { table, ..TimedFrame::of_no_volume("v", "") });
+    let same = manifests_of(&tables, &[&frames[2], &frames[0], &frames[2]]);
+    assert_eq!((same.len(), mixed(&same)), (2, None));
+    assert_eq!(manifests_of(&tables, &[&frames[1]])[0].renderer, "yt");
+    let text = mixed(&manifests_of(&tables, &[&frames[0], &frames[1]])).unwrap();
+    assert!(text.contains("of 2 renderers or machines") && text.contains("yt on"), "{text}");
+}
+
+#[test]
 fn manifests_keep_unknown_keys_and_refuse_other_formats() {
     let dir = folder();
     let table = dir.path().join("run.v2.csv");

@@ -1,12 +1,13 @@
 //! Times of frames: repeats by every clock, their median, and their scatter.
 
-use super::{Scene, Table, parse_lobes};
+use super::{Manifest, Scene, Table, parse_lobes};
 use crate::metrics::{median, percentile};
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Arcball, Shading, Skipping};
 use entire_steer::predict::LONGEST_FRAME;
 use entire_vk_raycaster::{FrameTime, WorkCounts};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::str::FromStr;
 
 /// One repeat of a frame: seconds by each available clock, and work counts.
@@ -164,6 +165,26 @@ pub struct Timed<'a> {
 /// Returns the frames with the requested shading, of all tables; all frames if `shading` is `None`.
 pub fn shaded(tables: &[Table], shading: Option<Shading>) -> impl Iterator<Item = &TimedFrame> + Clone {
     tables.iter().flat_map(|t| &t.frames).filter(move |f| shading.is_none_or(|s| f.scene.shading == s))
+}
+
+/// Returns the manifests of the tables that contain the frames, in the order of the tables.
+pub fn manifests_of<'a>(tables: &'a [Table], frames: &[&TimedFrame]) -> Vec<&'a Manifest> {
+    let used: BTreeSet<usize> = frames.iter().map(|f| f.table).collect();
+    used.into_iter().filter_map(|table| tables.get(table)?.manifest.as_ref()).collect()
+}
+
+/// Returns a note that names the renderers and machines of the frames; `None` if there is only one.
+pub fn mixed(manifests: &[&Manifest]) -> Option<String> {
+    let source = |m: &&Manifest| format!("{} on {} ({})", m.renderer, m.device, m.machine);
+    let sources: BTreeSet<String> = manifests.iter().map(source).collect();
+    (sources.len() > 1).then(|| {
+        format!(
+            "the frames are of {} renderers or machines, which a model cannot tell apart: {}; make a model \
+             for each of them",
+            sources.len(),
+            sources.into_iter().collect::<Vec<_>>().join("; ")
+        )
+    })
 }
 
 /// Returns the frames with a time by the clock and the requested shading (if any), each with its seconds.
