@@ -36,6 +36,13 @@ text = ";".join(" ".join(timing_table.single_text(v) for v in lobe) for lobe in 
 assert text == "0.3575599 0.0110967215 0.017436543;0.91632026 0.0006550259 0.5698056;0.05813787 0.010394635 0.07989768"
 assert [timing_table.single_text(v) for v in (scene.rx, scene.ry, scene.dz)] == ["1.6128389", "32.929604", "3"]
 assert (scene.width, scene.height, scene.step) == (36, 312, 1.0)
+for path, name, place in (
+    ("data/a.nrrd", "a.nrrd", ("", "")),
+    ("x/castro/m01/t0012.nrrd", "castro/m01/t0012.nrrd", ("m01", "12")),
+    ("x/castro/m02/../m01/t0012.nrrd", "castro/m01/t0012.nrrd", ("m01", "12")),
+):
+    volume = timing_table.Volume(path, np.zeros((1, 1, 1)), (1, 1, 1))
+    assert (volume.seed_name(), volume.place()) == (name, place), path
 
 
 class Clockwork:

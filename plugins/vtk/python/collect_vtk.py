@@ -100,7 +100,8 @@ def compare(options, renderer):
             for index in range(options.scenes):
                 # Indices after those of the timed frames give other scenes.
                 scene = timing_table.draw_scene(
-                    options.seed, path, options.frames + index, max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size)
+                    options.seed, renderer.volume.seed_name(), options.frames + index,
+                    max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size),
                 )
                 writer.writerows(compared(renderer, scene, f"{path} {index}", options.repeats))
                 file.flush()

@@ -123,7 +123,7 @@ def _log_uniform(bounds, unit):
 
 
 def draw_scene(seed, volume, index, min_size=32, max_size=1024, steps=(1.0,), lobes=(3, 3), radii=RADII):
-    """Returns scene `index` of the volume of this name: the same random scene as in `entire collect`."""
+    """Returns scene `index` of the volume with this seed name: the same as in `entire collect`."""
     rng = ChaCha8(seed ^ fnv1a(volume.encode()), index)
     unit = rng.unit
 
@@ -169,7 +169,12 @@ class Volume:
         step = re.fullmatch(r"t(\d+)", os.path.splitext(os.path.basename(self.name))[0])
         if not step:
             return "", ""
-        return os.path.basename(os.path.dirname(self.name)), str(int(step.group(1)))
+        return os.path.basename(os.path.dirname(os.path.abspath(self.name))), str(int(step.group(1)))
+
+    def seed_name(self):
+        """Returns the name that seeds the volume's scenes: the name of the file and, for a time step, of the two
+        folders above it. It does not depend on the working folder."""
+        return "/".join(os.path.abspath(self.name).split(os.sep)[-3 if self.place()[1] else -1 :])
 
 
 def read_nrrd(path):
@@ -313,7 +318,7 @@ def volume_frames(options, renderer, path, steps, number, repeat):
     member, time_step = volume.place()
     renderer.load(volume)
     for index in range(options.frames):
-        scene = draw_scene(options.seed, path, index, options.min_size, options.max_size, steps)
+        scene = draw_scene(options.seed, volume.seed_name(), index, options.min_size, options.max_size, steps)
         draw = renderer.prepare(scene)
         # The first frame with a new image size or transfer function includes one-time work.
         for _ in range(options.warm_up if index == 0 else renderer.warm_up):
