@@ -82,6 +82,15 @@ with tempfile.TemporaryDirectory() as folder:
     assert [float(r[3]) for r in rows] == [1, 2, 3, 4, 5, 6, 7, 8]
     assert [(r[0], "0", r[2], r[4]) for r in rows[4:]] == [(r[0], "0", r[2], r[4]) for r in rows[:4]]
     assert {r[1] for r in rows[4:]} == {"1"}
+    # The manifest has the name that `entire train` looks for, and no other table's manifest is replaced.
+    os.rename(out, f"{out}.gz")
+    for name, refused in (("t.csv", "t.csv.gz exists"), ("u.csv.gz", "leave .gz out"), ("frames.1", None)):
+        words[words.index("--out") + 1] = os.path.join(folder, name)
+        try:
+            timing_table.collect(timing_table.arguments("").parse_args(words), Clockwork())
+            assert not refused and os.path.exists(os.path.join(folder, f"{name}.manifest.json"))
+        except SystemExit as error:
+            assert refused and refused in str(error), error
 
     # Each picture of a scene is compared with the first, which has full quality.
     noise = os.path.join(folder, "noise.nrrd")

@@ -272,8 +272,14 @@ def arguments(description):
 
 def collect(options, renderer):
     """Draws every frame of every volume and writes the table and its manifest."""
-    if os.path.exists(options.out):
-        sys.exit(f"{options.out} exists already; remove it or choose another name")
+    stem, ending = os.path.splitext(options.out)
+    if ending == ".gz":
+        sys.exit(f"{options.out}: tables are written without compression; leave .gz out of the name")
+    # Tables whose names differ only in .csv and .gz have one manifest.
+    stem = stem if ending == ".csv" else options.out
+    for taken in (options.out, f"{stem}.csv.gz", f"{stem}.gz"):
+        if os.path.exists(taken):
+            sys.exit(f"{taken} exists already; remove it or choose another name")
     steps = tuple(float(s) for s in options.steps.split(","))
     # The manifest is written first, so that an interrupted table can be used.
     manifest = {
@@ -289,7 +295,7 @@ def collect(options, renderer):
         "step_reference": "smallest voxel spacing",
         "settings": {k: v for k, v in vars(options).items() if k not in ("volumes", "out")},
     }
-    with open(os.path.splitext(options.out)[0] + ".manifest.json", "w") as file:
+    with open(f"{stem}.manifest.json", "w") as file:
         json.dump(manifest, file, indent=2)
         file.write("\n")
     with open(options.out, "w", newline="") as file:
