@@ -91,4 +91,6 @@ if __name__ == "__main__":
     parser = timing_table.arguments(__doc__.splitlines()[0])
     parser.add_argument("--mode", choices=("GPU Based", "Ray Cast Only"), default="GPU Based")
     options = parser.parse_args()
+    if options.steps != parser.get_default("steps"):
+        parser.error("ParaView sets the ray step itself; leave --steps out")
     timing_table.collect(options, ParaViewRenderer(options.mode, options.shade))
