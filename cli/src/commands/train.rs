@@ -163,11 +163,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                  data",
                 split.by.name()
             ),
-            false => {
-                "no --validation-groups: the training frames decide when training stops, and the upper bound \
-                 is fitted to them. More than 5 % of other frames may exceed this bound"
-                    .into()
-            }
+            false => format!(
+                "no --validation-groups: {}the upper bound is fitted to the training frames. More than 5 % of \
+                 other frames may exceed this bound",
+                match recipe.kind {
+                    Kind::Analytic => "",
+                    _ => "the training frames decide when training stops, and ",
+                }
+            ),
         });
     }
     let earlier = base.as_ref().map_or(Vec::new(), |(_, model)| Split::all_of(model));
