@@ -15,6 +15,7 @@ use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Reading;
 use entire_io::{device, interrupt, machine};
+use entire_train::split::Split;
 use entire_train::teacher::Teacher;
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
@@ -182,7 +183,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             let bytes = read_model_bytes(path)?;
             let model = parse_model(path, &bytes)?;
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-            teacher = Some(json!({ "file": name, "fnv1a": fnv1a_text(&bytes) }));
+            let splits = Split::all_of(&model);
+            teacher = Some(json!({ "file": name, "fnv1a": fnv1a_text(&bytes), "splits": splits }));
             Box::new(Teacher::new(&name, &model).with_context(|| format!("{}", path.display()))?)
         }
         None => device::open(options.render.device)?,

@@ -173,7 +173,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             ),
         });
     }
-    let earlier = base.as_ref().map_or(Vec::new(), |(_, model)| Split::all_of(model));
+    let mut earlier = base.as_ref().map_or(Vec::new(), |(_, model)| Split::all_of(model));
     if let (Some((name, _)), true) = (&base, earlier.is_empty()) {
         note(&format!(
             "{name} does not state its training data, so it may have been trained on the test frames"
@@ -190,6 +190,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     });
     if let Some(text) = &leak {
         note(&format!("{text}; their errors are not those of unseen data"));
+    }
+    // The times that a teacher gave contain what it learned from its own training frames.
+    for manifest in tables.iter().filter_map(|t| t.manifest.as_ref()) {
+        let splits = manifest.settings["teacher"]["splits"].clone();
+        earlier.extend(serde_json::from_value::<Vec<Split>>(splits).unwrap_or_default());
     }
     let part_seconds =
         |p: Part| -> Vec<f64> { part(p).iter().map(|f| seconds[&(f.table, f.number)]).collect() };

@@ -114,7 +114,7 @@ impl Split {
     }
 
     /// Returns the splits by which a model was trained, as its file states them: its own, then those of the
-    /// models that it was fine-tuned from. Empty if the file states none.
+    /// models that it was fine-tuned or distilled from. Empty if the file states none.
     pub fn all_of(model: &Model) -> Vec<Self> {
         let stated = model.metadata.get(Key::Provenance.name());
         let Some(origin) = stated.and_then(|text| serde_json::from_str::<Value>(text).ok()) else {
