@@ -307,3 +307,17 @@ def test_calibrating_puts_everything_back(shown):
     assert actor.mapper is smart
     plotter.render()
     assert np.array_equal(plotter.screenshot(), look)
+
+
+def test_calibrating_leaves_other_steerings_alone(shown, image):
+    plotter, first = shown
+    second = plotter.add_volume(image, scalars="values", show_scalar_bar=False)
+    held = plotter.entire.hold(fps=30, volume=second)
+    smart = first.mapper
+    assert plotter.entire.calibrate(frames=10, pictures=0).predicts
+    assert first.mapper is smart
+    assert [leaf.volume for leaf in held.leaves] == [second]
+    plotter.entire.detach()
+    held = entire.vtk.hold(plotter.renderer, seconds=0.1)
+    assert plotter.entire.calibrate(frames=10, pictures=0).predicts
+    assert len(held.leaves) == 2

@@ -16,6 +16,7 @@ from ._core import Model, ModelLike
 from ._history import History
 from .vtk import Steering, calibrate, hold
 from .vtk._mappers import gpu_in_place_of
+from .vtk._steering import _holder, _volumes
 
 
 def _gpu_wrapper(smart: Any) -> Any:
@@ -120,14 +121,16 @@ class EntireComponent:
         self._guard_screenshots()
         return steering
 
-    def calibrate(self, frames: int = 60, **options: Any) -> Model:
-        """Draws random frames of the renderer's first volume and fits the cost model to them; see
+    def calibrate(self, frames: int = 60, *, volume: Any = None, **options: Any) -> Model:
+        """Draws random frames of a volume of the active renderer and fits the cost model to them; see
         :func:`entire.vtk.calibrate`.
 
         Parameters
         ----------
         frames : int, optional
             Number of frames to draw, at least 10. Default 60.
+        volume : pyvista.Volume, optional
+            Default: the renderer's first volume.
         **options
             Options of :func:`entire.vtk.calibrate`.
 
@@ -137,14 +140,18 @@ class EntireComponent:
             For ``model=`` of :meth:`hold`.
         """
         self._plotter.render()
-        if self.steering is None or not self.steering.leaves:
-            # A temporary steering, which exchanges a smart mapper during the measurement.
-            passing = self._new_steering(None, 1.0)
-            try:
-                return calibrate(self._plotter.renderer, frames=frames, **options)
-            finally:
-                passing.detach()
-        return calibrate(self._plotter.renderer, frames=frames, **options)
+        renderer = self._plotter.renderer
+        there = _volumes(renderer)
+        if volume is None and there:
+            volume = there[0]
+        if volume not in there or _holder(volume) is not None:
+            return calibrate(renderer, volume, frames, **options)
+        # A temporary steering, which exchanges a smart mapper during the measurement.
+        passing = self._new_steering(volume, 1.0)
+        try:
+            return calibrate(renderer, volume, frames, **options)
+        finally:
+            passing.detach()
 
     @property
     def steering(self) -> Steering | None:
