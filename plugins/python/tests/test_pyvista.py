@@ -295,6 +295,12 @@ def test_misuse_is_said(image):
     plotter.close()
 
 
+def test_a_warning_names_the_line_of_the_application(shown):
+    with pytest.warns(UserWarning, match="clock") as warned:
+        shown[0].entire.hold(fps=30, model="unshaded-selected")
+    assert warned[0].filename == __file__
+
+
 def test_calibrating_puts_everything_back(shown):
     plotter, actor = shown
     smart, look = actor.mapper, plotter.screenshot()

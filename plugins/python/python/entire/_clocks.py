@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -34,11 +35,15 @@ def difference(session: Session) -> str:
     )
 
 
-def warn(session: Session, also: str = "", *, stacklevel: int) -> None:
-    """Warns if the two clocks differ. `also` is added to the text. `stacklevel` 1 is the caller's frame."""
+def warn(session: Session, also: str = "") -> None:
+    """Warns if the two clocks differ. `also` is added to the text. The warning names the application's line that
+    called this package."""
     text = difference(session)
     if text:
-        warnings.warn(text + also, stacklevel=stacklevel + 1)
+        level, frame = 1, sys._getframe()
+        while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("entire."):
+            level, frame = level + 1, frame.f_back
+        warnings.warn(text + also, stacklevel=level)
 
 
 def both(session: Session) -> str:

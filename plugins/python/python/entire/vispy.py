@@ -75,7 +75,7 @@ class Holder:
         self.enabled = True
         self.session = Session(model=model, tolerance=0.25, miss_rate=0.02, probe_side=6)
         self.session.set_timing_source(f"vispy.{type(visual).__name__}", "wall")
-        _clocks.warn(self.session, stacklevel=3)
+        _clocks.warn(self.session)
         self.coarsest = coarsest
         self.measured = self.predicted = self.step = math.nan
         self.reason, self.status = "", "no frame was drawn yet"

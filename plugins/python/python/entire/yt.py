@@ -94,7 +94,7 @@ class Holder:
         self.volume = _fixed_resolution(self.source, edge)
         self.session = Session(self.volume, model=model, tolerance=0.25)
         self.session.set_timing_source(f"yt.{type(self.source).__name__}", "wall")
-        _clocks.warn(self.session, stacklevel=3)
+        _clocks.warn(self.session)
         width, height = (int(n) for n in scene.camera.resolution)
         self.most, self.full = int(self.source.num_samples), (width, height)
         self.smallest = smallest

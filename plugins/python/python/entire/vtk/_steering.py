@@ -135,7 +135,7 @@ class Steering:
         # A session without a volume, so that the warning about clocks comes once, before any volume is attached.
         unbound = self._new_session("")
         self._model_clock, self._clocks = unbound.model_clock, _clocks.both(unbound)
-        _clocks.warn(unbound, f", as does entire.vtk.calibrate(..., clock={clock!r})", stacklevel=3)
+        _clocks.warn(unbound, f", as does entire.vtk.calibrate(..., clock={clock!r})")
         self._make_gpu = make_gpu
         self._state: bytes | None = None
         self._still = 0
