@@ -76,7 +76,8 @@ pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> Py
     }
     let array = asarray(given)?;
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
-    let at = |i: usize| move |e: PyErr| PyValueError::new_err(format!("camera {i}: {e}"));
+    let py = given.py();
+    let at = |i: usize| move |e: PyErr| PyValueError::new_err(format!("camera {i}: {}", e.value(py)));
     match shape[..] {
         [_, 3] => {
             let rows: PyReadonlyArray2<'_, f32> = astype(&array, "float32")?.extract()?;

@@ -61,6 +61,11 @@ fn made(
                  them",
             ));
         }
+        (_, Some(length)) if !(length.is_finite() && length > 0.0) => {
+            return Err(PyValueError::new_err(format!(
+                "unit_length is {length}; it must be finite and positive"
+            )));
+        }
         (_, Some(length)) => Unit::World(length),
         (distance, None) => Unit::ReferenceSteps(distance.unwrap_or(1.0)),
     };

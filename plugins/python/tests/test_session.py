@@ -335,7 +335,7 @@ def test_transfer_functions_agree():
         (lambda: entire.TransferFunction.table(np.zeros((5, 3))), "shape"),
         (lambda: entire.TransferFunction.table([0.5]), "at least 2"),
         (lambda: entire.TransferFunction.points([(0, 1)], unit_distance=1, unit_length=1), "both"),
-        (lambda: entire.TransferFunction.points([(0, 1)], unit_length=-1), "positive"),
+        (lambda: entire.TransferFunction.points([(0, 1)], unit_length=-1), "unit_length is -1; .* positive"),
     ):
         with pytest.raises(ValueError, match=text):
             bad()
