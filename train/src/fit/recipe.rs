@@ -359,7 +359,7 @@ impl Recipe {
             }
             None => (ModelFile::default(), None),
         };
-        let lobes = training.frames.first().map_or(0, |f| f.scene.lobes.len());
+        let lobes = training.frames.iter().map(|f| f.scene.lobes.len()).max().unwrap_or(0);
         let layout = Layout::new(&groups, features, lobes, encoder)?
             .with_probe_side(self.side())
             .with_sorted_lobes(self.sorted_lobes);

@@ -184,6 +184,16 @@ fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
 }
 
 #[test]
+fn a_network_takes_as_many_lobes_as_any_training_frame_has() {
+    let one = TimedFrame::of_no_volume("v", "");
+    let mut two = one.clone();
+    two.scene.lobes = entire_io::dataset::parse_lobes("0.5 0.1 1;0.2 0.1 1").unwrap();
+    let recipe = Recipe { inputs: vec!["transfer_function".into()], ..Recipe::default() };
+    let training = Timed { frames: &[&one, &two], seconds: &[1.0, 1.0] };
+    assert_eq!(recipe.layout(training).unwrap().1.width(), 6);
+}
+
+#[test]
 fn an_ensemble_says_how_each_of_its_networks_ended() {
     let frames = tables_of_no_volume(6);
     let frames: Vec<&TimedFrame> = frames.iter().collect();
