@@ -298,6 +298,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "Nothing was held out for testing, so the errors above are not those of unseen data.".into()
         }
         (false, Some(text)) => format!("The errors above are not those of unseen data: {text}."),
+        (false, None) if base.is_some() && earlier.is_empty() => {
+            "The model to fine-tune does not state its training data, so it may have been trained on the test \
+             groups."
+                .into()
+        }
         (false, None) => "Test groups were not used in training.".into(),
     };
     let made = (&fitted, &layout, clock);
@@ -508,7 +513,7 @@ fn card(
     md.push("## Limits".to_owned());
     md.push(format!(
         "The times are those of one renderer on one machine. On another machine, driver or renderer, \
-         calibrate first. Predictions for scenes unlike the training data (other modalities, sizes, shading \
+         {verb} the model first. Predictions for scenes unlike the training data (other modalities, sizes, shading \
          modes, steps) may have large errors. The out-of-range score is above 0 if a value lies outside the range \
          of the training data. {tested}"
     ));
