@@ -170,6 +170,11 @@ def test_yt_scenes_that_cannot_be_steered():
     for smallest in (0, -1, float("nan")):
         with pytest.raises(ValueError, match="smallest"):
             entire.yt.hold(scene, 1.0, smallest=smallest)
+    with pytest.raises(ValueError, match="edge is 0"):
+        entire.yt.hold(scene, 1.0, edge=0)
+    scene[0].transfer_function = yt.visualization.volume_rendering.api.ProjectionTransferFunction()
+    with pytest.raises(entire.CannotSteer, match="no opacities"):
+        entire.yt.hold(scene, 1.0)
     empty = yt.visualization.volume_rendering.api.Scene()
     with pytest.raises(entire.CannotSteer, match="no volume source"):
         entire.yt.hold(empty, 1.0)

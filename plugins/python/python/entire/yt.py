@@ -84,6 +84,8 @@ class Holder:
             raise ValueError(f"seconds is {seconds}; it must be finite and positive")
         if not smallest > 0:
             raise ValueError(f"smallest is {smallest}; it must be positive (1 for the full side)")
+        if edge < 1:
+            raise ValueError(f"edge is {edge} cells; it must be at least 1")
         self.scene, self.seconds = scene, seconds
         self.source = _source(scene)
         lens = type(scene.camera.lens).__name__
@@ -91,6 +93,9 @@ class Holder:
             raise CannotSteer(
                 f"{lens} has no single field of view; use a perspective or plane-parallel lens"
             )
+        function = self.source.transfer_function
+        if not hasattr(function, "alpha"):
+            raise CannotSteer(f"{type(function).__name__} has no opacities; use a ColorTransferFunction")
         self.volume = _fixed_resolution(self.source, edge)
         self.session = Session(self.volume, model=model, tolerance=0.25)
         self.session.set_timing_source(f"yt.{type(self.source).__name__}", "wall")
@@ -231,8 +236,8 @@ def hold(
     Raises
     ------
     CannotSteer
-        For a scene without a volume source, or another lens.
+        For a scene without a volume source, another lens, or a transfer function without opacities.
     ValueError
-        For `seconds` or `smallest` that are not positive.
+        For `seconds`, `smallest` or `edge` that are not positive.
     """
     return Holder(scene, seconds, model, smallest, edge)
