@@ -174,7 +174,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         });
     }
     let mut earlier = base.as_ref().map_or(Vec::new(), |(_, model)| Split::all_of(model));
-    if let (Some((name, _)), true) = (&base, earlier.is_empty()) {
+    let unknown_origin = base.is_some() && earlier.is_empty();
+    if let (Some((name, _)), true) = (&base, unknown_origin) {
         note(&format!(
             "{name} does not state its training data, so it may have been trained on the test frames"
         ));
@@ -192,9 +193,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         note(&format!("{text}; their errors are not those of unseen data"));
     }
     // The times that a teacher gave contain what it learned from its own training frames.
-    for manifest in tables.iter().filter_map(|t| t.manifest.as_ref()) {
+    for manifest in &manifests {
         let splits = manifest.settings["teacher"]["splits"].clone();
-        earlier.extend(serde_json::from_value::<Vec<Split>>(splits).unwrap_or_default());
+        for split in serde_json::from_value::<Vec<Split>>(splits).unwrap_or_default() {
+            if !earlier.contains(&split) {
+                earlier.push(split);
+            }
+        }
     }
     let part_seconds =
         |p: Part| -> Vec<f64> { part(p).iter().map(|f| seconds[&(f.table, f.number)]).collect() };
@@ -298,7 +303,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "Nothing was held out for testing, so the errors above are not those of unseen data.".into()
         }
         (false, Some(text)) => format!("The errors above are not those of unseen data: {text}."),
-        (false, None) if base.is_some() && earlier.is_empty() => {
+        (false, None) if unknown_origin => {
             "The model to fine-tune does not state its training data, so it may have been trained on the test \
              groups."
                 .into()
