@@ -286,7 +286,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(law) = &pictures {
         law.quality.store(&mut fitted.file)?;
     }
-    if let Some(manifest) = manifests.first() {
+    // Test frames may be of another renderer.
+    if let Some(manifest) = manifests_of(&tables, part(Part::Training)).first() {
         fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
         fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
         fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
