@@ -277,7 +277,7 @@ def collect(options, renderer):
         sys.exit(f"{options.out}: tables are written without compression; leave .gz out of the name")
     # Tables whose names differ only in .csv and .gz have one manifest.
     stem = stem if ending == ".csv" else options.out
-    for taken in (options.out, f"{stem}.csv.gz", f"{stem}.gz"):
+    for taken in (options.out, f"{stem}.csv", f"{stem}.csv.gz", f"{stem}.gz"):
         if os.path.exists(taken):
             sys.exit(f"{taken} exists already; remove it or choose another name")
     steps = tuple(float(s) for s in options.steps.split(","))
