@@ -130,7 +130,12 @@ impl Split {
     /// different folders.
     pub fn has_seen(&self, scene: &Scene) -> bool {
         let group = self.by.group(scene);
-        let same = |other: &String| Path::new(other).ends_with(&group) || Path::new(&group).ends_with(other);
+        let bare = |name: &str| Path::new(name).strip_prefix(".").unwrap_or(Path::new(name)).to_owned();
+        let own = bare(&group);
+        let same = |other: &String| {
+            let other = bare(other);
+            other.ends_with(&own) || own.ends_with(&other)
+        };
         !self.test.contains(&group) && self.training.iter().chain(&self.validation).any(same)
     }
 
@@ -158,13 +163,14 @@ impl Split {
     }
 }
 
-/// Returns the shortest of `groups` that is the end of this group's path: the same volume or member, since
-/// tables state paths relative to different folders.
+/// Returns the shortest of `groups`, without a leading `./`, that is the end of this group's path: the same
+/// volume or member, since tables state paths relative to different folders.
 pub fn shortest<'a>(group: &'a str, groups: &BTreeSet<String>) -> &'a str {
     let mut rest = Path::new(group).components();
     let mut found = group;
     while rest.next().is_some() {
-        found = rest.as_path().to_str().filter(|end| groups.contains(*end)).unwrap_or(found);
+        let known = |end: &&str| groups.contains(*end) || groups.contains(&format!("./{end}"));
+        found = rest.as_path().to_str().filter(known).unwrap_or(found);
     }
     found
 }
@@ -274,6 +280,11 @@ mod tests {
                 assert_eq!(split.part(&frames[pair].scene), split.part(&frames[pair + 3].scene), "{split:?}");
             }
         }
+        let apart = ["./a", "x/a", "b", "c"].map(|name| TimedFrame::of_no_volume(name, ""));
+        let split = Split::new(&apart, GroupBy::Volume, &[], &["x/a".into()], 1).unwrap();
+        assert_eq!(split.test, BTreeSet::from(["./a", "x/a"].map(String::from)));
+        let split = Split { by: GroupBy::Volume, training: ["./a".into()].into(), ..Split::default() };
+        assert!(split.has_seen(&apart[1].scene));
         let split = Split::new(&frames, GroupBy::Volume, &[], &["x/b".into()], 1).unwrap();
         assert_eq!(split.test, BTreeSet::from(["b", "x/b"].map(String::from)));
     }
