@@ -166,7 +166,7 @@ class Volume:
 
     def place(self):
         """Returns ensemble member and time step of names such as castro/m01/t0012.nrrd; empty texts for other names."""
-        step = re.fullmatch(r"t(\d+)", os.path.splitext(os.path.basename(self.name))[0])
+        step = re.fullmatch(r"t([0-9]+)", os.path.basename(self.name).split(".")[0])
         if not step:
             return "", ""
         return os.path.basename(os.path.dirname(os.path.abspath(self.name))), str(int(step.group(1)))
