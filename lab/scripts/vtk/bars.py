@@ -67,7 +67,7 @@ def calibrate(options, out, mapper):
 
     volumes = []
     for seed in OTHERS:
-        # The random frames depend on the paths of the volumes, so all versions of VTK share the volumes.
+        # All versions of VTK draw the same files.
         volumes.append(os.path.join(options.out, f"noise-{seed}.nrrd"))
         if not os.path.exists(volumes[-1]):
             write_nrrd(volumes[-1], vtk_scene.noise_volume(256, seed))
