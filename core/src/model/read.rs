@@ -126,7 +126,7 @@ impl Source<'_> {
             if let Some(name) = ends.into_iter().find(|name| self.tensors.contains_key(*name)) {
                 bail!(
                     InvalidTensor,
-                    "prednet.0.weight is missing, expected shape [out, in], because the file holds {name}"
+                    "prednet.0.weight is missing, expected shape [out, in]; the file holds {name}"
                 );
             }
         }
