@@ -174,11 +174,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         });
     }
     let mut earlier = base.as_ref().map_or(Vec::new(), |(_, model)| Split::all_of(model));
-    let unknown_origin = base.is_some() && earlier.is_empty();
-    if let (Some((name, _)), true) = (&base, unknown_origin) {
-        note(&format!(
-            "{name} does not state its training data, so it may have been trained on the test frames"
-        ));
+    // Models that this model learns from, without a statement of their training data.
+    let mut unknown: Vec<String> = Vec::new();
+    if let (Some((name, _)), true) = (&base, earlier.is_empty()) {
+        unknown.push(name.to_string());
     }
     let tested = refs.iter().filter(|f| split.part(&f.scene) == Part::Test);
     let seen: BTreeSet<String> = tested
@@ -193,13 +192,23 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         note(&format!("{text}; their errors are not those of unseen data"));
     }
     // The times that a teacher gave contain what it learned from its own training frames.
-    for manifest in &manifests {
-        let splits = manifest.settings["teacher"]["splits"].clone();
-        for split in serde_json::from_value::<Vec<Split>>(splits).unwrap_or_default() {
+    for teacher in manifests.iter().map(|m| &m.settings["teacher"]).filter(|t| !t.is_null()) {
+        let splits: Vec<Split> = serde_json::from_value(teacher["splits"].clone()).unwrap_or_default();
+        if splits.is_empty() {
+            unknown.push(teacher["file"].as_str().unwrap_or("the teacher").to_owned());
+        }
+        for split in splits {
             if !earlier.contains(&split) {
                 earlier.push(split);
             }
         }
+    }
+    unknown.sort();
+    unknown.dedup();
+    for name in &unknown {
+        note(&format!(
+            "{name} does not state its training data, so it may have been trained on the test frames"
+        ));
     }
     let part_seconds =
         |p: Part| -> Vec<f64> { part(p).iter().map(|f| seconds[&(f.table, f.number)]).collect() };
@@ -304,11 +313,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "Nothing was held out for testing, so the errors above are not those of unseen data.".into()
         }
         (false, Some(text)) => format!("The errors above are not those of unseen data: {text}."),
-        (false, None) if unknown_origin => {
-            "The model to fine-tune does not state its training data, so it may have been trained on the test \
-             groups."
-                .into()
-        }
+        (false, None) if !unknown.is_empty() => format!(
+            "{} does not state its training data, so it may have been trained on the test groups.",
+            unknown.join(", ")
+        ),
         (false, None) => "Test groups were not used in training.".into(),
     };
     let made = (&fitted, &layout, clock);
