@@ -96,7 +96,7 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
         plot.hline(HLine::new("target", target).color(TARGET));
     });
     plot("steps", 0.3 * height).show(ui, |plot| {
-        let most = history.iter().map(|r| f64::from(r.step)).fold(2.0, f64::max);
+        let most = history.iter().map(|r| f64::from(r.step.max(r.image_sample_distance))).fold(2.0, f64::max);
         plot.set_plot_bounds_x(first..=first + REMEMBERED as f64);
         plot.set_plot_bounds_y(range(most, 0.3 * height));
         switches.iter().for_each(|x| plot.vline(mark(*x)));
