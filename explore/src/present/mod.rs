@@ -358,7 +358,7 @@ fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
 impl Drop for Presenter {
     fn drop(&mut self) {
         // A hanging device may still use the objects, and a wait for its queue might never return.
-        if self.device.is_abandoned() || self.device.is_hanging() && !self.device.is_lost() {
+        if self.device.is_abandoned() || self.device.is_hanging() {
             std::mem::forget((self.egui.take(), self.swapchain.take(), self.device.clone()));
             return;
         }

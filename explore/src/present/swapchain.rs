@@ -110,7 +110,7 @@ impl Swapchain {
             format,
             waits: mode == vk::PresentModeKHR::FIFO,
             stale: false,
-            _replaced: old.filter(|_| device.is_hanging() && !device.is_lost()).map(Box::new),
+            _replaced: old.filter(|_| device.is_hanging()).map(Box::new),
             device: device.clone(),
         };
         let d = device.device();
@@ -255,7 +255,7 @@ fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
 impl Drop for Swapchain {
     fn drop(&mut self) {
         // A hanging device may still use the objects, which are therefore leaked.
-        if self.device.is_abandoned() || self.device.is_hanging() && !self.device.is_lost() {
+        if self.device.is_abandoned() || self.device.is_hanging() {
             return;
         }
         let d = self.device.device();

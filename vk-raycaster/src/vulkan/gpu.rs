@@ -223,9 +223,9 @@ impl Gpu {
     }
 
     /// True if a submission has exceeded its time limit and was not seen to end: a wait for the queue, which
-    /// has no time limit, might never return.
+    /// has no time limit, might never return. False for a lost device, which uses nothing.
     pub(crate) fn is_hanging(&self) -> bool {
-        self.hanging.load(Ordering::Relaxed) > 0
+        self.hanging.load(Ordering::Relaxed) > 0 && !self.is_lost()
     }
 
     /// Marks the device as abandoned: everything made from it is leaked until the process ends.

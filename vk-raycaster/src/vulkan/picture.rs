@@ -107,7 +107,7 @@ impl Drop for Picture {
     fn drop(&mut self) {
         let gpu = self.device.gpu();
         // A hanging device may still use the image, which is therefore leaked.
-        if gpu.is_hanging() && !gpu.is_lost() {
+        if gpu.is_hanging() {
             return;
         }
         if !gpu.is_lost() && !gpu.is_abandoned() {

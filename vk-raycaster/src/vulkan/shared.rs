@@ -76,7 +76,7 @@ impl SharedDevice {
 
     /// True if a submission of a raycaster has exceeded [`VulkanOptions::longest_wait`] and was not seen to
     /// end. The submission may still use objects that were made from the device, and a wait for the queue
-    /// might never return.
+    /// might never return. False for a lost device.
     pub fn is_hanging(&self) -> bool {
         self.gpu.is_hanging()
     }
