@@ -231,6 +231,23 @@ fn odd_volumes() -> Outcome {
     expect_silence(&both.gpu)
 }
 
+fn homogeneous_slab() -> Outcome {
+    let mut gpu = open(VulkanOptions::default())?;
+    let data = vec![100u8; 32 * 32 * 32];
+    gpu.set_volume(&bytes(&data, [32; 3]))?;
+    for alpha in [0.001f32, 0.02, 0.3] {
+        gpu.set_transfer(&constant(alpha))?;
+        for step in [0.5, 1.0, 2.0] {
+            let f = Frame { step, termination: 1.0, ..frame(0.0, 0.0, 3.0, 1, 1) };
+            let found = gpu.render(&f)?.image.rgba[3];
+            let want = (1.0 - (1.0 - f64::from(alpha)).powi(32)) * 255.0;
+            let near = (f64::from(found) - want).abs() <= 1.0;
+            assert!(near, "opacity {alpha}, step {step}: {found} for {want}");
+        }
+    }
+    Ok(())
+}
+
 fn skipping_changes_nothing() -> Outcome {
     let mut gpu = open_validated(None, None)?;
     let dims = [45, 37, 61];
@@ -468,6 +485,7 @@ fn main() {
         ("sampler_matches_the_twin", || compare(VoxelFetch::Sampler, false)),
         ("packed_fetch_matches_the_twin", || compare(VoxelFetch::Packed, true)),
         ("odd_volumes_match_the_twin", odd_volumes),
+        ("homogeneous_slab_absorbs_by_its_thickness", homogeneous_slab),
         ("skipping_changes_nothing_but_the_work", skipping_changes_nothing),
         ("bricks_of_texels_match_the_twin", || bricks_match_the_twin(VoxelFetch::Texels)),
         ("bricks_of_a_sampler_match_the_twin", || bricks_match_the_twin(VoxelFetch::Sampler)),
