@@ -13,6 +13,7 @@
 use super::job::Job;
 use entire_core::scene::Camera;
 use entire_steer::numeric::{back, forward, solve};
+use entire_steer::predict::PREDICTED_SECONDS;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
@@ -49,9 +50,11 @@ const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
 
-/// Upper limit of a task's expected time, seconds. Without it, a list in a wrong unit would give infinite
-/// times, which JSON cannot hold.
-const LONGEST: f64 = 1e9;
+/// Returns the upper limit of a task's expected time, seconds: that of all predictions. Without it, a list in a
+/// wrong unit would give infinite times, which JSON cannot hold.
+fn longest() -> f64 {
+    f64::from(*PREDICTED_SECONDS.end())
+}
 
 /// Returns a random number from the standard normal distribution (Box and Muller 1958).
 pub(crate) fn normal(rng: &mut ChaCha8Rng) -> f64 {
@@ -298,7 +301,7 @@ impl Learner {
     /// Expected seconds on a node of speed 1.
     pub fn seconds(&self, task: usize) -> f64 {
         let log = f64::from(self.shape.base[task]) + self.log_of(&self.beta, &self.effects, task);
-        (log + 0.5 * self.sigma2 / self.calm(task).powi(2)).exp().min(LONGEST)
+        (log + 0.5 * self.sigma2 / self.calm(task).powi(2)).exp().min(longest())
     }
 
     pub(crate) fn all_seconds(&self) -> Vec<f32> {
@@ -539,7 +542,7 @@ impl Learner {
             self.sigma2.sqrt() * normal(rng)
         };
         let log = self.log_of(&draw.beta, &draw.effects, task);
-        (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp().min(LONGEST)
+        (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp().min(longest())
     }
 
     /// As [`Learner::drawn_seconds`], for a task that has run for `seconds` and is not finished. Returns a
