@@ -355,14 +355,20 @@ mod tests {
         }
     }
 
+    /// A worker with an empty database in a folder.
+    #[cfg(unix)]
+    fn worker(folder: &Path, painter: Painter) -> Worker {
+        let state = folder.join(".farm");
+        for part in ["parts", "logs"] {
+            std::fs::create_dir_all(state.join(part)).unwrap();
+        }
+        Worker { state, output: folder.to_owned(), node: "n".into(), painter }
+    }
+
     #[cfg(unix)]
     #[test]
     fn the_seconds_of_a_failed_attempt_are_no_rendering_time() {
         let dir = tempfile::tempdir().unwrap();
-        let state = dir.path().join(".farm");
-        for folder in ["parts", "logs"] {
-            std::fs::create_dir_all(state.join(folder)).unwrap();
-        }
         let picture = dir.path().join("picture.png");
         let png = encode_png(&Image { width: 1, height: 1, rgba: vec![9; 4] }).unwrap();
         std::fs::write(&picture, png).unwrap();
@@ -372,7 +378,7 @@ mod tests {
             echo '{"task": "7", "seconds": 0.01}'; read -r line; sleep 1; exit 1"#;
         let command = ["sh", "-c", script, picture.to_str().unwrap()].map(str::to_owned).to_vec();
         let painter = Painter::Stays(Session::new(command, None));
-        let mut worker = Worker { state, output: dir.path().to_owned(), node: "n".into(), painter };
+        let mut worker = worker(dir.path(), painter);
         let [first, second] = [1, 2].map(|bundle| worker.answer(&an_order("v"), bundle));
         assert_eq!((first.error, &second.error), (None, &None));
         let neither = second.end - second.begin - second.seconds - second.load_s;
@@ -383,13 +389,9 @@ mod tests {
     #[test]
     fn the_output_of_a_program_stays_if_its_image_is_refused() {
         let dir = tempfile::tempdir().unwrap();
-        let state = dir.path().join(".farm");
-        for folder in ["parts", "logs"] {
-            std::fs::create_dir_all(state.join(folder)).unwrap();
-        }
         let command = ["sh", "-c", "echo because; echo no image > \"$0\"", "{out}"].map(str::to_owned);
         let painter = Painter::Program(command.to_vec(), None);
-        let mut worker = Worker { state, output: dir.path().to_owned(), node: "n".into(), painter };
+        let mut worker = worker(dir.path(), painter);
         let error = worker.answer(&an_order("v"), 1).error.unwrap();
         assert!(error.contains("no PNG"), "{error}");
         assert_eq!(tail(&worker.state.join("logs/7.log")), "because");

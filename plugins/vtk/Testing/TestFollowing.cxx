@@ -316,6 +316,24 @@ public:
 };
 vtkStandardNewMacro(CountedScalars);
 
+// Gives scalars a value that is infinite in single precision.
+void MakeInfinite(vtkDoubleArray* scalars)
+{
+  scalars->SetValue(0, 1e39);
+}
+
+// Attaches a steering to the scene's volume, with a target that no frame meets. Returns the observer of its warnings,
+// which keeps them from being printed.
+vtkSmartPointer<vtkTest::ErrorObserver> AttachedTo(Scene& scene, vtkEntireSteering* steering)
+{
+  auto warnings = vtkSmartPointer<vtkTest::ErrorObserver>::New();
+  steering->AddObserver(vtkCommand::WarningEvent, warnings);
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  return warnings;
+}
+
 // Voxels that cannot be used are read once, until they change.
 void ReadsRefusedVoxelsOnce(Kind kind)
 {
@@ -323,15 +341,10 @@ void ReadsRefusedVoxelsOnce(Kind kind)
   vtkDataArray* const usual = scene.Data->GetPointData()->GetScalars();
   vtkNew<CountedScalars> large;
   large->DeepCopy(usual);
-  // Infinite in single precision.
-  large->SetValue(0, 1e39);
+  MakeInfinite(large);
   scene.Data->GetPointData()->SetScalars(large);
   vtkNew<vtkEntireSteering> steering;
-  vtkNew<vtkTest::ErrorObserver> warnings;
-  steering->AddObserver(vtkCommand::WarningEvent, warnings);
-  steering->SetTargetFrameTime(1e-6);
-  CHECK(steering->Attach(scene.Renderer, scene.Volume));
-  scene.Interactive();
+  const auto warnings = AttachedTo(scene, steering);
   scene.Draw(4);
   CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "must be finite"));
   const auto asked = [&] {
@@ -354,8 +367,7 @@ void CountsEachMapper(Kind kind)
   const auto refused = Image(8);
   vtkNew<vtkDoubleArray> large;
   large->DeepCopy(refused->GetPointData()->GetScalars());
-  // Infinite in single precision.
-  large->SetValue(0, 1e39);
+  MakeInfinite(large);
   refused->GetPointData()->SetScalars(large);
   vtkNew<vtkMultiBlockDataSet> blocks;
   blocks->SetBlock(0, refused);
@@ -365,11 +377,7 @@ void CountsEachMapper(Kind kind)
   mapper->SetInputDataObject(blocks);
   mapper->SetRequestedRenderMode(vtkSmartVolumeMapper::RayCastRenderMode);
   vtkNew<vtkEntireSteering> steering;
-  vtkNew<vtkTest::ErrorObserver> warnings;
-  steering->AddObserver(vtkCommand::WarningEvent, warnings);
-  steering->SetTargetFrameTime(1e-6);
-  CHECK(steering->Attach(scene.Renderer, scene.Volume));
-  scene.Interactive();
+  const auto warnings = AttachedTo(scene, steering);
   scene.Draw(2);
   for (const double azimuth : { 30.0, 210.0 })
   {
