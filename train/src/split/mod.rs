@@ -130,11 +130,10 @@ impl Split {
     /// different folders.
     pub fn has_seen(&self, scene: &Scene) -> bool {
         let group = self.by.group(scene);
-        let bare = |name: &str| Path::new(name).strip_prefix(".").unwrap_or(Path::new(name)).to_owned();
         let own = bare(&group);
         let same = |other: &String| {
             let other = bare(other);
-            other.ends_with(&own) || own.ends_with(&other)
+            other.ends_with(own) || own.ends_with(other)
         };
         !self.test.contains(&group) && self.training.iter().chain(&self.validation).any(same)
     }
@@ -161,6 +160,11 @@ impl Split {
         }
         parts
     }
+}
+
+/// Returns the path without a leading `./`.
+fn bare(name: &str) -> &Path {
+    Path::new(name).strip_prefix(".").unwrap_or(Path::new(name))
 }
 
 /// Returns the shortest of `groups`, without a leading `./`, that is the end of this group's path: the same
