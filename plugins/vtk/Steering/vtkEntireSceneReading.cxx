@@ -254,11 +254,14 @@ void ReadTransferNodes(
       nodes.Opacities.push_back({ range[0] + i * step, Unit(samples[i]), 0.5, 0 });
     }
   }
-  for (int i = 0; i < opacity->GetSize() && !opacity->GetUseLogScale(); ++i)
+  else
   {
-    double node[4];
-    opacity->GetNodeValue(i, node);
-    nodes.Opacities.push_back({ node[0], Unit(node[1]), Unit(node[2]), Unit(node[3]) });
+    for (int i = 0; i < opacity->GetSize(); ++i)
+    {
+      double node[4];
+      opacity->GetNodeValue(i, node);
+      nodes.Opacities.push_back({ node[0], Unit(node[1]), Unit(node[2]), Unit(node[3]) });
+    }
   }
   if (property->GetColorChannels(0) == 3)
   {
