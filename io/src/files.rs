@@ -192,7 +192,7 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
         });
     }
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // Where standard output is a file, the link /dev/stdout leads to this file. The link must not be
+    // If standard output is a file, the link /dev/stdout leads to this file. The link must not be
     // replaced.
     ensure!(
         folder != Path::new("/dev"),
