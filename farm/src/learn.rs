@@ -50,8 +50,9 @@ const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
 const KEPT: usize = 1024;
 
-/// Returns the upper limit of a task's expected time, seconds: that of all predictions. Without it, a list in a
-/// wrong unit would give infinite times, which JSON cannot hold.
+/// Returns the upper limit of a task's expected time, in seconds, which is the upper limit of any prediction.
+/// Without this limit, a task list whose times have a wrong unit could give infinite expected times, which JSON
+/// cannot hold.
 fn longest() -> f64 {
     f64::from(*PREDICTED_SECONDS.end())
 }

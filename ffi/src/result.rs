@@ -85,7 +85,7 @@ impl Failure {
         Self { code, message: message.into(), panicked: false }
     }
 
-    /// The failure with the name of its place before its text.
+    /// Returns the failure with `place` (a field or an element of a list) and a colon before its message.
     pub(crate) fn within(self, place: impl Display) -> Self {
         Self { message: format!("{place}: {}", self.message), ..self }
     }

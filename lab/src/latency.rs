@@ -1,5 +1,5 @@
-//! Latency of a prediction: time to compute a frame's seconds from its camera and transfer function, while
-//! the processor's caches hold other data, as between two frames.
+//! Latency of predictions: the time of a prediction with cold caches (as between two frames) and with warm
+//! caches, and the time that a new transfer function adds.
 
 use anyhow::{Context, Result};
 use entire_core::model::Model;

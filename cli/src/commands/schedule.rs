@@ -1,4 +1,4 @@
-//! `entire schedule`: assignment of tasks to nodes, in order, and the predicted end.
+//! `entire schedule`: assigns tasks to nodes, or orders them for a queue, and predicts the end.
 
 use anyhow::{Context, Result, bail, ensure};
 use entire_farm::list::{MAX_NODES, lower_bound};

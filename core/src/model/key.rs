@@ -87,8 +87,8 @@ impl From<Key> for String {
     }
 }
 
-/// Input groups that this version supplies. `Display` writes a group's name in model files; `FromStr` reads
-/// the name.
+/// Input groups that this version supplies. `Display` gives the name that model files use for a group;
+/// `FromStr` parses this name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GroupKind {
     /// `volume_features`: VolumeNet's output.

@@ -198,7 +198,7 @@ pub(crate) fn switches(out: &Path, volume: &Path, device: (&str, &str), target: 
 /// not end. Its output goes to `OUT/logs/NAME.txt`.
 ///
 /// # Errors
-/// When the command cannot be started, or the user asked to stop.
+/// When the command cannot be started, its log or output file cannot be created, or the user asked to stop.
 pub(crate) fn run(
     step: &Step,
     entire: &Path,

@@ -255,7 +255,7 @@ fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
     let net = model.volumenet.as_ref().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
     let Some(text) = file.metadata.get(Key::Provenance.name()) else { return Ok(None) };
     let provenance: Provenance = serde_json::from_str(text)
-        .with_context(|| format!("{} does not say how it was trained", path.display()))?;
+        .with_context(|| format!("{}: the training record in the metadata cannot be read", path.display()))?;
     let (size, features) = (net.input, net.fc.outputs);
     let encoder = Encoder { set: SHIPPED.into(), size, features, channels: Vec::new() };
     // The duration of the training is not in the file.

@@ -320,7 +320,11 @@ impl Trial {
         let trained = train(pool, network, None, training, validation, &settings, go_on)?;
         work.go_on()?;
         let mut predicted = trained.predict(pool, &self.test)?;
-        ensure!(predicted.iter().all(|t| t.is_finite()), "{}: a prediction is no number", self.change.name);
+        ensure!(
+            predicted.iter().all(|t| t.is_finite()),
+            "{}: a predicted time is infinite or NaN",
+            self.change.name
+        );
         // A network may predict negative seconds, which are set to 0.
         predicted.iter_mut().for_each(|t| *t = t.max(0.0));
         Ok(Done { predicted, best_epoch: trained.best_epoch, seconds: started.elapsed().as_secs_f64() })

@@ -79,7 +79,11 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &Low, out: &mut Findings) -> Result<()>
         return Ok(());
     }
     let line = line_of(low, training);
-    ensure!(line.is_some(), "set {}: low_resolution holds no frames of the training tables", set.name);
+    ensure!(
+        line.is_some(),
+        "set {}: low_resolution has fewer than 3 frames of the training tables",
+        set.name
+    );
     for (split, part) in set.splits.iter().zip(splits) {
         let proxy = by_proxy(low, line, &part.frames);
         let seconds: Vec<f64> = proxy.iter().copied().flatten().collect();

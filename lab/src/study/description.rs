@@ -64,8 +64,8 @@ pub(crate) struct Set {
     /// Name of the split that tests calibration: predictors are calibrated to a hundred of its frames.
     #[serde(default)]
     pub(crate) calibration_split: Option<String>,
-    /// Name of a group of sets of one shading mode on several machines; the rule selects one predictor for
-    /// the whole group.
+    /// Name of the group that this set belongs to. The sets of a group have one shading mode and differ in
+    /// the machine; one predictor is selected for the whole group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) group: Option<String>,
     /// Goals that `make bars-accuracy` checks; a missing limit means no goal.

@@ -187,7 +187,8 @@ impl Span {
     /// Returns the label of a tick. The labels of neighboring ticks differ from it.
     pub(super) fn label(&self, value: f64, ticks: &[f64]) -> String {
         let step = match (self.scale, ticks) {
-            // The ticks of a narrow logarithmic axis are linear, and closer than the value's power of ten.
+            // The ticks of a narrow logarithmic axis are equally spaced, and their spacing may be smaller than
+            // the largest power of ten up to the value.
             (Scale::Log, _) => ticks
                 .iter()
                 .map(|tick| (tick - value).abs())

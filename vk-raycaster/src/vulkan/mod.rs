@@ -98,7 +98,7 @@ impl VulkanOptions {
     /// # Errors
     /// When a variable has an invalid value.
     pub fn from_env() -> Result<Self> {
-        // A value that is not UTF-8 keeps its other characters, and is refused or matches no device.
+        // Bytes that are not UTF-8 become U+FFFD, so such a value is refused or matches no device.
         Self::from_variables(|name| std::env::var_os(name).map(|value| value.to_string_lossy().into_owned()))
     }
 

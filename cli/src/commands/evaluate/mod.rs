@@ -148,8 +148,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         frames.retain(|(f, _)| !models.iter().any(|m| m.has_seen(f)));
         ensure!(
             !frames.is_empty(),
-            "every frame is of a group that a model was trained or validated on; give other data, or leave \
-             out --unseen"
+            "every frame shows a volume or an ensemble member that a model was trained or validated on; give \
+             other data, or leave out --unseen"
         );
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();

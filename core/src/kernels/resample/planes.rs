@@ -1,4 +1,4 @@
-//! Averages of any voxels at any ratio: weighted sums over rows, then along the row.
+//! Averages of voxels of any type, at any ratio of sizes: weighted sums over rows, then along the row.
 
 use super::{After, Geometry, Map, ROWS, Scalar, Span, reduced_span, spread};
 use crate::kernels::Level;

@@ -378,8 +378,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Marches the first `LANES` rays of `order`, of which `count` exist; collects those that start a shadow
-    /// ray.
+    /// Marches the first `LANES` rays of `order`, or all `count` rays if these are fewer; collects those that
+    /// start a shadow ray.
     #[inline(always)]
     fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize, lit_rays: &mut Lit) {
         let simd = self.simd;
