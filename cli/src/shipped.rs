@@ -46,8 +46,8 @@ pub(crate) fn shipped_model(shading: Shading) -> Result<(String, ModelFile)> {
     match files(shading).into_iter().next() {
         Some(selected) => read(selected),
         None => {
-            let typical = AnalyticModel::from_costs(UnitCosts::SOFTWARE)?;
-            Ok((format!("typical unit costs, shading {shading}"), typical.to_model_file()?))
+            let typical = AnalyticModel::default().to_model_file()?;
+            Ok((format!("typical unit costs, shading {shading}"), typical))
         }
     }
 }

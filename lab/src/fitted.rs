@@ -46,8 +46,7 @@ impl Calibrated {
         let (judged, learned): (Vec<&Sample>, Vec<&Sample>) = samples.iter().partition(|s| held_out(s));
         let measured: Vec<_> =
             learned.iter().map(|s| (s.features.cost_work(&s.setting), s.seconds)).collect();
-        let mut fitted = AnalyticModel::default();
-        fitted.fit(&UnitCosts::SOFTWARE, &measured)?;
+        let (fitted, _) = AnalyticModel::fit(&UnitCosts::SOFTWARE, &measured, PROBE_SIDE)?;
         let title = "unit costs, fitted to the calibration frames".to_owned();
         let model = SteeringModel::new(title, fitted.to_model_file()?.to_model()?, &no_volume()?)?;
         Self::judged(model.quality(judged), model)

@@ -125,7 +125,7 @@ impl Bench {
                         features: &features,
                         setting: Setting::from(frame),
                         changes: Changes::default(),
-                        camera: if looks { features.pose() } else { frame.camera.to_arcball() },
+                        camera: frame.camera.to_arcball(),
                         volume_features: Some(&code),
                         lobes: Some(lobes),
                     };

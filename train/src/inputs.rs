@@ -208,7 +208,7 @@ impl KeptColumns<'_> {
         let Some(costs) = costs else { return kept(quantity).map(f64::from) };
         let mut counts = [0.0; COSTS - 1];
         for (i, (slot, &quantity)) in counts.iter_mut().zip(&COST_QUANTITIES).enumerate() {
-            if costs.depends_on(i) {
+            if depends_on(costs, i) {
                 *slot = kept(quantity)?;
             }
         }
@@ -346,6 +346,13 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         "volume {name} has {have:?} voxels, but {} says {want:?}; is it another file of the same name?",
         table.path.display()
     );
+}
+
+/// True if the time by these unit costs depends on the quantity at this index of [`COST_QUANTITIES`]. Another
+/// number of cached voxels than that of the quantities is converted by the number of touched voxels.
+pub(crate) fn depends_on(costs: &UnitCosts, index: usize) -> bool {
+    let converted = costs.cached_voxels != UnitCosts::SOFTWARE.cached_voxels;
+    costs.seconds[index + 1] != 0.0 || (converted && COST_QUANTITIES[index] == SceneQuantity::TouchedVoxels)
 }
 
 /// Returns the numbers that are multiplied by unit costs: 1 for the frame, then the values of

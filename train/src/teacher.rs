@@ -94,6 +94,7 @@ mod tests {
     use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
     use entire_core::scene::{Camera, TransferFunction};
     use entire_io::volume::{Volume, VolumeData};
+    use entire_steer::features::PROBE_SIDE;
     use entire_steer::predict::{AnalyticModel, COSTS, UnitCosts};
 
     fn volume() -> Volume {
@@ -106,7 +107,11 @@ mod tests {
         let mut seconds = [0.0; COSTS];
         (seconds[0], seconds[1]) = (1e-3, 1e-6);
         let costs = UnitCosts { seconds, ..UnitCosts::SOFTWARE };
-        let file = AnalyticModel::from_costs(costs).unwrap().to_model_file().unwrap();
+        let mut work = [0.0; COSTS];
+        (work[0], work[1]) = (1.0, 1200.0);
+        let measured = [(work, costs.time(&work))];
+        let (model, _) = AnalyticModel::fit(&costs, &measured, PROBE_SIDE).unwrap();
+        let file = model.to_model_file().unwrap();
         let mut teacher = Teacher::new("a model", &file.to_model().unwrap()).unwrap();
         assert_eq!((teacher.backend(), teacher.device().as_str()), ("teacher", "the predictor a model"));
         let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz: 2.0 }).unwrap();

@@ -45,9 +45,7 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<AnalyticModel> {
     for file in training {
         add(&mut measured, &Trace::open(file)?, side)?;
     }
-    let mut model = AnalyticModel::default();
-    model.fit(&UnitCosts::SOFTWARE, &measured)?;
-    Ok(model)
+    Ok(AnalyticModel::fit(&UnitCosts::SOFTWARE, &measured, side)?.0)
 }
 
 /// The frames of a recorded path at the reference step as tasks. Their predictor is fitted to `training`,
@@ -71,7 +69,7 @@ pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: us
             features: &features,
             setting: Setting::from(&frame),
             changes: Changes::default(),
-            camera: at.parallel_scale.map_or(at.camera, |_| features.pose()),
+            camera: at.parallel_scale.map_or(at.camera, |_| frame.camera.to_arcball()),
             volume_features: None,
             lobes: lobes.as_deref(),
         })?;

@@ -81,18 +81,19 @@ impl UnitCosts {
         0.0, 0.0,
     ]);
 
-    /// As [`UnitCosts::SOFTWARE`], with a cost for the conversion of stored values: for renderers that look
-    /// stored values up in tables, such as VTK's fixed-point mapper and yt.
-    pub const CONVERTING: Self = {
+    /// The first set of [`UnitCosts::OF_UNKNOWN`], for a software renderer.
+    pub(crate) const CONVERTING: Self = {
         let mut costs = Self::SOFTWARE;
         costs.seconds[COMMON_COSTS] = 2.0e-9;
         costs
     };
 
-    /// Two sets of typical unit costs for a renderer of unknown kind. Both have a cost for the conversion of
-    /// stored values. The second set, for a GPU, also has unit costs for the samples, the lookups in the skip
-    /// map and the shadow samples of the longest ray. Each is 10⁴ times the unit cost of the same work summed
-    /// over all rays. This ratio is below 10⁴ on a processor with two cores, and above 10⁴ on a large GPU.
+    /// Two sets of typical unit costs for a renderer of unknown kind. Both have the unit costs
+    /// [`UnitCosts::SOFTWARE`], and a cost for the conversion of stored values, as renderers have that look
+    /// stored values up in tables, such as VTK's fixed-point mapper and yt. The second set, for a GPU, also
+    /// has unit costs for the samples, the lookups in the skip map and the shadow samples of the longest ray.
+    /// Each is 10⁴ times the unit cost of the same work summed over all rays. This ratio is below 10⁴ on a
+    /// processor with two cores, and above 10⁴ on a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
         let mut costs = Self::CONVERTING;
         let mut longest = COMMON_COSTS + 1;
@@ -129,11 +130,6 @@ impl UnitCosts {
     /// [`COST_QUANTITIES`].
     pub fn time(&self, work: &[f64; COSTS]) -> f64 {
         self.seconds.iter().zip(self.work(work)).map(|(c, w)| c * w).sum()
-    }
-
-    /// True if the time depends on the quantity at this index of [`COST_QUANTITIES`].
-    pub fn depends_on(&self, index: usize) -> bool {
-        self.seconds[index + 1] != 0.0 || (index + 1 == TOUCHED && self.cached_voxels != Self::CACHED_VOXELS)
     }
 
     /// Returns the amounts of work for [`Self::cached_voxels`].

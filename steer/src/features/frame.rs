@@ -265,7 +265,7 @@ impl FrameFeatures {
     }
 
     /// The arcball pose of the frame's camera.
-    pub fn pose(&self) -> Arcball {
+    pub(crate) fn pose(&self) -> Arcball {
         self.pose
     }
 

@@ -125,7 +125,7 @@ impl AnalyticModel {
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or if all costs are
     /// zero.
-    pub fn from_costs(costs: UnitCosts) -> Result<Self> {
+    pub(crate) fn from_costs(costs: UnitCosts) -> Result<Self> {
         if let Some((name, cost)) = costs.invalid() {
             bail!(InvalidArgument, "the unit cost {name} is {cost}; it must be finite and not negative");
         }
@@ -135,14 +135,6 @@ impl AnalyticModel {
         Ok(Self { costs, fitted: true, ..Self::default() })
     }
 
-    /// Sets the number of rays along each side of the probe, clamped to 1 to [`MAX_PROBE_SIDE`]. The costs
-    /// must have been fitted to counts by this probe.
-    #[must_use]
-    pub fn with_probe_side(mut self, side: usize) -> Self {
-        self.probe_side = side.clamp(1, MAX_PROBE_SIDE);
-        self
-    }
-
     /// Sets the training range to that of frames with the given work.
     #[cfg(feature = "calibrate")]
     pub(crate) fn ranging_over<'a>(mut self, works: impl Iterator<Item = &'a [f64; COSTS]>) -> Self {
@@ -150,18 +142,22 @@ impl AnalyticModel {
         self
     }
 
-    /// Fits the unit costs to measured frames, given as pairs of work ([`FrameFeatures::cost_work`]) and
-    /// seconds. The prior is `default`, scaled to the speed of the measured frames. The upper bound is
-    /// calibrated on the same frames. Costs of work that no measurement has keep their prior values; costs
-    /// that are 0 in `default` stay 0. The model's clock and picture quality law are removed. The fit ignores
-    /// frames with a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), with work
-    /// that is negative or not finite, or without work. Returns |predicted / measured − 1| of the frames that
-    /// are not ignored.
+    /// Fits a model to measured frames, given as pairs of work ([`FrameFeatures::cost_work`]) and seconds. The
+    /// prior is `default`, scaled to the speed of the measured frames. The upper bound is calibrated on the
+    /// same frames. Costs of work that no measurement has keep their prior values; costs that are 0 in
+    /// `default` stay 0. The work was counted with `probe_side` rays along each side of the probe, clamped to
+    /// 1 to [`MAX_PROBE_SIDE`]. The fit ignores frames with a time that is not positive or over
+    /// [`LONGEST_FRAME`](super::LONGEST_FRAME), with work that is negative or not finite, or without work.
+    /// Also returns |predicted / measured − 1| of the frames that are not ignored.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] if no measurement is usable, or if a fitted cost is not
-    /// finite or none is positive; the model is then unchanged.
-    pub fn fit(&mut self, default: &UnitCosts, measurements: &[([f64; COSTS], f64)]) -> Result<Vec<f64>> {
+    /// finite or none is positive.
+    pub fn fit(
+        default: &UnitCosts,
+        measurements: &[([f64; COSTS], f64)],
+        probe_side: usize,
+    ) -> Result<(Self, Vec<f64>)> {
         let usable: Vec<&([f64; COSTS], f64)> = measurements
             .iter()
             .filter(|(work, seconds)| {
@@ -188,14 +184,19 @@ impl AnalyticModel {
         if !costs.iter().all(|c| c.is_finite()) || costs.iter().all(|&c| c <= 0.0) {
             bail!(InvalidArgument, "the measurements give no positive cost; check that times are in seconds");
         }
-        self.costs = UnitCosts { seconds: costs, cached_voxels: default.cached_voxels };
-        self.fitted = true;
-        (self.clock, self.quality) = (None, None);
         let predicted = rows.iter().map(|row| dot(&costs, &row.work).max(1.0e-30));
         let logs = usable.iter().zip(predicted).map(|((_, seconds), p)| libm::log(seconds / p));
-        self.calibration = UpperBound::from_groups(logs.map(|log| (log, ())));
-        self.range = Some(range_of(usable.iter().map(|(work, _)| work)));
-        Ok(usable.iter().map(|(work, seconds)| libm::fabs(self.costs.time(work) / seconds - 1.0)).collect())
+        let model = Self {
+            costs: UnitCosts { seconds: costs, cached_voxels: default.cached_voxels },
+            fitted: true,
+            probe_side: probe_side.clamp(1, MAX_PROBE_SIDE),
+            calibration: UpperBound::from_groups(logs.map(|log| (log, ()))),
+            range: Some(range_of(usable.iter().map(|(work, _)| work))),
+            ..Self::default()
+        };
+        let error = |(work, seconds): &&([f64; COSTS], f64)| libm::fabs(model.costs.time(work) / seconds - 1.0);
+        let errors = usable.iter().map(error).collect();
+        Ok((model, errors))
     }
 
     /// Number of unit costs up to the last one that is not 0, but at least `least`.
@@ -281,7 +282,8 @@ impl AnalyticModel {
         }
         let layout = InputLayout::of_model(model)?;
         let costs = UnitCosts { seconds: costs, cached_voxels: layout.cached_voxels };
-        let mut out = Self::from_costs(costs)?.with_probe_side(layout.probe_side);
+        let mut out = Self::from_costs(costs)?;
+        out.probe_side = layout.probe_side.clamp(1, MAX_PROBE_SIDE);
         out.clock = Clock::of(model);
         out.quality = KnownQuality::of(model)?;
         if let Some(stored) = Stored::of(model)? {
@@ -453,9 +455,9 @@ mod tests {
 
     #[test]
     fn exact_times_give_back_their_costs() {
-        let mut model = AnalyticModel::default();
         let rows = measurements(200, 0.0, false);
-        let [middle, p95] = quantiles(model.fit(&prior(), &rows).unwrap());
+        let (model, errors) = AnalyticModel::fit(&prior(), &rows, PROBE_SIDE).unwrap();
+        let [middle, p95] = quantiles(errors);
         assert!(middle < 4e-3 && p95 < 2e-2, "{middle} {p95}");
         for (i, (&c, &t)) in model.costs().seconds.iter().zip(&TRUTH).enumerate().take(9) {
             assert!((c / t - 1.0).abs() < 0.25, "{i}: {c} {t}");
@@ -475,8 +477,8 @@ mod tests {
             work[index("touched_voxels")] = 1e5 * libm::exp((i % 11) as f64 / 2.0);
             (work, machine.time(&work))
         };
-        let mut model = AnalyticModel::default();
-        let errors = model.fit(&machine, &(0..150).map(frame).collect::<Vec<_>>()).unwrap();
+        let rows: Vec<_> = (0..150).map(frame).collect();
+        let (model, errors) = AnalyticModel::fit(&machine, &rows, PROBE_SIDE).unwrap();
         assert_eq!(model.costs().cached_voxels, 2e6);
         assert!(errors.iter().all(|e| *e < 1e-3), "{errors:?}");
     }
@@ -489,10 +491,12 @@ mod tests {
         for (work, seconds) in &mut rows {
             *seconds = dot(&truth, work);
         }
-        let (mut plain, mut asked) = (AnalyticModel::default(), AnalyticModel::default());
-        let [middle, _] = quantiles(plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap());
+        let fit = |costs| AnalyticModel::fit(costs, &rows, PROBE_SIDE).unwrap();
+        let (plain, errors) = fit(&UnitCosts::SOFTWARE);
+        let [middle, _] = quantiles(errors);
         assert!(plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0) && middle > 0.02);
-        assert!(quantiles(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap())[0] < 5e-3);
+        let (asked, errors) = fit(&UnitCosts::CONVERTING);
+        assert!(quantiles(errors)[0] < 5e-3);
         assert!((asked.costs().seconds[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
         // The file names the quantities with nonzero costs, and gives the same unit costs, in single
         // precision, when it is read.
@@ -508,9 +512,9 @@ mod tests {
 
     #[test]
     fn noise_and_outliers_do_not_carry_it_away() {
-        let mut model = AnalyticModel::default();
         let noisy = measurements(200, 0.1, true);
-        let [middle, _] = quantiles(model.fit(&UnitCosts::SOFTWARE, &noisy).unwrap());
+        let (model, errors) = AnalyticModel::fit(&UnitCosts::SOFTWARE, &noisy, PROBE_SIDE).unwrap();
+        let [middle, _] = quantiles(errors);
         assert!(middle < 0.06, "{middle}");
         let clean = measurements(50, 0.0, false);
         for (work, seconds) in &clean {
@@ -523,8 +527,7 @@ mod tests {
     #[test]
     fn a_handful_of_equal_frames_is_enough_to_set_the_scale() {
         let (work, seconds) = measurements(1, 0.0, false)[0];
-        let mut model = AnalyticModel::default();
-        model.fit(&UnitCosts::SOFTWARE, &[(work, seconds); 3]).unwrap();
+        let (model, _) = AnalyticModel::fit(&UnitCosts::SOFTWARE, &[(work, seconds); 3], PROBE_SIDE).unwrap();
         assert!((model.costs.time(&work) / seconds - 1.0).abs() < 0.02);
         let mut double = work;
         double.iter_mut().skip(1).for_each(|w| *w *= 2.0);
@@ -540,23 +543,14 @@ mod tests {
             rows.push((work, seconds));
         }
         rows.push(([f64::NAN; COSTS], 1.0));
-        let fitted = |rows: &[([f64; COSTS], f64)]| {
-            let mut model = AnalyticModel::default();
-            let used = model.fit(&UnitCosts::SOFTWARE, rows).unwrap().len();
-            (model, used)
-        };
-        let (mut model, used) = fitted(&rows);
-        assert_eq!((&model, used), (&fitted(&rows[..20]).0, 20));
+        let fit = |rows: &[_]| AnalyticModel::fit(&UnitCosts::SOFTWARE, rows, PROBE_SIDE);
+        let fitted = |rows: &[_]| fit(rows).map(|(model, errors)| (model, errors.len())).unwrap();
+        assert_eq!(fitted(&rows), (fitted(&rows[..20]).0, 20));
         // A time over `LONGEST_FRAME` is left out; a time of exactly `LONGEST_FRAME` is used.
         let longest = f64::from(LONGEST_FRAME);
         assert_eq!(fitted(&[rows[0], (rows[1].0, longest)]).1, 2);
         assert_eq!(fitted(&[rows[0], (rows[1].0, longest * 1.001)]), fitted(&rows[..1]));
-        let before = model.clone();
-        assert!(
-            model.fit(&UnitCosts::SOFTWARE, &rows[20..]).is_err()
-                && model.fit(&UnitCosts::SOFTWARE, &[]).is_err()
-        );
-        assert_eq!(model, before);
+        assert!(fit(&rows[20..]).is_err() && fit(&[]).is_err());
         assert!(AnalyticModel::from_costs(UnitCosts::new([0.0; COSTS])).is_err());
         assert!(
             AnalyticModel::from_costs(UnitCosts::new([-1.0; COSTS]))
@@ -603,8 +597,10 @@ mod tests {
 
     #[test]
     fn a_probe_side_beyond_the_limits_is_clamped_and_survives_a_file() {
+        let rows = measurements(1, 0.0, false);
         for (asked, side) in [(0, 1), (7, 7), (1000, MAX_PROBE_SIDE)] {
-            let file = AnalyticModel::default().with_probe_side(asked).to_model_file().unwrap();
+            let (model, _) = AnalyticModel::fit(&UnitCosts::SOFTWARE, &rows, asked).unwrap();
+            let file = model.to_model_file().unwrap();
             let back = AnalyticModel::from_model(&file.to_model().unwrap()).unwrap().unwrap();
             assert_eq!(back.probe_side(), side);
         }
@@ -627,11 +623,10 @@ mod tests {
 
     #[test]
     fn range_scores_rise_outside_what_was_seen() {
-        let mut model = AnalyticModel::default();
         let rows = measurements(100, 0.0, false);
         let mut far = rows[0].0;
-        assert!(model.score(&far).is_nan());
-        model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
+        assert!(AnalyticModel::default().score(&far).is_nan());
+        let (model, _) = AnalyticModel::fit(&UnitCosts::SOFTWARE, &rows, PROBE_SIDE).unwrap();
         assert_eq!(model.score(&far), 0.0);
         far[4] *= 1e5;
         assert!(model.score(&far) > 1.0);

@@ -1,7 +1,7 @@
 //! Unit costs of estimated work, fitted to measured frames.
 
 use super::FitContext;
-use crate::inputs::{Layout, work_of};
+use crate::inputs::{Layout, depends_on, work_of};
 use anyhow::Result;
 use entire_io::dataset::{Table, Timed};
 use entire_io::device::names_software;
@@ -10,6 +10,9 @@ use entire_steer::features::SceneFeature;
 use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, UnitCosts};
 use indicatif::ProgressBar;
 use std::collections::BTreeSet;
+
+/// Typical unit costs of a software renderer that converts stored scalar values.
+const CONVERTING: UnitCosts = UnitCosts::OF_UNKNOWN[0];
 
 pub(super) fn fit_analytic(
     context: &FitContext<'_>,
@@ -22,8 +25,7 @@ pub(super) fn fit_analytic(
         .zip(training.seconds)
         .map(|(row, &seconds)| (work_of(*row), seconds))
         .collect();
-    let mut model = AnalyticModel::default().with_probe_side(probe_side);
-    let mut errors = model.fit(default, &measurements)?;
+    let (model, mut errors) = AnalyticModel::fit(default, &measurements, probe_side)?;
     let text = format!(
         "fitted to {} frames, {} refused, median error {:.2} %",
         errors.len(),
@@ -40,7 +42,7 @@ pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
     match backend {
         "vulkan" | "cpu" if names_software(backend, device) => UnitCosts::SOFTWARE,
         "vulkan" => UnitCosts::GPU,
-        _ => UnitCosts::CONVERTING,
+        _ => CONVERTING,
     }
 }
 
@@ -50,11 +52,11 @@ pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
 pub fn typical_costs_of<'a>(tables: impl IntoIterator<Item = &'a Table>) -> UnitCosts {
     let of = |table: &Table| {
         let manifest = table.manifest.as_ref();
-        manifest.map_or(UnitCosts::CONVERTING, |m| typical_costs(&m.renderer, &m.device))
+        manifest.map_or(CONVERTING, |m| typical_costs(&m.renderer, &m.device))
     };
     let merged = tables.into_iter().map(of).reduce(|a, b| match [a, b] {
         [a, b] if a == b => a,
-        both if both.contains(&UnitCosts::CONVERTING) => UnitCosts::CONVERTING,
+        both if both.contains(&CONVERTING) => CONVERTING,
         _ => UnitCosts::SOFTWARE,
     });
     merged.unwrap_or(UnitCosts::SOFTWARE)
@@ -74,7 +76,7 @@ pub fn counts(
     costs: &UnitCosts,
     probe_side: usize,
 ) -> Result<Vec<[f32; COSTS - 1]>> {
-    let asked: Vec<usize> = (0..COSTS - 1).filter(|&i| costs.depends_on(i)).collect();
+    let asked: Vec<usize> = (0..COSTS - 1).filter(|&i| depends_on(costs, i)).collect();
     if asked.is_empty() {
         return Ok(vec![[0.0; COSTS - 1]; part.frames.len()]);
     }

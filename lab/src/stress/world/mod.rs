@@ -105,9 +105,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
             rows.push((features.cost_work(&Setting::from(&frame)), seconds));
         }
     }
-    let mut model = AnalyticModel::default();
-    model.fit(&UnitCosts::SOFTWARE, &rows)?;
-    Ok(model)
+    Ok(AnalyticModel::fit(&UnitCosts::SOFTWARE, &rows, features.probe_side())?.0)
 }
 
 fn pixels(frame: &Frame) -> f64 {
@@ -294,7 +292,7 @@ fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict>
                 features: &features,
                 setting: Setting::from(&frame),
                 changes: Changes::default(),
-                camera: features.pose(),
+                camera: frame.camera.to_arcball(),
                 volume_features: None,
                 lobes: None,
             };
