@@ -158,9 +158,7 @@ impl Steer {
 
     /// Number of rays along each side of the probe, and number of its rays that met the volume.
     pub(crate) fn probe(&self, shading: Shading) -> Option<(usize, u32)> {
-        let running = self.loops.get(&(self.controller, shading_index(shading)))?;
-        let features = running.session.features();
-        Some((features.probe_side(), features.probe_rays()))
+        Some(self.loops.get(&(self.controller, shading_index(shading)))?.session.probe())
     }
 
     /// Returns the session that steers, with the current volume and transfer function.
@@ -324,7 +322,7 @@ mod tests {
         }
 
         fn session(&self, _: &str) -> Result<Session> {
-            Ok(Session::untrained())
+            Ok(Session::default())
         }
 
         fn chooses_image_sample_distance(&self, controller: &str) -> bool {

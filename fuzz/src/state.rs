@@ -24,7 +24,7 @@ fn frame(turn: f32) -> Frame {
 fn session() -> Session {
     let voxels: Vec<u8> = (0..8 * 8 * 8u32).map(|i| (i * i / 97 % 251) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&voxels), [8; 3]).expect("a volume");
-    let mut session = Session::untrained();
+    let mut session = Session::default();
     session.set_volume(VolumeSummary::new(&view).expect("a summary"), None);
     let lobe = GaussianLobe { center: 0.5, width: 0.1, height: 0.4 };
     let table = TransferFunction::Gaussian(vec![lobe]).to_table().expect("a table");

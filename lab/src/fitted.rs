@@ -10,7 +10,6 @@ use entire_io::dataset::{Clock, TimedFrame, read_tables};
 use entire_io::files::open_volume;
 use entire_io::options::thread_pool;
 use entire_io::volume::Reading;
-use entire_steer::control::Prior;
 use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::{AnalyticModel, UnitCosts};
 use entire_train::inputs;
@@ -73,9 +72,9 @@ impl Calibrated {
         Ok(Self { title: model.title().to_owned(), held_out, model })
     }
 
-    /// Prior of the predictor's errors, for a controller that uses the predictor.
-    pub(crate) fn prior(&self) -> Prior {
-        Prior::Fitted { log_sd: self.held_out.log_sd as f32 }
+    /// The predictor's error, for a controller that uses the predictor.
+    pub(crate) fn log_sd(&self) -> Option<f32> {
+        Some(self.held_out.log_sd as f32)
     }
 }
 

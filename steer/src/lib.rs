@@ -27,7 +27,7 @@
 //! let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.8 };
 //! let table = TransferFunction::Gaussian(vec![lobe]).to_table()?;
 //!
-//! let mut session = Session::untrained();
+//! let mut session = Session::default();
 //! session.set_volume(VolumeSummary::new(&view)?, None);
 //! session.set_transfer(&table, None)?;
 //!
@@ -58,7 +58,7 @@
 //! // Bytes of a model file; here of an analytic model.
 //! let bytes = AnalyticModel::default().to_model_file()?.to_bytes()?;
 //! let model = Model::from_bytes(&bytes)?;
-//! let session = Session::new(load(&model)?, HybridOptions::default());
+//! let session = Session::new(load(&model)?, HybridOptions::default())?;
 //! # let _ = session;
 //! # Ok::<(), entire_core::Error>(())
 //! ```

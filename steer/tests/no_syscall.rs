@@ -168,7 +168,7 @@ mod child {
                 Frame::new(Camera::from_arcball(pose).expect("a camera"), 320, 200).expect("a frame")
             })
             .collect();
-        let mut session = Session::untrained();
+        let mut session = Session::default();
         session.set_volume(summary, None);
         session.set_transfer(&table, None).expect("a volume is set");
         let mut fine = true;

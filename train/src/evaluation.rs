@@ -8,7 +8,7 @@ use entire_io::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor};
 use entire_io::metrics::{Metrics, median};
 use entire_steer::control::{HybridOptions, ObserveFlags, Session};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_steer::predict::{InputRange, Inputs, check_predictions, load};
+use entire_steer::predict::{Inputs, check_predictions, load};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -118,14 +118,8 @@ pub fn warm_latency(
     let net = PredNet::new(parts)?;
     let mut scratch = net.scratch(1)?;
     let width = layout.width();
-    let range = InputRange::of(model, width)?;
-    let hold = |row: &mut [f32]| {
-        if let Some(range) = &range {
-            range.hold(row);
-        }
-    };
     let mut held = rows[..width * FRAMES.min(rows.len() / width)].to_vec();
-    held.chunks_exact_mut(width).for_each(&hold);
+    held.chunks_exact_mut(width).for_each(|row| layout.hold(row));
     let mut times = Vec::new();
     for _ in 0..ROUNDS {
         for row in held.chunks_exact(width) {
@@ -172,7 +166,7 @@ pub fn warm_latency(
                 lobes: Some(&f.scene.lobes),
             };
             layout.write(std::hint::black_box(&inputs), &mut row)?;
-            hold(&mut row);
+            layout.hold(&mut row);
             let mut seconds = [net.predict(&row, &mut scratch)];
             check_predictions(&mut seconds)?;
             std::hint::black_box(seconds);
@@ -194,7 +188,7 @@ pub fn in_session(
     frames: &[&TimedFrame],
     measured: &[f64],
 ) -> Result<Vec<f64>> {
-    let mut session = Session::new(load(model)?, HybridOptions::default());
+    let mut session = Session::new(load(model)?, HybridOptions::default())?;
     let mut shown: Option<(usize, &str, [u32; 3])> = None;
     let mut out = Vec::with_capacity(frames.len());
     for (f, &seconds) in frames.iter().zip(measured) {

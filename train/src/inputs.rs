@@ -7,13 +7,13 @@ use entire_core::model::Model;
 use entire_core::nn::{VolumeNet, VolumeNetParts};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
-use entire_io::dataset::{Manifest, Table, TimedFrame};
+use entire_io::dataset::{Manifest, Scene, Table, TimedFrame};
 use entire_io::enlarge::{MAX_FACTOR, enlarge, resample};
 use entire_io::volume::Volume;
 use entire_steer::features::{
     Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, TransferSummary, VolumeSummary,
 };
-use entire_steer::predict::{COST_QUANTITIES, COSTS, GroupKind, InputLayout, InputValues, Inputs, UnitCosts};
+use entire_steer::predict::{COST_QUANTITIES, COSTS, GroupKind, InputLayout, InputRange, Inputs, UnitCosts};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -104,6 +104,12 @@ impl Layout {
         self.layout.probe_side
     }
 
+    /// Returns the layout with this range of the training data.
+    pub(crate) fn with_range(mut self, range: Option<InputRange>) -> Self {
+        self.layout.range = range;
+        self
+    }
+
     /// Returns the layout with these unit costs for the quantity `estimated_seconds`.
     pub(crate) fn with_unit_costs(mut self, costs: UnitCosts) -> Self {
         (self.layout.unit_costs, self.layout.cached_voxels) = (Some(costs), costs.cached_voxels);
@@ -152,6 +158,7 @@ impl Layout {
     /// Returns rows from the feature tables; `None` if any value is missing.
     pub fn rows_beside(&self, tables: &[Table], frames: &[&TimedFrame]) -> Option<Vec<f32>> {
         let mut out = vec![0.0; frames.len() * self.width()];
+        let unknown = FrameFeatures::default();
         let mut current: Option<(usize, KeptColumns<'_>)> = None;
         for (frame, row) in frames.iter().zip(out.chunks_exact_mut(self.width())) {
             if current.as_ref().is_none_or(|(table, _)| *table != frame.table) {
@@ -161,14 +168,16 @@ impl Layout {
             let kept = columns.features.row(frame.number)?;
             let code: Vec<f32> = columns.code.iter().map(|&column| kept[column]).collect();
             let scene = &frame.scene;
-            let values = InputValues {
-                volume_features: Some(&code),
+            let Scene { step, width, height, shading, skipping, .. } = *scene;
+            let inputs = Inputs {
+                features: &unknown,
+                setting: Setting { step, width, height, shading, skipping },
+                changes: Changes::default(),
                 camera: scene.camera,
-                image_size: [scene.width, scene.height],
-                step: scene.step,
+                volume_features: Some(&code),
                 lobes: Some(&scene.lobes),
             };
-            self.layout.write_from(&values, |q, costs| columns.value(kept, q, costs), row).ok()?;
+            self.layout.write_from(&inputs, |q, costs| columns.value(kept, q, costs), row).ok()?;
         }
         Some(out)
     }

@@ -247,7 +247,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     ensure!(!stop(), INTERRUPTED);
     let made = machines.as_ref().map(|(_, file)| file.to_bytes()).transpose()?;
-    let (steers, prior) = steering_model(None, machines, draw.shading, &view)?;
+    let (steers, log_sd) = steering_model(None, machines, draw.shading, &view)?;
     let race = Race {
         volume: &view,
         series: &[],
@@ -259,7 +259,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         controllers: &ControllerKind::USUAL,
         target: None,
         model: &steers,
-        prior,
+        log_sd,
     };
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     print_line(format!("predictor  {}", prepared.predictor.sentence()))?;

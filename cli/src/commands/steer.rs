@@ -224,7 +224,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     let draw = DrawSettings::new(options.size, &options.render, clock);
     let seed_name = volume.name().to_owned();
-    let (steers, prior) = steering_model(named.zip(model), machines, draw.shading, &view)?;
+    let (steers, log_sd) = steering_model(named.zip(model), machines, draw.shading, &view)?;
     let race = Race {
         volume: &view,
         series: &series,
@@ -241,7 +241,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         controllers: &options.controllers,
         target: Some(target),
         model: &steers,
-        prior,
+        log_sd,
     };
     let mut timings =
         options.table.as_ref().map(|file| begin_table(file, &options.out, &path)).transpose()?;

@@ -6,7 +6,7 @@ use super::rivals::{
     VtkGpu, VtkJs,
 };
 use clap::ValueEnum;
-use entire_steer::control::{Controller, Hybrid, HybridOptions, Prior, Session};
+use entire_steer::control::{Controller, HybridOptions, Session};
 use entire_steer::predict::Predictor;
 
 /// Names of the controllers.
@@ -109,12 +109,12 @@ impl ControllerKind {
 }
 
 /// Returns a new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is the curve
-/// of frame time over step (the paper's G); `prior` is the prior of the predictor's error on this machine.
+/// of frame time over step (the paper's G); `log_sd` is the predictor's error on this machine ([`HybridOptions::log_sd`]).
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,
     response: &StepResponse,
-    prior: Prior,
+    log_sd: Option<f32>,
 ) -> Box<dyn Controller + Send> {
     match kind {
         ControllerKind::Fixed => Box::new(Fixed { step: fixed_step }),
@@ -123,7 +123,7 @@ pub fn controller(
         ControllerKind::LargerOfTwo => Box::new(Olp::new(Recent::LargerOfTwo, response.clone())),
         ControllerKind::Pid => Box::new(Reactive(Pid::START)),
         ControllerKind::Algorithm1 => Box::new(Algorithm1 { response: response.clone() }),
-        ControllerKind::Hybrid => Box::new(Hybrid::new(HybridOptions { prior, ..HybridOptions::default() })),
+        ControllerKind::Hybrid => HybridOptions { log_sd, ..HybridOptions::default() }.controller(),
         ControllerKind::VtkGpu => Box::new(Reactive(VtkGpu::START)),
         ControllerKind::VtkFixedPoint => Box::new(Reactive(VtkFixedPoint::START)),
         ControllerKind::VtkJs => Box::new(Reactive(VtkJs::START)),
@@ -138,9 +138,9 @@ pub fn contender(
     fixed_step: f32,
     predictor: Box<dyn Predictor + Send>,
     response: &StepResponse,
-    prior: Prior,
+    log_sd: Option<f32>,
 ) -> Contender {
-    let controller = controller(kind, fixed_step, response, prior);
+    let controller = controller(kind, fixed_step, response, log_sd);
     Contender {
         name: kind.name().into(),
         session: Session::with_controller(predictor, controller),

@@ -336,7 +336,6 @@ mod tests {
     use entire_core::scene::{GaussianLobe, Scalars, Shading, Skipping, TransferFunction};
     use entire_io::dataset::Clock;
     use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
-    use entire_steer::control::Prior;
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 
     /// A predictor that gives the seconds of the scripted renderer times `bias`.
@@ -397,7 +396,7 @@ mod tests {
         let response = StepResponse::from_samples(&samples).unwrap();
         let mut contenders: Vec<Contender> = kinds
             .iter()
-            .map(|k| contender(*k, 1.0, Box::new(Insider { bias }), &response, Prior::Fitted { log_sd: 0.1 }))
+            .map(|k| contender(*k, 1.0, Box::new(Insider { bias }), &response, Some(0.1)))
             .collect();
         let draw = DrawSettings {
             width: 100,

@@ -17,7 +17,6 @@ use entire_io::options::DrawSettings;
 use entire_io::path::FlightPath;
 use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
-use entire_steer::control::Prior;
 use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::Renderer;
 
@@ -36,8 +35,8 @@ pub(crate) struct Race<'a> {
     /// Target, seconds; `None` for [`TARGET_SHARE`] of the median time of the random scenes.
     pub(crate) target: Option<f64>,
     pub(crate) model: &'a SteeringModel,
-    /// Prior knowledge of the predictor's errors, for controllers that correct the predictor.
-    pub(crate) prior: Prior,
+    /// The predictor's error, if it is known, for controllers that correct the predictor.
+    pub(crate) log_sd: Option<f32>,
 }
 
 /// Returns name and model of the predictor: the given model, else the machine's, else the shipped one. The
@@ -55,14 +54,14 @@ pub(crate) fn chosen_model(
     Ok((title, file.to_model()?, known))
 }
 
-/// Returns the [chosen](chosen_model) model, and the prior of its errors for controllers. Sessions scale the
+/// Returns the [chosen](chosen_model) model, and its error for controllers, if it is known. Sessions scale the
 /// shipped model to this machine frame by frame.
 pub(crate) fn steering_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,
     shading: Shading,
     volume: &VolumeView<'_>,
-) -> Result<(SteeringModel, Prior)> {
+) -> Result<(SteeringModel, Option<f32>)> {
     if let Some((name, model)) = &given
         && let Some(fitted) = shading_of(model).filter(|fitted| *fitted != shading)
     {
@@ -73,11 +72,8 @@ pub(crate) fn steering_model(
     let (title, model, known) = chosen_model(given, machine, shading)?;
     let corrected = if known { "" } else { ", corrected by the measured time of every frame" };
     let model = SteeringModel::new(title + corrected, model, volume)?;
-    let prior = match model.predictor()?.log_sd().filter(|_| known) {
-        Some(log_sd) => Prior::Fitted { log_sd },
-        None => Prior::Unknown,
-    };
-    Ok((model, prior))
+    let log_sd = model.predictor()?.log_sd().filter(|_| known);
+    Ok((model, log_sd))
 }
 
 /// Returns the machine's model for a shading mode, with its name, and the clock of frame times, which for
@@ -228,7 +224,7 @@ pub(crate) fn run(
         .iter()
         .map(|kind| {
             let predictor = race.model.predictor()?;
-            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, race.prior))
+            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, race.log_sd))
         })
         .collect::<Result<_>>()?;
     let volume_features = race.model.volume_features().map(<[f32]>::to_vec);

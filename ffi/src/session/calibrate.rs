@@ -188,7 +188,7 @@ pub unsafe extern "C" fn entire_session_set_model(
     entry!(changing(session, |state| {
         reserve::check()?;
         let predictor = borrow(model)?.predictor()?;
-        state.session.set_predictor(predictor, hybrid_options(&state.options)?);
+        state.session.set_predictor(predictor, hybrid_options(&state.options))?;
         state.model = Some(share(model));
         Ok(())
     }))

@@ -67,11 +67,10 @@ pub unsafe extern "C" fn entire_session_new(
         }
         let limits = StepLimits { finest: options.finest_step, coarsest: options.coarsest_step };
         limits.check()?;
-        let hybrid = hybrid_options(&options)?;
         let predicts: Box<dyn Predictor + Send> =
             if model.is_null() { Box::new(AnalyticModel::default()) } else { borrow(model)?.predictor()? };
         let model = if model.is_null() { None } else { Some(share(model)) };
-        let mut made = Session::new(predicts, hybrid);
+        let mut made = Session::new(predicts, hybrid_options(&options))?;
         if let Some((side, tolerance)) = probe_of(&options) {
             made = made.with_probe(side, tolerance)?;
         }

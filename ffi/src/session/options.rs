@@ -2,7 +2,6 @@
 
 use crate::abi::{by_value, init_struct};
 use crate::guard::{entry, guard};
-use crate::result::Failure;
 use crate::result::entire_result;
 use entire_steer::control::{HybridOptions, StepLimits};
 use entire_steer::features::PROBE_SIDE;
@@ -83,10 +82,9 @@ pub unsafe extern "C" fn entire_session_options_init(
     entry!(guard(|| init_struct(options, struct_size)))
 }
 
-pub(super) fn hybrid_options(options: &entire_session_options) -> Result<HybridOptions, Failure> {
+pub(super) fn hybrid_options(options: &entire_session_options) -> HybridOptions {
     let entire_session_options { miss_rate, tolerance, trust_limit, .. } = *options;
     let (damping, ignore_load) = (options.damping != 0, options.ignore_load != 0);
     let defaults = HybridOptions::default();
-    let hybrid = HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults };
-    Ok(hybrid.checked()?)
+    HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults }
 }

@@ -78,7 +78,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
 
     let lobes = [GaussianLobe { center: 0.5, width: 0.05, height: 0.3 }];
     let table = TransferFunction::Gaussian(lobes.to_vec()).to_table().unwrap();
-    let mut session = Session::new(predict::load(&model).unwrap(), HybridOptions::default());
+    let mut session = Session::new(predict::load(&model).unwrap(), HybridOptions::default()).unwrap();
     session.set_volume(VolumeSummary::new(&view).unwrap(), Some(features.clone()));
     session.set_transfer(&table, Some(&lobes)).unwrap();
     for i in 0..50u8 {

@@ -73,7 +73,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         set(&mut first, given)?;
     }
     let tried: Vec<usize> = if options.only.is_empty() {
-        (0..Constants::names().count()).collect()
+        (0..first.values().count()).collect()
     } else {
         options.only.iter().map(|name| place(name)).collect::<Result<_>>()?
     };
@@ -133,10 +133,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(out) = &options.out {
         make_folder_of(out)?;
         let names: Vec<&str> = played.iter().map(|(r, _)| r[0].trace.name.as_str()).collect();
-        let constants: serde_json::Map<String, serde_json::Value> = Constants::names()
-            .zip(found.values())
-            .map(|(name, value)| (name.to_owned(), json!(*value)))
-            .collect();
+        let constants: serde_json::Map<String, serde_json::Value> =
+            found.values().map(|(name, value)| (name.to_owned(), json!(*value))).collect();
         let all = json!({
             "paths": names, "constants": constants, "taken": taken, "without": worth, "before": before, "after": after
         });
@@ -147,10 +145,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
 /// The index of a constant.
 fn place(name: &str) -> Result<usize> {
-    Constants::names().position(|n| n == name).with_context(|| {
-        let known: Vec<&str> = Constants::names().collect();
-        format!("no constant is named {name}; there are {}", known.join(", "))
-    })
+    let mut constants = Constants::default();
+    let known: Vec<&str> = constants.values().map(|(name, _)| name).collect();
+    let place = known.iter().position(|n| *n == name);
+    place.with_context(|| format!("no constant is named {name}; there are {}", known.join(", ")))
 }
 
 /// Sets a constant from `NAME=VALUE`.
@@ -162,7 +160,7 @@ fn set(constants: &mut Constants, given: &str) -> Result<()> {
         .ok()
         .filter(|v: &f64| v.is_finite() && *v >= 0.0)
         .with_context(|| format!("{name} is {value}; it must be a finite number and not negative"))?;
-    if let Some(constant) = constants.values().nth(at) {
+    if let Some((_, constant)) = constants.values().nth(at) {
         *constant = value;
     }
     Ok(())

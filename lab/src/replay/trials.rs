@@ -10,7 +10,7 @@ use entire_cli::steering::play::{ActsOn, Contender};
 use entire_cli::steering::rivals::StepResponse;
 use entire_io::files::note;
 use entire_io::metrics::median;
-use entire_steer::control::{Hybrid, HybridOptions, Prior, Session};
+use entire_steer::control::{HybridOptions, Session};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use std::ops::Range;
 
@@ -103,12 +103,12 @@ pub(crate) fn play(
     let mut outcome = Outcome { frames: Vec::new(), tallies: vec![Tally::default(); players.len()] };
     for (k, player) in players.iter().enumerate() {
         for round in 0..rounds {
-            let prior: Prior = calibrated.prior();
+            let log_sd = calibrated.log_sd();
             let predictor = model.predictor()?;
             let mut who = if player.ignore_load {
-                hybrid(predictor, HybridOptions { prior, ignore_load: true, ..HybridOptions::default() })
+                hybrid(predictor, HybridOptions { log_sd, ignore_load: true, ..HybridOptions::default() })
             } else {
-                contender(player.kind, fixed, predictor, response, prior)
+                contender(player.kind, fixed, predictor, response, log_sd)
             };
             who.acts_on = player.acts_on;
             let all = 0..trial.targets.len();
@@ -192,14 +192,14 @@ pub(crate) fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usiz
 pub(crate) fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {
     Contender {
         name: "hybrid".into(),
-        session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
+        session: Session::with_controller(predictor, options.controller()),
         chooses_image_sample_distance: false,
         acts_on: ActsOn::RayStep,
     }
 }
 
 pub(crate) fn without_model(options: HybridOptions) -> Contender {
-    hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
+    hybrid(Box::new(AnalyticModel::default()), HybridOptions { log_sd: None, ..options })
 }
 
 #[cfg(test)]

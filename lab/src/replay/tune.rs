@@ -47,18 +47,13 @@ pub(crate) struct Constants {
 }
 
 impl Constants {
-    /// Name of every constant, in the order of [`Constants::values`].
-    pub(crate) fn names() -> impl Iterator<Item = &'static str> {
-        HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES).copied()
-    }
-
-    /// Returns a mutable reference to every constant, one after the other.
-    pub(crate) fn values(&mut self) -> impl Iterator<Item = &mut f64> {
+    /// Returns the name of every constant and a mutable reference to it, one after the other.
+    pub(crate) fn values(&mut self) -> impl Iterator<Item = (&'static str, &mut f64)> {
         self.hybrid.values().into_iter().chain(self.correction.values())
     }
 
     fn changed(mut self, index: usize, value: f64) -> Self {
-        if let Some(v) = self.values().nth(index) {
+        if let Some((_, v)) = self.values().nth(index) {
             *v = value;
         }
         self
@@ -99,9 +94,9 @@ pub(crate) fn removed(
     mut constants: Constants,
     now: &[Cost],
 ) -> Result<Vec<Removed>> {
-    let values: Vec<f64> = constants.values().map(|v| *v).collect();
-    Constants::names()
-        .zip(values)
+    let values: Vec<(&str, f64)> = constants.values().map(|(name, v)| (name, *v)).collect();
+    values
+        .into_iter()
         .enumerate()
         .filter_map(|(i, (name, value))| {
             WITHOUT.iter().find(|(n, _)| *n == name).map(|&(_, without)| (i, name, value, without))
@@ -210,8 +205,8 @@ impl<'a> Course<'a> {
     pub(crate) fn cost(&self, constants: Constants) -> Result<Cost> {
         let model = &self.calibrated.model;
         let Constants { hybrid: constants, correction } = constants;
-        let prior = self.calibrated.prior();
-        let options = HybridOptions { prior, constants, correction, ..HybridOptions::default() };
+        let log_sd = self.calibrated.log_sd();
+        let options = HybridOptions { log_sd, constants, correction, ..HybridOptions::default() };
         let (mut fitted, mut cold) = (Tally::default(), Tally::default());
         let (mut fitted_coarse, mut cold_coarse) = (0.0, 0.0);
         let (mut seconds, mut inside) = (0u32, 0u32);
@@ -283,11 +278,10 @@ pub(crate) fn search(
     done: &dyn Fn(),
 ) -> Result<(Constants, Vec<Cost>, Vec<Taken>)> {
     let mut taken = Vec::new();
-    let names: Vec<&'static str> = Constants::names().collect();
     for _ in 0..rounds {
         let before = taken.len();
         for &i in tried {
-            let from = constants.values().nth(i).map_or(f64::NAN, |v| *v);
+            let (name, from) = constants.values().nth(i).map_or(("", f64::NAN), |(name, v)| (name, *v));
             let mut best: Option<(f64, f64, f64, Vec<Cost>)> = None;
             for to in FACTORS.map(|f| f * from) {
                 let costs = costs(courses, constants.changed(i, to))?;
@@ -301,7 +295,7 @@ pub(crate) fn search(
                 constants = constants.changed(i, to);
                 let value = |c: &[Cost]| mean(&c.iter().map(Cost::value).collect::<Vec<_>>());
                 let cost = [value(&now), value(&costs)];
-                taken.push(Taken { name: names[i], from, to, cost, standard_error });
+                taken.push(Taken { name, from, to, cost, standard_error });
                 now = costs;
             }
         }

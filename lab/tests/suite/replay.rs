@@ -8,7 +8,7 @@ use entire_cli::steering::play::{ActsOn, Contender};
 use entire_cli::steering::rivals::StepResponse;
 use entire_lab::replay::{Player, Replayable, Replayed, Tally, replay};
 use entire_lab::trace::{Trace, TracePoint};
-use entire_steer::control::{Prior, Session, StepLimits};
+use entire_steer::control::{Session, StepLimits};
 use entire_steer::predict::AnalyticModel;
 
 /// A trace without smaller images.
@@ -49,7 +49,7 @@ const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 12.0 };
 fn play(recorded: &Replayable, player: Player, target: f64) -> anyhow::Result<Vec<Replayed>> {
     let n = recorded.path.frames.len();
     let response = StepResponse::inverse_step(0.1);
-    let mut who = contender(player.kind, 3.0, Box::new(AnalyticModel::default()), &response, Prior::Unknown);
+    let mut who = contender(player.kind, 3.0, Box::new(AnalyticModel::default()), &response, None);
     who.acts_on = player.acts_on;
     replay(recorded, &mut who, &[], &vec![target; n], LIMITS, 1, 0..n)
 }
@@ -143,7 +143,7 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
         let errors = |seed: u64| {
             let mut who = Contender {
                 name: "untrained".into(),
-                session: Session::untrained(),
+                session: Session::default(),
                 chooses_image_sample_distance: false,
                 acts_on: ActsOn::RayStep,
             };

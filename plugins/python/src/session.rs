@@ -76,14 +76,12 @@ impl Session {
         probe_side: Option<i64>,
     ) -> PyResult<Self> {
         let defaults = HybridOptions::default();
-        let options = HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults }
-            .checked()
-            .map_err(raise)?;
+        let options = HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults };
         let predictor: Box<dyn Predictor + Send> = match model {
             Some(model) => model.0.predictor()?,
             None => Box::new(AnalyticModel::default()),
         };
-        let mut core = Core::new(predictor, options);
+        let mut core = Core::new(predictor, options).map_err(raise)?;
         if let Some(side) = probe_side {
             core = core.with_probe(count(side), None).map_err(raise)?;
         }
@@ -566,7 +564,7 @@ impl Session {
         let predictor = model.0.predictor()?;
         let mut kept = self.model.lock(py)?;
         let mut state = self.state(py)?;
-        state.core.set_predictor(predictor, self.options);
+        state.core.set_predictor(predictor, self.options).map_err(raise)?;
         state.history.clear();
         *kept = Some(model.0.clone());
         Ok(())

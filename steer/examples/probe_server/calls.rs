@@ -4,7 +4,6 @@ use crate::scene;
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, Shading, TransferFunction, TransferTable, VolumeView,
 };
-use entire_steer::control::Session;
 use entire_steer::features::VolumeSummary;
 use std::collections::HashMap;
 use std::hint::black_box;
@@ -177,10 +176,10 @@ fn transfers(volumes: &mut Volumes, edge: usize, what: &str) -> Vec<f64> {
     let frame = frames(Shading::None)[0];
     let tables = tables();
     let mut out = Vec::new();
-    let mut session = Session::untrained();
+    let mut session = scene::session(11);
     for table in tables.iter().cycle().take(6) {
         if what == "first" || out.is_empty() {
-            session = Session::untrained();
+            session = scene::session(11);
             session.set_volume(summary.clone(), None);
         }
         if what != "first" {

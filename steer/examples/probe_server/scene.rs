@@ -20,5 +20,5 @@ pub(crate) fn frame(camera: Camera, shading: Shading) -> Frame {
 
 /// A session with `side` probe rays along each side.
 pub(crate) fn session(side: usize) -> Session {
-    Session::untrained().with_probe(side, None).expect("a side")
+    Session::default().with_probe(side, None).expect("a side")
 }

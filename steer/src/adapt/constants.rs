@@ -16,12 +16,10 @@ macro_rules! constants {
         }
 
         impl $group {
-            /// Names of the constants, in the order of `values`.
-            pub const NAMES: &'static [&'static str] = &[$(stringify!($name),)*];
-
-            /// Returns mutable references to all constants, in the order of their definition.
-            pub fn values(&mut self) -> [&mut f64; Self::NAMES.len()] {
-                [$(&mut self.$name,)*]
+            /// Returns the name of each constant and a mutable reference to it, in the order of their
+            /// definition.
+            pub fn values(&mut self) -> [(&'static str, &mut f64); [$(stringify!($name)),*].len()] {
+                [$((stringify!($name), &mut self.$name),)*]
             }
         }
     };

@@ -9,7 +9,7 @@ use entire_core::bail;
 
 /// Prior knowledge of the prediction's errors, before the first observation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Prior {
+pub(crate) enum Prior {
     /// The machine was never measured: even the order of magnitude is unknown.
     Unknown,
     /// The model was fitted to times of another clock: predicted ratios of the times of two scenes are about

@@ -112,7 +112,7 @@ impl Predictor for FineOnly {
 #[test]
 fn a_choice_that_fails_leaves_no_trace() {
     let f = frame(20.0, 30.0, 2.0);
-    let mut session = Session::new(Box::new(FineOnly), HybridOptions::default());
+    let mut session = Session::new(Box::new(FineOnly), HybridOptions::default()).unwrap();
     make_ready(&mut session);
     session.set_limits(StepLimits { finest: 1.0, coarsest: 2.0 }).unwrap();
     draw(&mut session, &f, 1.0, 0.1, 5);
@@ -128,7 +128,7 @@ fn images_of_one_width_and_several_heights_have_their_own_times() {
     // All images smaller than the frame's are one pixel wide.
     let f = Frame { width: 2, height: 400, ..frame(20.0, 30.0, 2.0) };
     let made = || {
-        let mut session = Session::new(Box::new(ByHeight), HybridOptions::default());
+        let mut session = Session::new(Box::new(ByHeight), HybridOptions::default()).unwrap();
         make_ready(&mut session);
         session.set_max_image_sample_distance(16.0, 1.0).unwrap();
         session
@@ -296,7 +296,7 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     let f = frame(20.0, 30.0, 2.0);
     let summary = |voxels: &[u8], dims| summary(voxels, dims, 48);
     let mut voxels = vec![0u8; 32 * 32 * 32];
-    let mut session = Session::untrained();
+    let mut session = Session::default();
     let error = session.set_time_step(summary(&voxels, [32; 3]), None).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::NotReady);
     session = ready_session();
@@ -309,7 +309,7 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     // The frame's features are those of the next time step under the same table.
     let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
     let expected = measured(&next, &table, &f);
-    assert_eq!(*session.features(), expected);
+    assert_eq!(session.features, expected);
     // A volume whose sizes, spacing or type differ from those of the series is refused.
     let error = session.set_time_step(summary(&voxels[..16 * 32 * 32], [32, 32, 16]), None).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::SizeMismatch);
@@ -329,7 +329,7 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     let other = VolumeSummary::new(&view).unwrap();
     assert_eq!(session.set_time_step(other, None).unwrap_err().kind(), ErrorKind::InvalidArgument);
     session.plan(&f, 0.02).unwrap();
-    assert_eq!(*session.features(), expected);
+    assert_eq!(session.features, expected);
 }
 
 #[test]
@@ -347,7 +347,7 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
     // On the simulated machine, a measured time is a quarter of the predicted processor time, as wall time on
     // four processors. Returns the ratio of the second frame's expected time to its measured time.
     let second = |model: Option<&str>, clock: &str| {
-        let mut session = Session::new(stated(model), HybridOptions::default());
+        let mut session = Session::new(stated(model), HybridOptions::default()).unwrap();
         session.set_timing_source("a renderer", clock).unwrap();
         let own = Some(clock).filter(|c| *c != "a watch");
         assert_eq!(session.clocks().map(|c| c.map(Clock::name)), [own, model]);
@@ -356,7 +356,7 @@ fn a_model_of_another_clock_is_converted_by_the_first_frames() {
         let takes = |session: &mut Session| {
             let plan = session.plan(&frame, 0.05).unwrap();
             let setting = Setting { step: plan.step, ..Setting::from(&frame) };
-            (plan, quarter.parts(session.features(), &setting).seconds())
+            (plan, quarter.parts(&session.features, &setting).seconds())
         };
         let (plan, seconds) = takes(&mut session);
         session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();

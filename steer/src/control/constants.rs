@@ -1,7 +1,7 @@
 //! Constants of the hybrid controller, tuned on recorded paths.
 
 crate::adapt::constants! {
-    /// Constants of [`Hybrid`](super::Hybrid). The defaults come from a search over recorded paths
+    /// Constants of the default controller. The defaults come from a search over recorded paths
     /// (`entire-lab tune`); callers need not set any.
     HybridConstants {
         /// Limit of ln(s / f), where s is the finest step whose bound is within the tolerance, and f is the

@@ -3,11 +3,12 @@
 
 use super::constants::HybridConstants;
 use super::history::History;
-use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
+use super::{Controller, Decision, Observed, Reason, SceneMark, StepLimits};
 use crate::adapt::state::{Reader, Writer};
 use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, NOVEL, Prior, Standing, Verdict};
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
+use alloc::boxed::Box;
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
@@ -22,7 +23,7 @@ const NEW_SCENE_MISS_RATE: f32 = 0.07;
 /// Default tolerance: share of the target by which an upper bound may exceed the target.
 const DEFAULT_TOLERANCE: f32 = 0.1;
 
-/// Settings of [`Hybrid`].
+/// Settings of the default controller, [`HybridOptions::controller`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
     /// Miss rate: share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by
@@ -35,8 +36,9 @@ pub struct HybridOptions {
     /// target and if the finest step whose bound is within the tolerance is at most exp(`full`) times the
     /// finest allowed step ([`HybridConstants`]).
     pub tolerance: f32,
-    /// Prior knowledge of the prediction's errors.
-    pub prior: Prior,
+    /// Standard deviation of ln(measured / predicted) of a model that was fitted to times of this machine and
+    /// clock. `None` if the machine was never measured, so that even the order of magnitude is unknown.
+    pub log_sd: Option<f32>,
     /// True if changes of the step are damped in calm phases.
     pub damping: bool,
     /// True if a detected load does not change the step: while other programs slow frames down, the
@@ -57,7 +59,7 @@ impl Default for HybridOptions {
         Self {
             miss_rate: DEFAULT_MISS_RATE,
             tolerance: DEFAULT_TOLERANCE,
-            prior: Prior::Unknown,
+            log_sd: None,
             damping: true,
             ignore_load: false,
             trust_limit: 2.0,
@@ -68,12 +70,42 @@ impl Default for HybridOptions {
 }
 
 impl HybridOptions {
+    /// Returns the controller, without observations. It chooses the finest step whose expected time meets the target and whose upper bound stays within the
+    /// tolerance. The expected time is the feed-forward prediction times the online correction; an
+    /// adaptive-conformal margin gives the bound.
+    ///
+    /// * Novelty: the relative change of the predicted cost, in amount and composition, at the last drawn step.
+    ///   The larger it is, the less the earlier frames count. A change that the caller announces begins a scene,
+    ///   unless the previous frame was announced as changed too (as while a slider is dragged); then only the
+    ///   change of the cost counts.
+    /// * Calm phases: the correction adapts to the present scene, so the expected error shrinks to the noise
+    ///   between frames. The step is kept while it is close to the best step. Otherwise its change per frame is
+    ///   limited, unless the limited change would miss the target.
+    /// * Other programs on the machine: a detected load multiplies every expected time, until the first frame
+    ///   without the load. The step is chosen by the bound for undisturbed frames; the bound of the plan covers
+    ///   disturbed frames too.
+    /// * A new scene: nothing is damped, the logarithm of the earlier scene's correction is multiplied by
+    ///   1 − novelty, and the margin is that of new scenes.
+    /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
+    ///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step. The
+    ///   plan's reason is [`Reason::Fits`] in this case, too.
+    /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
+    /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
+    ///   replaces the prediction if the prediction is missing, is out of range at the step that it would choose,
+    ///   or was recently clearly worse than the forecast. If neither is available, the coarsest step is chosen.
+    ///
+    /// The controller clamps the miss rate, and checks no other option; [`Session::new`](super::Session::new)
+    /// checks them.
+    pub fn controller(self) -> Box<dyn Controller + Send> {
+        Box::new(Hybrid::new(self))
+    }
+
     /// Returns the options if miss rate, tolerance and trust limit are valid; the other options are not
-    /// checked. [`Hybrid::new`] checks nothing; it clamps the miss rate.
+    /// checked.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`], naming the option, its value and its range.
-    pub fn checked(self) -> Result<Self> {
+    pub(super) fn checked(self) -> Result<Self> {
         let Self { miss_rate, tolerance, trust_limit, .. } = self;
         if !(miss_rate > 0.0 && miss_rate <= 0.5) {
             bail!(InvalidArgument, "miss_rate is {miss_rate}; it must be over 0 and at most 0.5");
@@ -91,32 +123,11 @@ impl HybridOptions {
     }
 }
 
-/// Chooses the finest step whose expected time meets the target and whose upper bound stays within the
-/// tolerance. The expected time is the feed-forward prediction times the online correction; an
-/// adaptive-conformal margin gives the bound.
-///
-/// * Novelty: the relative change of the predicted cost, in amount and composition, at the last drawn step.
-///   The larger it is, the less the earlier frames count. A change that the caller announces begins a scene,
-///   unless the previous frame was announced as changed too (as while a slider is dragged); then only the
-///   change of the cost counts.
-/// * Calm phases: the correction adapts to the present scene, so the expected error shrinks to the noise
-///   between frames. The step is kept while it is close to the best step. Otherwise its change per frame is
-///   limited, unless the limited change would miss the target.
-/// * Other programs on the machine: a detected load multiplies every expected time, until the first frame
-///   without the load. The step is chosen by the bound for undisturbed frames; the bound of the plan covers
-///   disturbed frames too.
-/// * A new scene: nothing is damped, the logarithm of the earlier scene's correction is multiplied by
-///   1 − novelty, and the margin is that of new scenes.
-/// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
-///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step. The
-///   plan's reason is [`Reason::Fits`] in this case, too.
-/// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
-/// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
-///   replaces the prediction if the prediction is missing, is out of range at the step that it would choose,
-///   or was recently clearly worse than the forecast. If neither is available, the coarsest step is chosen.
+/// The controller of [`HybridOptions::controller`].
 #[derive(Clone, Debug)]
-pub struct Hybrid {
+pub(super) struct Hybrid {
     options: HybridOptions,
+    prior: Prior,
     pub(super) correction: Correction,
     calm: Margin,
     changed: Margin,
@@ -185,11 +196,13 @@ struct Expected {
 
 impl Hybrid {
     /// Returns a controller without observations.
-    pub fn new(options: HybridOptions) -> Self {
+    pub(super) fn new(options: HybridOptions) -> Self {
         let (calm, changed) = margins(&options);
+        let prior = options.log_sd.map_or(Prior::Unknown, |log_sd| Prior::Fitted { log_sd });
         Self {
             options,
-            correction: Correction::new(options.prior, options.correction),
+            prior,
+            correction: Correction::new(prior, options.correction),
             calm,
             changed,
             history: History::new(),
@@ -339,12 +352,17 @@ impl Hybrid {
 
     /// Returns the step for the present frame and its reason, by the corrected prediction; with `by_history`,
     /// by the forecast from recent frames.
-    fn choose(&self, request: &mut PlanRequest<'_>, by_history: bool) -> (f32, Reason) {
-        let limits = request.limits;
+    fn choose(
+        &self,
+        target: f32,
+        limits: StepLimits,
+        cost: &mut dyn FnMut(f32) -> CostTerms,
+        by_history: bool,
+    ) -> (f32, Reason) {
         let c = self.options.constants;
-        let target = f64::from(request.target);
+        let target = f64::from(target);
         let ceiling = target * (1.0 + f64::from(self.options.tolerance.max(0.0)));
-        let mut judge = |step: f32| self.expected(&(request.cost)(step), step, by_history);
+        let mut judge = |step: f32| self.expected(&cost(step), step, by_history);
         let excess = |step: f32| {
             let Expected { choice, choice_upper, .. } = judge(step);
             libm::log(f64::max(choice / target, choice_upper / ceiling)).clamp(-50.0, 50.0)
@@ -418,16 +436,21 @@ impl Controller for Hybrid {
         "hybrid"
     }
 
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
-        let (limits, changes) = (request.limits, request.changes);
-        self.enter(changes, request.cost);
-        let coarsest = (request.cost)(limits.coarsest);
+    fn plan(
+        &mut self,
+        target: f32,
+        limits: StepLimits,
+        changes: Changes,
+        cost: &mut dyn FnMut(f32) -> CostTerms,
+    ) -> Decision {
+        self.enter(changes, cost);
+        let coarsest = cost(limits.coarsest);
         let known = coarsest.seconds().is_finite() && coarsest.seconds() > 0.0;
         // Frames before a change of scene do not predict the frame after it.
         let recent = self.history.len > 0 && !(changes.any() && self.scene.first);
         let mut by_history = recent && (!known || self.history.leads);
         if !known && !by_history {
-            self.last = Some(Last { step: limits.coarsest, target: request.target, terms: coarsest });
+            self.last = Some(Last { step: limits.coarsest, target, terms: coarsest });
             return Decision {
                 step: limits.coarsest,
                 seconds: f32::NAN,
@@ -436,15 +459,15 @@ impl Controller for Hybrid {
                 reason: Reason::NoInformation,
             };
         }
-        let (mut step, mut reason) = self.choose(request, by_history);
-        let mut terms = (request.cost)(step);
+        let (mut step, mut reason) = self.choose(target, limits, cost, by_history);
+        let mut terms = cost(step);
         if recent && !by_history && terms.out_of_range > self.options.trust_limit {
             by_history = true;
-            (step, reason) = self.choose(request, by_history);
-            terms = (request.cost)(step);
+            (step, reason) = self.choose(target, limits, cost, by_history);
+            terms = cost(step);
         }
         let Expected { seconds, upper, .. } = self.expected(&terms, step, by_history);
-        self.last = Some(Last { step, target: request.target, terms });
+        self.last = Some(Last { step, target, terms });
         Decision {
             step,
             seconds: seconds as f32,
@@ -501,12 +524,12 @@ impl Controller for Hybrid {
     }
 
     fn convert(&mut self, converted: bool) {
-        let prior = match (self.options.prior, converted) {
+        let prior = match (self.prior, converted) {
             (Prior::Fitted { log_sd }, true) => Prior::Converted { log_sd },
             (Prior::Converted { log_sd }, false) => Prior::Fitted { log_sd },
             _ => return,
         };
-        self.options.prior = prior;
+        self.prior = prior;
         self.correction = Correction::new(prior, self.options.correction);
     }
 

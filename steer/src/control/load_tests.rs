@@ -1,8 +1,8 @@
 //! Tests with frames that other programs slow down, and with machines whose speed changes permanently.
 
+use super::hybrid::Hybrid;
 use super::tests::{fitted, planned, starts};
 use super::*;
-use crate::adapt::Prior;
 use crate::numeric::Noise;
 use crate::predict::Source;
 use std::vec::Vec;
@@ -20,7 +20,7 @@ fn played_with(
     changes: impl Fn(usize) -> Changes,
     slowed: impl Fn(usize) -> f32,
 ) -> Vec<Decision> {
-    let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.15 }, ..options });
+    let mut hybrid = Hybrid::new(HybridOptions { log_sd: Some(0.15), ..options });
     let mut noise = Noise(17);
     let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let play = |i: usize| {

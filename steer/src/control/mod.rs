@@ -18,11 +18,11 @@ mod session;
 #[cfg(test)]
 mod tests;
 
-pub use crate::adapt::{CorrectionConstants, ObserveFlags, Prior, Verdict};
+pub use crate::adapt::{CorrectionConstants, ObserveFlags, Verdict};
 pub use crate::predict::Quality;
 pub use budget::{FrameBudget, PassShare};
 pub use constants::HybridConstants;
-pub use hybrid::{Hybrid, HybridOptions};
+pub use hybrid::HybridOptions;
 pub use session::{Plan, Session};
 
 use crate::features::Changes;
@@ -114,23 +114,10 @@ names! { Reason:
     Reactive "reactive",
 }
 
-/// Request for a plan of one frame.
-pub struct PlanRequest<'a> {
-    /// Target: seconds that the frame should not exceed; finite and positive.
-    pub target: f32,
-    /// Range of steps. If plans may coarsen the image ([`Session::set_max_image_sample_distance`]), every
-    /// step that a controller receives or returns stands for step · (image sample distance)².
-    pub limits: StepLimits,
-    /// Changes of the scene since the previous frame.
-    pub changes: Changes,
-    /// Predicted cost of the frame at a ray step, uncorrected; NaN if it is unknown.
-    pub cost: &'a mut dyn FnMut(f32) -> CostTerms,
-}
-
 /// A controller's plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
-    /// Chosen step, in reference steps; see [`PlanRequest::limits`].
+    /// Chosen step, in reference steps; see [`Controller::plan`].
     pub step: f32,
     /// Expected seconds; NaN if the controller predicts no time.
     pub seconds: f32,
@@ -183,8 +170,18 @@ pub trait Controller {
     /// Short name for tables.
     fn name(&self) -> &'static str;
 
-    /// Chooses the step of the next frame.
-    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision;
+    /// Chooses the step of the next frame. `target` is the time in seconds that the frame should not exceed,
+    /// finite and positive; `limits` is the range of steps; `changes` are the changes of the scene since the
+    /// previous frame; `cost` returns the predicted cost of the frame at a ray step, uncorrected, or NaN if it
+    /// is unknown. If plans may coarsen the image ([`Session::set_max_image_sample_distance`]), every step
+    /// that a controller receives or returns stands for step · (image sample distance)².
+    fn plan(
+        &mut self,
+        target: f32,
+        limits: StepLimits,
+        changes: Changes,
+        cost: &mut dyn FnMut(f32) -> CostTerms,
+    ) -> Decision;
 
     /// Updates the controller by a frame's time.
     fn observe(&mut self, observed: &Observed) -> Verdict;
@@ -219,8 +216,8 @@ pub trait Controller {
     }
 
     /// True if this prediction of [`Controller::judged`] meets the target: by default, if its upper bound is
-    /// at most the target; without a bound, if its expected time is. [`Hybrid`] compares the expected time
-    /// with the target, and the bound with (1 + tolerance) × target.
+    /// at most the target; without a bound, if its expected time is. The default controller compares the
+    /// expected time with the target, and the bound with (1 + tolerance) × target.
     fn fits(&self, prediction: &Prediction, target: f32) -> bool {
         let bound = if prediction.upper.is_nan() { prediction.seconds } else { prediction.upper };
         bound <= target

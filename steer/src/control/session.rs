@@ -9,8 +9,8 @@ mod state;
 mod unrecorded;
 
 use super::coarsening::Coarsening;
-use super::{Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, StepLimits};
-use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
+use super::{Controller, Decision, HybridOptions, Observed, Reason, StepLimits};
+use crate::adapt::{ObserveFlags, Verdict, check_seconds};
 use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Quality, Source, TERMS};
 use alloc::boxed::Box;
@@ -109,18 +109,25 @@ pub struct Session {
     quality: Option<Quality>,
 }
 
-impl Session {
-    /// Returns a session with the default controller, [`Hybrid`], and the given predictor. If the prior is
-    /// [`Prior::Unknown`] and the predictor's error is known, the prior is [`Prior::Fitted`] with this error.
-    pub fn new(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Self {
-        let controller = controller_for(&*predictor, options);
-        Self::with_controller(predictor, controller)
-    }
-
-    /// Returns a session without a model file: it uses the analytic model with default costs, corrected by
+impl Default for Session {
+    /// A session without a model file: it uses the analytic model with default costs, corrected by
     /// observations.
-    pub fn untrained() -> Self {
-        Self::new(Box::new(AnalyticModel::default()), HybridOptions::default())
+    fn default() -> Self {
+        let controller = HybridOptions::default().controller();
+        Self::with_controller(Box::new(AnalyticModel::default()), controller)
+    }
+}
+
+impl Session {
+    /// Returns a session with the default controller and the given predictor. If
+    /// [`HybridOptions::log_sd`] is `None`, it is the error that the predictor states.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a miss rate, tolerance or trust limit outside its range,
+    /// naming the option, its value and its range.
+    pub fn new(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Result<Self> {
+        let controller = controller_for(&*predictor, options)?;
+        Ok(Self::with_controller(predictor, controller))
     }
 
     /// Returns a session with the given predictor and controller.
@@ -286,13 +293,14 @@ impl Session {
         c.camera |= changes.camera;
     }
 
-    /// Features of the last planned or predicted frame.
-    pub fn features(&self) -> &FrameFeatures {
-        &self.features
+    /// Probe of the last planned or predicted frame: number of rays along each side, and number of its rays
+    /// that met the volume.
+    pub fn probe(&self) -> (usize, u32) {
+        (self.features.probe_side, self.features.probe.rays)
     }
 
     /// Predicts a frame's time at its own step, corrected by the observations. Changes only
-    /// [`Session::features`], and no learned state. With a tolerance ([`Session::with_probe`]), a later plan
+    /// [`Session::probe`], and no learned state. With a tolerance ([`Session::with_probe`]), a later plan
     /// may reuse the rays of this call.
     ///
     /// # Errors
@@ -320,7 +328,7 @@ impl Session {
             let limits = self.coarsening.limits();
             let (controller, mut cost) = self.costing(changes, setting)?;
             let mut at = |step| cost.at(step);
-            let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
+            let decision = controller.plan(target, limits, changes, &mut at);
             let terms = cost.at(decision.step);
             let recorded = self.recording.is_some();
             let drawn = if recorded { self.coarsening.setting(setting, decision.step) } else { setting };
@@ -570,11 +578,9 @@ fn inputs_of<'a>(
     }
 }
 
-fn controller_for(predictor: &dyn Predictor, mut options: HybridOptions) -> Box<dyn Controller + Send> {
-    if let (Prior::Unknown, Some(log_sd)) = (options.prior, predictor.log_sd()) {
-        options.prior = Prior::Fitted { log_sd };
-    }
-    Box::new(Hybrid::new(options))
+fn controller_for(predictor: &dyn Predictor, options: HybridOptions) -> Result<Box<dyn Controller + Send>> {
+    let log_sd = options.log_sd.or_else(|| predictor.log_sd());
+    Ok(HybridOptions { log_sd, ..options.checked()? }.controller())
 }
 
 /// Returns `terms`, predicted at the reference step, scaled to the step of `setting` by the ratio of the

@@ -1,8 +1,9 @@
 //! Tests of controllers and sessions in closed loops, with frame times from known cost functions.
 
+use super::hybrid::Hybrid;
 use super::session::PENDING_PLANS;
 use super::*;
-use crate::adapt::{ObserveFlags, Prior, Verdict};
+use crate::adapt::{ObserveFlags, Verdict};
 use crate::features::Setting;
 use crate::features::tests::summary;
 use crate::numeric::Noise;
@@ -14,7 +15,7 @@ use std::vec::Vec;
 
 /// Returns a controller for a model whose errors have the standard deviation `log_sd`.
 pub(super) fn fitted(log_sd: f32) -> Hybrid {
-    Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd }, ..HybridOptions::default() })
+    Hybrid::new(HybridOptions { log_sd: Some(log_sd), ..HybridOptions::default() })
 }
 
 /// Changes of a frame, which starts a session if `first` is true.
@@ -31,7 +32,7 @@ pub(super) fn planned(
     mut cost: impl FnMut(f32) -> CostTerms,
 ) -> (Decision, Observed) {
     let limits = StepLimits { finest: 1.0, coarsest };
-    let plan = hybrid.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
+    let plan = hybrid.plan(target, limits, changes, &mut cost);
     let (step, terms, scene) = (plan.step, cost(plan.step), hybrid.scene());
     let seconds = terms.seconds();
     (plan, Observed { seconds, step, target, changes, terms, scene, unusual: false })
@@ -61,7 +62,7 @@ pub(super) fn frame(rx: f32, ry: f32, dz: f32) -> Frame {
 
 #[test]
 fn a_session_learns_an_unknown_machine_and_holds_its_target() {
-    let mut session = Session::untrained();
+    let mut session = Session::default();
     session.set_volume(summary(&sphere(64), [64; 3], 48), None);
     // The simulated machine's ratios of unit costs differ from the default, and it is far slower than the
     // default costs predict.
@@ -97,7 +98,7 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
 
 #[test]
 fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
-    let mut hybrid = Hybrid::new(HybridOptions { prior: Prior::Unknown, ..HybridOptions::default() });
+    let mut hybrid = Hybrid::new(HybridOptions::default());
     let cost =
         |_: f32| CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };
     let (d, seen) = planned(&mut hybrid, (0.02, 16.0), Changes::default(), cost);
@@ -243,7 +244,7 @@ fn the_state_stays_bounded_over_long_runs() {
 }
 
 pub(super) fn ready_session() -> Session {
-    let mut session = Session::untrained();
+    let mut session = Session::default();
     make_ready(&mut session);
     session
 }
@@ -355,7 +356,7 @@ fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
             Some(c) => AnalyticModel::from_costs(UnitCosts::new([c; COSTS])).unwrap(),
             None => AnalyticModel::default(),
         };
-        let mut session = Session::new(Box::new(model), HybridOptions::default());
+        let mut session = Session::new(Box::new(model), HybridOptions::default()).unwrap();
         session.set_timing_source(renderer, clock).unwrap();
         session
     };
@@ -381,7 +382,7 @@ const LEARNED: &str = include_str!("learned_state.hex");
 #[test]
 fn a_saved_state_moves_between_machines_of_any_byte_order() {
     let named = || {
-        let mut session = Session::untrained();
+        let mut session = Session::default();
         session.set_timing_source("a renderer", "device").unwrap();
         session
     };
@@ -400,7 +401,7 @@ fn a_linear_cost_model_may_use_a_smaller_probe() {
     let f = frame(20.0, 30.0, 2.0);
     let of_side = |side| {
         let mut session = ready_session().with_probe(side, None)?;
-        assert_eq!(session.features.probe_side(), side);
+        assert_eq!(session.features.probe_side, side);
         session.predict(&f).map(|p| p.seconds)
     };
     let usual = ready_session().predict(&f).unwrap().seconds;
@@ -417,7 +418,7 @@ fn a_linear_cost_model_may_use_a_smaller_probe() {
 #[test]
 fn a_session_says_what_is_missing_and_refuses_bad_targets() {
     let f = frame(0.0, 0.0, 2.0);
-    let mut empty = Session::untrained();
+    let mut empty = Session::default();
     assert_eq!(empty.plan(&f, 0.02).unwrap_err().kind(), ErrorKind::NotReady);
     let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
     assert_eq!(empty.set_transfer(&table, None).unwrap_err().kind(), ErrorKind::NotReady);
@@ -559,7 +560,7 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
     let session = |ladder: Option<f32>, side: usize| {
         let side = if ladder.is_some() { 24 } else { side };
-        let mut session = Session::untrained().with_probe(side, ladder).unwrap();
+        let mut session = Session::default().with_probe(side, ladder).unwrap();
         session.set_volume(volume.clone(), None);
         session.set_transfer(&table, Some(&l)).unwrap();
         session
@@ -569,7 +570,7 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     let climbed = |tolerance: f32, target: f32| {
         let mut ladder = session(Some(tolerance), 11);
         let plan = ladder.plan(&frame, target).unwrap();
-        let side = ladder.features().probe_side();
+        let side = ladder.features.probe_side;
         // The plan equals that of a session that always uses this probe.
         let same = session(None, side).plan(&frame, target).unwrap();
         assert_eq!((plan.step, plan.seconds), (same.step, same.seconds), "{tolerance} {target}");
@@ -592,9 +593,9 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     ladder.plan(&frame, 1e3).unwrap();
     assert!(ladder.predict(&Frame { step: 0.0, ..frame }).is_err());
     ladder.plan(&frame, target).unwrap();
-    assert!(ladder.features().probe_rays() > 16);
-    assert!(Session::untrained().with_probe(0, Some(0.1)).is_err());
-    assert!(Session::untrained().with_probe(11, Some(f32::NAN)).is_err());
+    assert!(ladder.features.probe.rays > 16);
+    assert!(Session::default().with_probe(0, Some(0.1)).is_err());
+    assert!(Session::default().with_probe(11, Some(f32::NAN)).is_err());
 }
 
 #[test]
@@ -603,7 +604,7 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     let volume = summary(&voxels, [64; 3], 48);
     let l = lobes(0.4, 0.05);
     let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
-    let mut session = Session::untrained().with_probe(7, Some(0.3)).unwrap();
+    let mut session = Session::default().with_probe(7, Some(0.3)).unwrap();
     session.set_volume(volume.clone(), None);
     session.set_transfer(&table, Some(&l)).unwrap();
     let seen = |session: &mut Session, frame: &Frame| {
@@ -641,12 +642,12 @@ fn rays_serve_while_the_view_has_hardly_turned() {
     let thinner: Vec<u8> = voxels.iter().map(|&v| if v < 120 { 0 } else { v }).collect();
     session.set_time_step(summary(&thinner, [64; 3], 48), None).unwrap();
     let step = Setting::from(&wide);
-    let shown = |session: &Session| session.features().work(&step).samples;
+    let shown = |session: &Session| session.features.work(&step).samples;
     let of_first = shown(&session);
     session.plan(&wide, 1e3).unwrap();
     assert!(shown(&session) < 0.5 * of_first, "{of_first}");
     // Without a tolerance, every plan casts rays.
-    let mut plain = Session::untrained().with_probe(7, None).unwrap();
+    let mut plain = Session::default().with_probe(7, None).unwrap();
     plain.set_volume(volume, None);
     plain.set_transfer(&table, Some(&l)).unwrap();
     let first = seen(&mut plain, &frame(20.0, 30.0, 2.6));

@@ -169,7 +169,8 @@ const WAITING_ENDED: f64 = 10.0;
 /// allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
-    probe_side: usize,
+    /// Number of rays along each side of the probe.
+    pub(crate) probe_side: usize,
     level: Level,
     pub(crate) probe: Probe,
     pose: Arcball,
@@ -247,16 +248,6 @@ impl FrameFeatures {
         self.pose = frame.camera.to_arcball();
         self.along = along(frame, volume.shape().relative_spacing, &self.probe.footprint);
         Ok(true)
-    }
-
-    /// Number of rays along each side of the probe.
-    pub fn probe_side(&self) -> usize {
-        self.probe_side
-    }
-
-    /// Number of probe rays that met the volume in the last measured frame.
-    pub fn probe_rays(&self) -> u32 {
-        self.probe.rays
     }
 
     /// Sets the number of rays along each side of the next probe.

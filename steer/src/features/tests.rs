@@ -452,7 +452,7 @@ fn what_needs_no_probe_is_known_without_one() {
         assert!((found / finest - 1.0).abs() < tolerance, "{side}: {found}, {finest}");
     }
     assert_eq!(of(MAX_PROBE_SIDE + 9), of(MAX_PROBE_SIDE));
-    assert_eq!(FrameFeatures::default().probe_side(), PROBE_SIDE);
+    assert_eq!(FrameFeatures::default().probe_side, PROBE_SIDE);
 }
 
 #[test]

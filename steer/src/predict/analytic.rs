@@ -194,7 +194,8 @@ impl AnalyticModel {
             range: Some(range_of(usable.iter().map(|(work, _)| work))),
             ..Self::default()
         };
-        let error = |(work, seconds): &&([f64; COSTS], f64)| libm::fabs(model.costs.time(work) / seconds - 1.0);
+        let error =
+            |(work, seconds): &&([f64; COSTS], f64)| libm::fabs(model.costs.time(work) / seconds - 1.0);
         let errors = usable.iter().map(error).collect();
         Ok((model, errors))
     }

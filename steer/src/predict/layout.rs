@@ -1,7 +1,7 @@
 //! Layout of a model's input rows: input groups, their order and their format.
 
-use super::{GroupKind, Inputs, UnitCosts};
-use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, far_ratio};
+use super::{GroupKind, InputRange, Inputs, UnitCosts};
+use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Setting, far_ratio};
 use crate::memory::chunks_mut;
 use alloc::string::ToString;
 use alloc::vec::Vec;
@@ -10,21 +10,6 @@ use entire_core::bail;
 use entire_core::model::{InputGroup, Key, Model, ModelFile};
 use entire_core::nn::PredNetParts;
 use entire_core::scene::{Arcball, GaussianLobe};
-
-/// Values of an input row for one frame, apart from the scene features. `None` means that a value is unknown.
-#[derive(Clone, Copy, Debug)]
-pub struct InputValues<'a> {
-    /// VolumeNet's output for the volume.
-    pub volume_features: Option<&'a [f32]>,
-    /// The camera, in degrees and bounding-sphere radii.
-    pub camera: Arcball,
-    /// Width and height of the image, in pixels.
-    pub image_size: [u32; 2],
-    /// The ray step, in reference steps.
-    pub step: f32,
-    /// The transfer function as Gaussian lobes.
-    pub lobes: Option<&'a [GaussianLobe]>,
-}
 
 /// Layout of a model's inputs: its groups in order, with their sizes, and the parameters needed to compute
 /// them.
@@ -43,6 +28,8 @@ pub struct InputLayout {
     /// Number of rays along each side of the probe that measures the scene features, 1 to [`MAX_PROBE_SIDE`];
     /// 0 if no scene feature needs a probe.
     pub probe_side: usize,
+    /// Range of the training data, to which rows are clamped for the network; `None` if it is unknown.
+    pub range: Option<InputRange>,
 }
 
 impl InputLayout {
@@ -87,6 +74,7 @@ impl InputLayout {
             unit_costs: None,
             cached_voxels: UnitCosts::CACHED_VOXELS,
             sorted_lobes: false,
+            range: None,
         })
     }
 
@@ -95,7 +83,7 @@ impl InputLayout {
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an unknown input group, [`crate::ErrorKind::Unsupported`] for
     /// an unknown scene feature or order of lobes, [`crate::ErrorKind::InvalidModel`] for an invalid probe
-    /// side, or for unit costs or a number of cached voxels that are not valid.
+    /// side, or for unit costs, a number of cached voxels or a training range that are not valid.
     pub fn of_model(model: &Model) -> Result<Self> {
         let groups = model
             .inputs
@@ -105,6 +93,7 @@ impl InputLayout {
         let scene_features = model.scene_features.iter().map(|n| n.parse()).collect::<Result<Vec<_>>>()?;
         let probe_side = if need_probe(&scene_features) { stated_probe_side(model)? } else { 0 };
         Ok(Self {
+            range: InputRange::of(model, groups.iter().map(|(_, size)| size).sum())?,
             groups,
             scene_features,
             unit_costs: UnitCosts::of(model)?,
@@ -126,11 +115,11 @@ impl InputLayout {
     }
 
     /// Stores a network with this layout in a model file: the network's tensors and the description of its
-    /// inputs.
+    /// inputs. Without a range, the file keeps its range.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] if the parts do not fit together or a weight overflows its
-    /// format.
+    /// format, [`crate::ErrorKind::InvalidModel`] if the file's calibration is damaged.
     pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
         let group = |&(kind, size): &(GroupKind, usize)| InputGroup { name: kind.name().into(), size };
         file.set_prednet(net, &self.groups.iter().map(group).collect::<Vec<_>>())?;
@@ -150,7 +139,14 @@ impl InputLayout {
             }
             store_probe_side(self.probe_side, file);
         }
-        Ok(())
+        self.range.as_ref().map_or(Ok(()), |range| range.store(file))
+    }
+
+    /// Clamps a row to the training range, if it is known.
+    pub fn hold(&self, row: &mut [f32]) {
+        if let Some(range) = &self.range {
+            range.hold(row);
+        }
     }
 
     /// Writes a frame's row of [`InputLayout::width`] values.
@@ -159,9 +155,7 @@ impl InputLayout {
     /// [`crate::ErrorKind::MissingInput`] if a group was not supplied or has another size than in the model,
     /// [`crate::ErrorKind::SizeMismatch`] for a row whose length is not [`InputLayout::width`].
     pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
-        let Inputs { features, setting, camera, volume_features, lobes, .. } = *inputs;
-        let image_size = [setting.width, setting.height];
-        let values = InputValues { volume_features, camera, image_size, step: setting.step, lobes };
+        let Inputs { features, setting, .. } = *inputs;
         let (mut work, mut seconds) = (None, None);
         let scene = |quantity, costs: Option<&UnitCosts>| match costs {
             Some(costs) => Some(*seconds.get_or_insert_with(|| costs.time(&features.cost_work(&setting)))),
@@ -170,18 +164,18 @@ impl InputLayout {
                 Some(features.quantity_of(quantity, &setting, work))
             }
         };
-        self.write_from(&values, scene, row)
+        self.write_from(inputs, scene, row)
     }
 
-    /// Writes a row as [`InputLayout::write`] does, but from `values` and `scene`. `scene` returns a
-    /// quantity of the scene in its unit, or `None` if it is unknown. If `scene` gets unit costs, the
-    /// quantity is the seconds that the frame's work takes with these costs.
+    /// Writes a row as [`InputLayout::write`] does, but with `scene` in place of [`Inputs::features`]. `scene`
+    /// returns a quantity of the scene in its unit, or `None` if it is unknown. If `scene` gets unit costs,
+    /// the quantity is the seconds that the frame's work takes with these costs.
     ///
     /// # Errors
     /// As [`InputLayout::write`].
     pub fn write_from(
         &self,
-        values: &InputValues<'_>,
+        inputs: &Inputs<'_>,
         mut scene: impl FnMut(SceneQuantity, Option<&UnitCosts>) -> Option<f64>,
         row: &mut [f32],
     ) -> Result<()> {
@@ -195,7 +189,7 @@ impl InputLayout {
         let mut rest = row;
         for &(group, size) in &self.groups {
             let (here, after) = rest.split_at_mut(size);
-            self.write_group(group, values, &mut scene, here)?;
+            self.write_group(group, inputs, &mut scene, here)?;
             rest = after;
         }
         Ok(())
@@ -204,13 +198,13 @@ impl InputLayout {
     fn write_group(
         &self,
         group: GroupKind,
-        values: &InputValues<'_>,
+        inputs: &Inputs<'_>,
         scene: &mut impl FnMut(SceneQuantity, Option<&UnitCosts>) -> Option<f64>,
         out: &mut [f32],
     ) -> Result<()> {
         let size = out.len();
         match group {
-            GroupKind::VolumeFeatures => match values.volume_features {
+            GroupKind::VolumeFeatures => match inputs.volume_features {
                 Some(x) => copy(group, x, out),
                 None => bail!(
                     MissingInput,
@@ -218,12 +212,15 @@ impl InputLayout {
                 ),
             },
             GroupKind::Camera => {
-                let Arcball { rx, ry, dz } = values.camera;
+                let Arcball { rx, ry, dz } = inputs.camera;
                 copy(group, &[rx, ry, dz], out)
             }
-            GroupKind::Resolution => copy(group, &values.image_size.map(|n| n as f32), out),
+            GroupKind::Resolution => {
+                let Setting { width, height, .. } = inputs.setting;
+                copy(group, &[width, height].map(|n| n as f32), out)
+            }
             GroupKind::TransferFunction => {
-                let Some(lobes) = values.lobes else {
+                let Some(lobes) = inputs.lobes else {
                     bail!(
                         MissingInput,
                         "the model takes Gaussian transfer-function parameters and none were supplied; \
@@ -257,7 +254,7 @@ impl InputLayout {
                 }
                 Ok(())
             }
-            GroupKind::StepSize => copy(group, &[values.step], out),
+            GroupKind::StepSize => copy(group, &[inputs.setting.step], out),
             GroupKind::SceneFeatures => {
                 if self.scene_features.len() != size {
                     bail!(

@@ -23,10 +23,10 @@ pub use clock::Clock;
 pub(crate) use cost_fit::{COST_SD, CostFit, FitRow};
 pub use entire_core::model::GroupKind;
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
+pub use layout::InputLayout;
 #[cfg(feature = "calibrate")]
 pub(crate) use layout::store_probe_side;
-pub use layout::{InputLayout, InputValues};
-pub use network::{ModelPredictor, load, load_with};
+pub use network::{load, load_with};
 pub(crate) use quality::DISTANCE_RATIO;
 pub use quality::Quality;
 pub use range::InputRange;

@@ -2,8 +2,8 @@
 
 use super::quality::KnownQuality;
 use super::{
-    AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, InputRange, Inputs, Prediction, Predictor,
-    Quality, Source, UpperBound, checked_seconds,
+    AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, Inputs, Prediction, Predictor, Quality,
+    Source, UpperBound, checked_seconds,
 };
 use crate::memory::chunks_mut;
 use alloc::boxed::Box;
@@ -31,7 +31,7 @@ pub(super) struct Stored {
     pub(super) low: Option<Vec<f32>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) high: Option<Vec<f32>>,
-    /// Lower ends of [`InputRange`]; the upper ends are `input_high`.
+    /// Lower ends of [`InputRange`](super::InputRange); the upper ends are `input_high`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) input_low: Option<Vec<f32>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -85,7 +85,7 @@ pub fn load_with(net: &Arc<PredNet>, model: &Model) -> Result<Box<dyn Predictor 
 /// The out-of-range score uses the inputs' distances from their training means, if the file has these means.
 /// VolumeNet's outputs do not count, since they are in a similar range for every volume.
 #[derive(Clone, Debug)]
-pub struct ModelPredictor {
+pub(super) struct ModelPredictor {
     net: Arc<PredNet>,
     layout: InputLayout,
     /// Mean and standard deviation of each input; the mean is NaN if the input is ignored by the out-of-range
@@ -95,8 +95,6 @@ pub struct ModelPredictor {
     row: Vec<f32>,
     knows_step: bool,
     calibration: UpperBound,
-    /// Range to which the network's inputs are clamped.
-    range: Option<InputRange>,
     clock: Option<Clock>,
     quality: Option<KnownQuality>,
     identity: u32,
@@ -107,7 +105,7 @@ impl ModelPredictor {
     ///
     /// # Errors
     /// As [`load`].
-    pub fn new(model: &Model) -> Result<Self> {
+    pub(super) fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet.as_ref() else {
             bail!(
                 InvalidModel,
@@ -152,14 +150,13 @@ impl ModelPredictor {
             scratch,
             row: filled(width, 0.0)?,
             calibration,
-            range: InputRange::of(model, width)?,
             clock: Clock::of(model),
             quality: KnownQuality::of(model)?,
             identity: identity_of(model),
         })
     }
 
-    /// Returns the input row of a frame, in the model's order, before it is clamped to [`InputRange`].
+    /// Returns the input row of a frame, in the model's order, before it is clamped to the training range.
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
@@ -169,7 +166,7 @@ impl ModelPredictor {
     }
 
     /// The out-of-range score of an input row in the model's order; see [`Prediction::out_of_range`].
-    pub fn out_of_range(&self, row: &[f32]) -> f32 {
+    fn out_of_range(&self, row: &[f32]) -> f32 {
         let (mut worst, mut known) = (0.0f32, false);
         for (x, &(mean, std)) in row.iter().zip(&self.spread) {
             if mean.is_nan() {
@@ -228,9 +225,7 @@ impl Predictor for ModelPredictor {
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
         self.row(inputs)?;
         let out_of_range = self.out_of_range(&self.row);
-        if let Some(range) = &self.range {
-            range.hold(&mut self.row);
-        }
+        self.layout.hold(&mut self.row);
         let seconds = self.net.predict(&self.row, &mut self.scratch);
         let (seconds, clamped) = checked_seconds(seconds)?;
         // Without a known range the score is NaN; `max` replaces NaN by `CLAMPED_SCORE`.

@@ -44,7 +44,7 @@ impl InputRange {
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] if the number of inputs is not `width`, or if ends are not
     /// ascending or not finite.
-    pub fn of(model: &Model, width: usize) -> Result<Option<Self>> {
+    pub(super) fn of(model: &Model, width: usize) -> Result<Option<Self>> {
         let Some(stored) = Stored::of(model)? else { return Ok(None) };
         Self::of_ends(stored.input_low, stored.input_high, width)
     }
@@ -93,7 +93,7 @@ impl InputRange {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] if the file's calibration is damaged.
-    pub fn store(&self, file: &mut ModelFile) -> Result<()> {
+    pub(super) fn store(&self, file: &mut ModelFile) -> Result<()> {
         let (low, high) = self.ends();
         super::bounds::store_in_calibration(
             file,
@@ -102,7 +102,7 @@ impl InputRange {
     }
 
     /// Clamps the inputs of one row.
-    pub fn hold(&self, row: &mut [f32]) {
+    pub(super) fn hold(&self, row: &mut [f32]) {
         for (x, &(low, high)) in row.iter_mut().zip(&self.ends) {
             // NaN remains NaN.
             *x = x.clamp(low, high);

@@ -45,7 +45,7 @@ fn plan_choose_predict_and_observe_never_allocate() {
     });
     let predictors: [Box<dyn Predictor + Send>; 2] = [Box::new(AnalyticModel::default()), network()];
     for predictor in predictors {
-        let mut session = Session::new(predictor, Default::default());
+        let mut session = Session::new(predictor, Default::default()).expect("valid options");
         session.set_volume(volume.clone(), None);
         session.set_transfer(&tables[0], None).expect("a volume is set");
         #[cfg(feature = "calibrate")]

@@ -55,7 +55,7 @@ fn predictions(unit: f32) -> Vec<Prediction> {
     let mut out = Vec::new();
     for summary in summaries(unit) {
         let cameras = cameras(summary.shape().bounding_radius);
-        let mut session = Session::untrained();
+        let mut session = Session::default();
         session.set_volume(summary, None);
         session.set_transfer(&table, None).unwrap();
         for camera in cameras {

@@ -23,10 +23,9 @@ use entire_core::kernels::{Level, Storage};
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::PredNet;
 use entire_io::dataset::{Table, TimedFrame};
-use entire_steer::predict::{InputRange, check_predictions};
+use entire_steer::predict::check_predictions;
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
-use std::borrow::Cow;
 
 /// Context of fitting and prediction: the data and the machine.
 pub struct FitContext<'a> {
@@ -56,33 +55,40 @@ pub struct FittedModel {
     pub outcome: String,
 }
 
-/// Returns the seconds that the model's network predicts for rows of inputs, computed as in a session: rows
-/// are clamped to the training range, if the model states it. The seconds are finite and positive.
+/// Returns the seconds that the model's network predicts for rows of inputs by the model's layout, computed as
+/// in a session: rows are clamped to the training range, if the model states it. The seconds are finite and positive.
 ///
 /// # Errors
 /// When the model holds no PredNet, or its output for a row is not finite.
-pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+pub fn predict_rows(model: &Model, layout: &Layout, rows: &[f32]) -> Result<Vec<f64>> {
     let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
-    rows_by_network(model, &PredNet::new(parts)?, rows, width)
+    rows_by_network(&PredNet::new(parts)?, layout, rows)
 }
 
 /// As [`predict_rows`], but with another storage format of the network's weights.
 ///
 /// # Errors
 /// Those of [`predict_rows`].
-pub fn predict_rows_stored(model: &Model, storage: Storage, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+pub fn predict_rows_stored(
+    model: &Model,
+    storage: Storage,
+    layout: &Layout,
+    rows: &[f32],
+) -> Result<Vec<f64>> {
     let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
-    rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, rows, width)
+    rows_by_network(&PredNet::with(parts, Level::detect(), storage)?, layout, rows)
 }
 
 /// As [`predict_rows`], with the model's network already built.
-fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+fn rows_by_network(net: &PredNet, layout: &Layout, rows: &[f32]) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
-    let mut rows = Cow::Borrowed(rows);
-    if let Some(range) = InputRange::of(model, width)? {
-        rows.to_mut().chunks_exact_mut(width).for_each(|row| range.hold(row));
-    }
-    let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
+    let mut held = vec![0.0; layout.width()];
+    let predicted = |row: &[f32]| {
+        held.copy_from_slice(row);
+        layout.hold(&mut held);
+        net.predict(&held, &mut scratch)
+    };
+    let mut seconds: Vec<f32> = rows.chunks_exact(layout.width()).map(predicted).collect();
     check_predictions(&mut seconds)?;
     Ok(seconds.into_iter().map(f64::from).collect())
 }
@@ -92,8 +98,8 @@ fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> 
 /// # Errors
 /// When the model's inputs cannot be computed.
 pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
-    let (rows, width) = rows_of(model, context, frames)?;
-    predict_rows(model, &rows, width)
+    let (rows, layout) = rows_of(model, context, frames)?;
+    predict_rows(model, &layout, &rows)
 }
 
 /// As [`predict`], but with another storage format of the network's weights.
@@ -106,13 +112,13 @@ pub fn predict_stored(
     context: &FitContext<'_>,
     frames: &[&TimedFrame],
 ) -> Result<Vec<f64>> {
-    let (rows, width) = rows_of(model, context, frames)?;
-    predict_rows_stored(model, storage, &rows, width)
+    let (rows, layout) = rows_of(model, context, frames)?;
+    predict_rows_stored(model, storage, &layout, &rows)
 }
 
-/// Returns a model's inputs for frames, and the number of inputs per frame.
-fn rows_of(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<(Vec<f32>, usize)> {
+/// Returns a model's inputs for frames, and their layout.
+fn rows_of(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<(Vec<f32>, Layout)> {
     let layout = Layout::of_model(model)?;
     let rows = layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
-    Ok((rows, layout.width()))
+    Ok((rows, layout))
 }

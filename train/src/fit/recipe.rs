@@ -431,10 +431,10 @@ impl Recipe {
         let network = carry_past(network, mean as f32, sd as f32);
         let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?
             .with_probe_side(self.side())
-            .with_unit_costs(costs);
+            .with_unit_costs(costs)
+            // The estimate is not clamped, unlike the factor's inputs.
+            .with_range(Some(InputRange::of_rows(&inputs[0], layout.width(), 1)));
         self.store(&mut file, network, &wide)?;
-        // The estimate is not clamped, unlike the factor's inputs.
-        InputRange::of_rows(&inputs[0], layout.width(), 1).store(&mut file)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         let units = joined(&self.layers);
         let mean = match self.ensemble {
@@ -531,11 +531,9 @@ impl Recipe {
         let samples = samples(&inputs, parts.map(|part| part.seconds));
         let (network, standardization) = (Network::from_parts(net)?, Some(Standardization::of(net)));
         let (tuned, history, outcome) = run_training(context, network, standardization, samples, &settings)?;
-        self.store(&mut file, tuned, &layout)?;
-        if let Some(mut range) = InputRange::of(&model, layout.width())? {
-            range.extend(&inputs[0]);
-            range.store(&mut file)?;
-        }
+        let mut range = layout.range.clone();
+        range.iter_mut().for_each(|range| range.extend(&inputs[0]));
+        self.store(&mut file, tuned, &layout.with_range(range))?;
         Ok(FittedModel {
             file,
             what: "PredNet, fine-tuned".into(),

@@ -98,7 +98,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             .with_probe_side(5)
             .with_unit_costs(costs);
         let mut file = ModelFile::default();
-        Recipe::default().store(&mut file, carried, &wide).unwrap();
+        Recipe::default().store(&mut file, carried.clone(), &wide).unwrap();
         let model = file.to_model().unwrap();
         let layout = Layout::of_model(&model).unwrap();
         assert_eq!(layout.probe_side(), 5);
@@ -107,9 +107,10 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         // The training range has images with 3 to 50 pixels, and chords of 12 to 13. Most images are outside
         // of this range.
         let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
-        InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
+        let wide = wide.with_range(Some(InputRange::of_rows(&seen, 2, 1)));
+        Recipe::default().store(&mut file, carried, &wide).unwrap();
         let limited = file.to_model().unwrap();
-        let mut limited_predictor = load(&limited).unwrap();
+        let (mut limited_predictor, limits) = (load(&limited).unwrap(), Layout::of_model(&limited).unwrap());
         for (lobes, distance, size) in
             [("0.5 0.1 0.3", 2.0, 40), ("0.2 0.01 0.9", 3.5, 300), ("0.9 0.3 1", 1.2, 8)]
         {
@@ -144,7 +145,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
             let mut row = vec![0.0; layout.width()];
             layout.write(&asked, &mut row).unwrap();
-            let by_row = predict_rows(&model, &row, row.len()).unwrap()[0];
+            let by_row = predict_rows(&model, &layout, &row).unwrap()[0];
             for found in [predicted, by_row] {
                 assert!((found / expected - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
             }
@@ -154,7 +155,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let mut scratch = factor.scratch(1).unwrap();
             let change = f64::from(factor.predict(&held, &mut scratch) / factor.predict(&x, &mut scratch));
             let by_predictor = limited_predictor.predict(&asked).unwrap();
-            let by_row = predict_rows(&limited, &row, row.len()).unwrap()[0];
+            let by_row = predict_rows(&limited, &limits, &row).unwrap()[0];
             for found in [f64::from(by_predictor.seconds), by_row] {
                 assert!((found / (expected * change) - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
             }

@@ -175,7 +175,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let bar = templated_bar(INPUTS_BAR);
         let rows = m.layout.rows(&tables, &refs, &pool, &bar).with_context(|| m.name.clone())?;
         bar.finish_and_clear();
-        let predicted = predict_rows(&m.model, &rows, m.layout.width())?;
+        let predicted = predict_rows(&m.model, &m.layout, &rows)?;
         let latency = match warm_latency(&m.model, &m.layout, &tables, &refs, &rows) {
             Ok(latency) => Some(latency),
             Err(e) => {
@@ -193,7 +193,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     for (m, rows) in models.iter().zip(&inputs) {
         for &storage in &options.storage {
-            let predicted = predict_rows_stored(&m.model, storage, rows, m.layout.width());
+            let predicted = predict_rows_stored(&m.model, storage, &m.layout, rows);
             let name = format!("{}, {} weights", m.name, storage);
             let stored = assess(name, predicted.with_context(|| m.name.clone())?, bound::of(&m.model))?;
             predictors.push(Predictor { frames_seen: frames_seen(m), ..stored });

@@ -17,7 +17,6 @@ use entire_io::files::write_whole;
 use entire_io::volume::{Fill, Range, Reading, Volume};
 use entire_report::encode_png;
 use entire_steer::Session;
-use entire_steer::control::Prior;
 use entire_vk_raycaster::Image;
 use std::path::Path;
 use std::sync::Arc;
@@ -81,11 +80,8 @@ impl Steering for Predicts {
         let predictor = self.model.predictor()?;
         // The error that a model states was measured on the machine that it was fitted to, so it is used only
         // for a model of this machine.
-        let prior = match predictor.log_sd() {
-            Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
-            _ => Prior::Unknown,
-        };
-        let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), prior);
+        let log_sd = predictor.log_sd().filter(|_| self.calibrated);
+        let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), log_sd);
         let mut session = Session::with_controller(predictor, steers);
         // The window renders with the raycaster, to which the model's quality law was fitted.
         let pictures = session.quality().unwrap_or(RAYCASTER);

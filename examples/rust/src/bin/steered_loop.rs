@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let mut renderer = CpuRaycaster::new();
     renderer.set_volume(&volume)?;
-    let mut session = Session::untrained();
+    let mut session = Session::default();
     session.set_volume(VolumeSummary::new(&volume)?, None);
     session.set_limits(StepLimits { finest: 0.5, coarsest: 8.0 })?;
 

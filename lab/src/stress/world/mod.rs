@@ -10,8 +10,8 @@ use entire_cli::steering::rivals::StepResponse;
 use entire_core::model::Model;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
 use entire_io::dataset::{Clock, Timing};
-use entire_steer::control::{ObserveFlags, Prior, Session, StepLimits};
-use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use entire_steer::control::{ObserveFlags, Session, StepLimits};
+use entire_steer::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{AnalyticModel, Inputs, UnitCosts, load};
 use entire_vk_raycaster::{Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene, shell};
@@ -105,7 +105,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
             rows.push((features.cost_work(&Setting::from(&frame)), seconds));
         }
     }
-    Ok(AnalyticModel::fit(&UnitCosts::SOFTWARE, &rows, features.probe_side())?.0)
+    Ok(AnalyticModel::fit(&UnitCosts::SOFTWARE, &rows, PROBE_SIDE)?.0)
 }
 
 fn pixels(frame: &Frame) -> f64 {
@@ -132,8 +132,8 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
 
 /// A session of a method with a fitted predictor.
 fn session_of(method: ControllerKind, model: AnalyticModel) -> Session {
-    let (response, prior) = (StepResponse::inverse_step(0.1), Prior::Fitted { log_sd: 0.2 });
-    contender(method, 2.0, Box::new(model), &response, prior).session
+    let response = StepResponse::inverse_step(0.1);
+    contender(method, 2.0, Box::new(model), &response, Some(0.2)).session
 }
 
 /// Plays a scene of real geometry, or scene 28. On a real machine the limits are wider, since the noise is

@@ -1,7 +1,7 @@
 //! A probe that begins with few rays and is refined while its error could change the plan.
 
 use super::Session;
-use crate::features::{FrameFeatures, MAX_PROBE_SIDE, Setting};
+use crate::features::{FrameFeatures, MAX_PROBE_SIDE, PROBE_SIDE, Setting};
 use crate::predict::Prediction;
 use entire_core::Result;
 use entire_core::bail;
@@ -121,12 +121,12 @@ impl Session {
         let side = match (self.predictor.probe_side(), self.asked_probe) {
             (_, Some((side, _))) if self.predictor.any_probe_side() => side,
             // Predictions without a probe are scaled by the analytic model, which needs a probe.
-            (0, _) => FrameFeatures::default().probe_side(),
+            (0, _) => PROBE_SIDE,
             (side, _) => side,
         };
         let asked = self.asked_probe.filter(|_| self.predictor.any_probe_side());
         self.ladder = asked.and_then(|(finest, tolerance)| Some(Ladder { finest, tolerance: tolerance? }));
-        if side != self.features.probe_side() {
+        if side != self.features.probe_side {
             self.features = FrameFeatures::with_probe_side(side);
         }
         #[cfg(feature = "calibrate")]
@@ -159,7 +159,7 @@ impl Session {
         };
         // After the finest probe, no check is needed.
         if turned
-            && (self.features.probe_side() >= ladder.finest
+            && (self.features.probe_side >= ladder.finest
                 || self.suffices(frame, target, ladder.tolerance)?)
         {
             return Ok(());
@@ -177,7 +177,7 @@ impl Session {
     /// Number of rays along each side of the finest probe, which measures recorded frames.
     #[cfg(feature = "calibrate")]
     pub(super) fn finest_probe_side(&self) -> usize {
-        self.ladder.map_or(self.features.probe_side(), |ladder| ladder.finest)
+        self.ladder.map_or(self.features.probe_side, |ladder| ladder.finest)
     }
 
     /// True if the probe's error is within the tolerance, or is unlikely to change the plan.

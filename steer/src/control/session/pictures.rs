@@ -72,7 +72,8 @@ mod tests {
         let mut file = AnalyticModel::default().to_model_file().unwrap();
         SOME.store(&mut file).unwrap();
         file.metadata.insert(entire_core::model::Key::Renderer.into(), "mine".into());
-        let mut session = Session::new(load(&file.to_model().unwrap()).unwrap(), HybridOptions::default());
+        let mut session =
+            Session::new(load(&file.to_model().unwrap()).unwrap(), HybridOptions::default()).unwrap();
         session.set_max_image_sample_distance(4.0, 1.0).unwrap();
         let path = |session: &Session| session.coarsening;
         let by_model = path(&session);
@@ -86,7 +87,7 @@ mod tests {
         assert!(session.quality() == Some(own) && path(&session) != by_model);
         session.set_quality(None).unwrap();
         assert_eq!((session.quality(), path(&session)), (Some(SOME), by_model));
-        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default());
+        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
         assert!(session.quality().is_none() && path(&session) != by_model);
     }
 }

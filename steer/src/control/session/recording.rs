@@ -179,7 +179,7 @@ mod tests {
         (costs.seconds[1], costs.seconds[4], costs.seconds[5]) =
             (8.0 * costs.seconds[1], 3.0 * costs.seconds[4], 0.3 * costs.seconds[5]);
         let setting = Setting { step, ..Setting::from(frame) };
-        let work = session.features().cost_work(&setting);
+        let work = session.features.cost_work(&setting);
         2.0 * costs.seconds.iter().zip(work).map(|(c, w)| c * w).sum::<f64>() as f32
     }
 
@@ -198,7 +198,7 @@ mod tests {
 
     #[test]
     fn a_session_makes_a_model_of_its_renderer_and_steers_by_it() {
-        let mut session = Session::untrained();
+        let mut session = Session::default();
         assert_eq!(session.recorded(), None);
         assert_eq!(session.calibrate().unwrap_err().kind(), ErrorKind::NotReady);
         session.record(None, 400).unwrap();
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!((made.held_out, made.frames), (HeldOut::Volumes, 177));
         assert!(made.median_error < 0.05, "{}", made.median_error);
         let model = made.file.to_model().unwrap();
-        session.set_predictor(load(&model).unwrap(), HybridOptions::default());
+        session.set_predictor(load(&model).unwrap(), HybridOptions::default()).unwrap();
         // Predictions are accurate from the first frame on, for a volume that was not recorded.
         session.set_volume(cube(48), None);
         session.set_transfer(&lobe_at(0.4), None).unwrap();
@@ -227,7 +227,7 @@ mod tests {
 
     #[test]
     fn what_was_not_an_ordinary_frame_is_not_kept() {
-        let mut session = recording(Session::untrained());
+        let mut session = recording(Session::default());
         let flags = |unusual, cancelled| ObserveFlags { unusual, cancelled };
         // Five frames: the first of the session, an ordinary one, an unusual one, a cancelled one, and one
         // that is never observed. Only the second must be recorded.
@@ -249,7 +249,7 @@ mod tests {
 
     #[test]
     fn a_withdrawn_plan_is_not_recorded_as_the_first_frame_of_a_volume() {
-        let mut session = recording(Session::untrained());
+        let mut session = recording(Session::default());
         play(&mut session, 0..2);
         assert_eq!(session.recorded(), Some(1));
         let withdrawn = session.plan(&frame(2), 1.0).unwrap();
@@ -264,15 +264,15 @@ mod tests {
 
     #[test]
     fn recorded_frames_are_of_one_clock_and_of_the_finest_probe() {
-        let mut session = Session::untrained().with_probe(12, Some(1.0)).unwrap();
+        let mut session = Session::default().with_probe(12, Some(1.0)).unwrap();
         session.set_volume(cube(24), None);
         session.set_transfer(&lobe_at(0.3), None).unwrap();
         play(&mut session, 0..1);
-        assert_eq!(session.features().probe_side(), 4);
+        assert_eq!(session.features.probe_side, 4);
         session.record(None, 100).unwrap();
         session.set_timing_source("mine", "wall").unwrap();
         play(&mut session, 1..5);
-        assert_eq!((session.features().probe_side(), session.recorded()), (12, Some(4)));
+        assert_eq!((session.features.probe_side, session.recorded()), (12, Some(4)));
         session.set_timing_source("mine", "device").unwrap();
         assert_eq!(session.recorded(), Some(0));
     }
@@ -280,7 +280,7 @@ mod tests {
     #[test]
     fn a_calibrated_model_states_the_probe_of_its_frames() {
         for (session, stated) in
-            [(Session::untrained(), None), (Session::untrained().with_probe(4, None).unwrap(), Some(4))]
+            [(Session::default(), None), (Session::default().with_probe(4, None).unwrap(), Some(4))]
         {
             let mut session = recording(session);
             play(&mut session, 0..40);
@@ -292,10 +292,10 @@ mod tests {
 
     #[test]
     fn frames_of_another_probe_are_dropped() {
-        let mut session = recording(Session::untrained());
+        let mut session = recording(Session::default());
         play(&mut session, 0..10);
         let network = load(&unit_factor(5).to_model().unwrap()).unwrap();
-        session.set_predictor(network, HybridOptions::default());
+        session.set_predictor(network, HybridOptions::default()).unwrap();
         assert_eq!(session.recorded(), Some(0));
         play(&mut session, 0..40);
         let model = session.calibrate().unwrap().file.to_model().unwrap();
@@ -304,7 +304,7 @@ mod tests {
 
     #[test]
     fn a_transfer_function_that_was_shown_before_the_recording_is_recognized() {
-        let mut session = recording(Session::untrained());
+        let mut session = recording(Session::default());
         for center in [0.3, 0.6, 0.3] {
             session.set_transfer(&lobe_at(center), None).unwrap();
             play(&mut session, 0..30);
@@ -315,17 +315,17 @@ mod tests {
 
     #[test]
     fn the_asked_probe_returns_with_unit_costs() {
-        let mut session = Session::untrained().with_probe(24, Some(0.2)).unwrap();
+        let mut session = Session::default().with_probe(24, Some(0.2)).unwrap();
         let network = load(&unit_factor(5).to_model().unwrap()).unwrap();
-        session.set_predictor(network, HybridOptions::default());
-        assert_eq!((session.features().probe_side(), session.ladder.is_some()), (5, false));
-        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default());
-        assert_eq!((session.features().probe_side(), session.ladder.is_some()), (24, true));
+        session.set_predictor(network, HybridOptions::default()).unwrap();
+        assert_eq!((session.features.probe_side, session.ladder.is_some()), (5, false));
+        session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
+        assert_eq!((session.features.probe_side, session.ladder.is_some()), (24, true));
     }
 
     #[test]
     fn a_recording_starts_from_unit_costs_alone() {
-        let mut session = Session::untrained();
+        let mut session = Session::default();
         let refused = session.record(Some(&unit_factor(5)), 100).unwrap_err();
         assert_eq!(refused.kind(), ErrorKind::Unsupported);
         assert!(refused.to_string().contains("--model-kind analytic"), "{refused}");
@@ -334,7 +334,7 @@ mod tests {
 
     #[test]
     fn pictures_are_kept_once_frames_are() {
-        let mut session = Session::untrained();
+        let mut session = Session::default();
         let picture = Picture { scene: 1, step: 1.0, distance: 1.0, seconds: 0.1, error: 0.0 };
         assert_eq!(session.record_picture(picture).unwrap_err().kind(), ErrorKind::NotReady);
         session.record(None, 8).unwrap();

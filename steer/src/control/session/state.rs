@@ -22,14 +22,22 @@ impl Session {
     /// same number of probe rays as the previous one; otherwise they are dropped. VolumeNet's output stays
     /// too. If the two predictors have different encoders, set the volume again with the output of the new
     /// encoder ([`Session::set_volume`]).
-    pub fn set_predictor(&mut self, predictor: Box<dyn Predictor + Send>, options: HybridOptions) {
-        self.controller = controller_for(&*predictor, options);
+    ///
+    /// # Errors
+    /// As [`Session::new`]; on an error nothing has changed.
+    pub fn set_predictor(
+        &mut self,
+        predictor: Box<dyn Predictor + Send>,
+        options: HybridOptions,
+    ) -> Result<()> {
+        self.controller = controller_for(&*predictor, options)?;
         self.predictor = predictor;
         self.set_probe();
         self.weigh_pictures();
         self.converted = false;
         self.reconcile_clocks();
         self.reset();
+        Ok(())
     }
 
     /// Names the renderer whose frames are observed and the clock of their times. Both names are empty

@@ -41,7 +41,7 @@ const BINS: usize = 28;
 pub(crate) struct Probe {
     pub(crate) footprint: Footprint,
     /// Number of the probe's rays that met the box.
-    pub(super) rays: u32,
+    pub(crate) rays: u32,
     /// Mean length inside the box, in reference steps.
     pub(crate) mean_chord: f32,
     /// Length inside occupied blocks, up to termination.

@@ -136,7 +136,7 @@ fn a_transfer_function_for_other_blocks_casts_no_ray() {
             assert_eq!(volume.cells, [48, 1, 1]);
             let mut features = FrameFeatures::default();
             features.measure(volume, &mut transfer, &frame).unwrap();
-            assert_eq!(features.probe_rays() > 0, i == j, "{i} {j}");
+            assert_eq!(features.probe.rays > 0, i == j, "{i} {j}");
         }
     }
 }
