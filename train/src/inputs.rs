@@ -13,7 +13,7 @@ use entire_io::volume::Volume;
 use entire_steer::features::{
     Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, TransferSummary, VolumeSummary,
 };
-use entire_steer::predict::{COST_QUANTITIES, COSTS, GroupKind, InputLayout, InputRange, Inputs, UnitCosts};
+use entire_steer::predict::{COST_QUANTITIES, COSTS, GroupKind, InputLayout, Inputs, UnitCosts};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -104,10 +104,9 @@ impl Layout {
         self.layout.probe_side
     }
 
-    /// Returns the layout with this range of the training data.
-    pub(crate) fn with_range(mut self, range: Option<InputRange>) -> Self {
-        self.layout.range = range;
-        self
+    /// As [`InputLayout::widen`].
+    pub(crate) fn widen(&mut self, rows: &[f32], width: usize) {
+        self.layout.widen(rows, width);
     }
 
     /// Returns the layout with these unit costs for the quantity `estimated_seconds`.

@@ -120,9 +120,8 @@ fn random_order(pool: &Pool) -> Vec<usize> {
 mod tests {
     use super::*;
     use entire_io::dataset::TimedFrame;
-    use entire_steer::calibrate::PriorModel;
     use entire_steer::numeric::solve;
-    use entire_steer::predict::COSTS;
+    use entire_steer::predict::{COSTS, UnitCosts};
 
     /// Returns candidates with the work of two kinds in `amounts`; of any other kind, their work is 1.
     fn pool(amounts: &[[f64; 2]]) -> Pool {
@@ -137,7 +136,7 @@ mod tests {
             files: Vec::new(),
             reading: Default::default(),
             candidates: amounts.iter().map(candidate).collect(),
-            prior: PriorModel::default(),
+            prior: UnitCosts::SOFTWARE,
             expected: vec![1.0; amounts.len()],
         }
     }

@@ -112,7 +112,7 @@ impl<'a> Measuring<'a> {
     /// Renders round after round until the time is over, the maximum number of frames is reached, or `stop`
     /// returns true.
     pub(crate) fn run(&mut self) -> Result<()> {
-        let mut design = Design::new(self.pool, &self.pool.prior.costs.seconds);
+        let mut design = Design::new(self.pool, &self.pool.prior.seconds);
         // The prior predicts seconds of another machine. The first round is small and measures the ratio of
         // the two machines' times.
         let mut share = 0.12;

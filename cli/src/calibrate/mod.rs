@@ -4,7 +4,7 @@
 //! `pool` draws candidate frames and computes their features; `design` chooses among them; `measuring`
 //! renders them in several passes, short frames after untimed warm-up renderings, and compares pictures with
 //! those at full quality; `others` measures the load of other programs;
-//! [`entire_steer::calibrate::PriorModel`] fits the model. [`place`] finds the file of the machine's model.
+//! [`entire_steer::calibrate::fit_frames`] fits the model. [`place`] finds the file of the machine's model.
 
 mod design;
 mod measuring;
@@ -21,7 +21,7 @@ use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, manifests_of, mixed, noise_floor, timed};
 use entire_io::files::note;
 use entire_io::volume::Reading;
-use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, fit_quality};
+use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, fit_frames, fit_quality, prior_costs};
 use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::UnitCosts;
 use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
@@ -110,7 +110,7 @@ pub type NamedPrior = (String, ModelFile);
 /// True if a calibration can take the model as prior, and so adapt it to another machine. Other models are
 /// adapted by fine-tuning.
 pub fn can_be_prior(file: &ModelFile) -> bool {
-    PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok()
+    prior_costs(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok()
 }
 
 /// Refuses [`Clock::Auto`]: a model states one clock.
@@ -140,7 +140,7 @@ fn too_short(seconds: f64, choosing: f64) -> String {
 }
 
 /// Renders frames until the time is over, the maximum number of frames is drawn or `stop` returns true,
-/// and fits a model to them. [`PriorModel::new`] makes the prior from the models `priors`.
+/// and fits a model to them. [`prior_costs`] makes the prior from the models `priors`.
 ///
 /// # Errors
 /// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or
@@ -196,7 +196,7 @@ pub(crate) fn calibrate(
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
-    let chosen = pool.prior.choose(&observed, &[typical])?;
+    let chosen = fit_frames(&files, &[typical], &observed)?;
     let (kind, seconds) = ((settings.shading, settings.clock), start.elapsed().as_secs_f64());
     let report = Report {
         rounds,
@@ -221,7 +221,6 @@ fn fit_to_frames(
     let mut groups = Groups::default();
     let volumes: BTreeSet<String> = part.frames.iter().map(|f| f.scene.volume.clone()).collect();
     let renderer = expected_costs(context, part);
-    let prior = PriorModel::new(priors, &renderer)?;
     let unknown = UnitCosts::OF_UNKNOWN;
     // A renderer of unknown kind may run on a GPU, where the longest rays have costs. The volumes, from which
     // these rays are counted, may be missing; then a software renderer is assumed.
@@ -241,8 +240,7 @@ fn fit_to_frames(
             group: groups.number(shortest(&frame.scene.volume, &volumes)),
         })
         .collect();
-    let chosen = prior.choose(&observed, renderers)?;
-    Ok((chosen, observed))
+    Ok((fit_frames(priors, renderers, &observed)?, observed))
 }
 
 /// Fits a model to any number of timed frames and returns its file, without provenance.

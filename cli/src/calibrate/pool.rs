@@ -9,7 +9,7 @@ use entire_io::files::open_volume;
 use entire_io::identity::{self, Identity};
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Reading;
-use entire_steer::calibrate::PriorModel;
+use entire_steer::calibrate::prior_costs;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_steer::predict::{COST_QUANTITIES, COSTS, UnitCosts};
 use entire_train::inputs::{measure, work_of};
@@ -77,7 +77,7 @@ pub(crate) struct Pool {
     pub(crate) reading: Reading,
     /// The candidates; a frame's number is its index.
     pub(crate) candidates: Vec<Candidate>,
-    pub(crate) prior: PriorModel,
+    pub(crate) prior: UnitCosts,
     /// Seconds of each candidate on the prior's own machine, predicted by the prior.
     pub(crate) expected: Vec<f64>,
 }
@@ -120,7 +120,7 @@ impl Pool {
                 }
             }
         }
-        let prior = PriorModel::new(priors, typical)?;
+        let prior = prior_costs(priors, typical)?;
         // Features are computed from volumes that are read with the same options as for rendering.
         let read = serde_json::json!({ "reading": settings.reading });
         let manifest = Some(Manifest { settings: read, ..Manifest::default() });
@@ -140,7 +140,7 @@ impl Pool {
                 Candidate { volume, factor, scene: frame.scene.clone(), work, random }
             })
             .collect();
-        let expected = candidates.iter().map(|c| prior.costs.time(&c.work)).collect();
+        let expected = candidates.iter().map(|c| prior.time(&c.work)).collect();
         let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
         Ok(Self { volumes, files, reading, candidates, prior, expected })
     }

@@ -11,7 +11,7 @@ use super::{CALIBRATION_FRAMES, Findings, Fit, Intervals, Named, Study};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Context, Result, ensure};
-use entire_cli::calibrate::calibrate_to_frames;
+use entire_cli::calibrate::{calibrate_to_frames, can_be_prior};
 use entire_core::kernels::Storage;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_io::dataset::feature_table::FeatureTable;
@@ -20,8 +20,7 @@ use entire_io::enlarge::enlarge;
 use entire_io::files::{fnv1a_text, make_folder, read_bytes, read_model_file, write_whole};
 use entire_io::metrics::Metrics;
 use entire_io::volume::Volume;
-use entire_steer::calibrate::PriorModel;
-use entire_steer::predict::{UnitCosts, UpperBound};
+use entire_steer::predict::UpperBound;
 use entire_train::bound;
 use entire_train::fit::{FitContext, Recipe, predict, predict_stored};
 use entire_train::inputs::Layout;
@@ -422,7 +421,7 @@ fn calibrated(on: &OnSet<'_>, predictor: &str, file: &ModelFile, out: &mut Findi
     let Some(at) = set.splits.iter().position(|s| set.calibration_split.as_ref() == Some(&s.name)) else {
         return Ok(());
     };
-    if PriorModel::new(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_err() {
+    if !can_be_prior(file) {
         return Ok(());
     }
     let Some(halves) = halves(&data.splits[at]) else { return Ok(()) };

@@ -2,7 +2,7 @@
 //!
 //! A [`Calibration`] keeps timed frames and fits a model to them, with a model of another machine as prior. A
 //! session adds its observed frames to a calibration ([`crate::Session::record`]), so that a program
-//! calibrates without leaving its render loop. [`PriorModel::choose`] does the fit.
+//! calibrates without leaving its render loop. [`fit_frames`] does the fit.
 
 mod pictures;
 mod posterior;
@@ -10,7 +10,7 @@ mod posterior;
 pub(crate) mod tests;
 
 pub use pictures::{FittedQuality, Picture, fit_quality};
-pub use posterior::{Chosen, Observed, PriorModel};
+pub use posterior::{Chosen, Observed, fit_frames, prior_costs};
 
 use crate::features::{FrameFeatures, Setting, TransferSummary, UnitCosts, VolumeSummary};
 use crate::memory::mixed;
@@ -24,7 +24,7 @@ use entire_core::memory::{reserve, room};
 use entire_core::model::{Key, ModelFile};
 use entire_core::names;
 use entire_core::scene::{Frame, TransferTable};
-use posterior::FEWEST_GROUPS;
+use posterior::{FEWEST_GROUPS, PriorModel};
 
 /// Smallest number of frames that a model is fitted to.
 pub const FEWEST_FRAMES: usize = 8;
@@ -113,7 +113,7 @@ impl Calibration {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
-    /// [`crate::ErrorKind::OutOfMemory`], and for the prior as [`PriorModel::new`].
+    /// [`crate::ErrorKind::OutOfMemory`], and for the prior as [`prior_costs`].
     pub fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
         if !KEPT_FRAMES.contains(&frames) {
             bail!(
@@ -230,7 +230,7 @@ impl Calibration {
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`], [`crate::ErrorKind::OutOfMemory`],
-    /// and as [`PriorModel::choose`].
+    /// and as [`fit_frames`].
     pub fn fit(&self, source: [&str; 2]) -> Result<Calibrated> {
         if self.kept.len() < FEWEST_FRAMES {
             bail!(

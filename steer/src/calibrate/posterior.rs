@@ -33,12 +33,38 @@ const FOLDS: usize = 7;
 /// Smallest number of groups of frames for cross-validation.
 pub(super) const FEWEST_GROUPS: usize = 3;
 
+/// Returns the prior unit costs of a fit, made from `files`, analytic models of different machines: the
+/// geometric mean of their unit costs and of their numbers of cached voxels. For work whose cost a file
+/// lacks, the mean has a tenth of the cost in `typical`, scaled to the file's speed. Without files, the prior
+/// is `typical`, the typical costs of this kind of renderer.
+///
+/// # Errors
+/// [`crate::ErrorKind::Unsupported`] for a model that is not analytic, and as [`ModelFile::to_model`] and
+/// [`AnalyticModel::from_model`].
+pub fn prior_costs(files: &[ModelFile], typical: &UnitCosts) -> Result<UnitCosts> {
+    PriorModel::new(files, typical).map(|prior| prior.costs)
+}
+
+/// Fits a model to frames of this machine, from the prior models `files`. `renderers` holds the typical costs
+/// of each kind of renderer that may have drawn the frames; those of the first kind are the prior if there
+/// are no files ([`prior_costs`]). The model is that of the first kind, unless another kind has a clearly
+/// smaller error in cross-validation. Costs that are 0 in the prior and in the typical costs stay 0. Then
+/// numbers of cached voxels that differ from the prior's are tried, each by its error in cross-validation;
+/// without cross-validation, the prior's number stays.
+///
+/// # Errors
+/// As [`prior_costs`]; [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that
+/// is not positive, or if the fit predicts a time that is not finite.
+pub fn fit_frames(files: &[ModelFile], renderers: &[UnitCosts], frames: &[Observed]) -> Result<Chosen> {
+    PriorModel::new(files, renderers.first().unwrap_or(&UnitCosts::SOFTWARE))?.choose(frames, renderers)
+}
+
 /// Prior of a calibration: unit costs.
 #[derive(Clone, Debug)]
-pub struct PriorModel {
+pub(super) struct PriorModel {
     /// Unit costs; 0 for work whose typical cost is 0 and whose cost is missing in at least one of the
     /// prior's models.
-    pub costs: UnitCosts,
+    pub(super) costs: UnitCosts,
     /// True for costs that the prior's models have, false for guesses.
     known: [bool; COSTS],
 }
@@ -74,14 +100,8 @@ impl Default for PriorModel {
 }
 
 impl PriorModel {
-    /// Returns the prior made from `files`, analytic models of different machines: the geometric mean of
-    /// their unit costs and of their numbers of cached voxels. Without files, the prior is `typical`, the
-    /// typical costs of this kind of renderer.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::Unsupported`] for a model that is not analytic, and as [`ModelFile::to_model`] and
-    /// [`AnalyticModel::from_model`].
-    pub fn new(files: &[ModelFile], typical: &UnitCosts) -> Result<Self> {
+    /// Returns the prior of [`prior_costs`].
+    pub(super) fn new(files: &[ModelFile], typical: &UnitCosts) -> Result<Self> {
         if files.is_empty() {
             return Ok(Self::typical(typical));
         }
@@ -119,17 +139,8 @@ impl PriorModel {
         CostFit::new(&prior.seconds, &cost_sd, frames)
     }
 
-    /// Fits a model to frames of this machine. `renderers` holds the typical costs of each kind of renderer
-    /// that may have drawn the frames. The model is that of the first kind, unless another kind has a clearly
-    /// smaller error in cross-validation. For work whose cost the prior model lacks, the prior is a tenth of
-    /// the typical cost, scaled to the speed of the prior model. Costs that are 0 in the prior model and in
-    /// the typical costs stay 0. Then numbers of cached voxels that differ from the prior's are tried, each
-    /// by its error in cross-validation; without cross-validation, the prior's number stays.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that is not
-    /// positive, or if the fit predicts a time that is not finite.
-    pub fn choose(&self, frames: &[Observed], renderers: &[UnitCosts]) -> Result<Chosen> {
+    /// Fits a model as [`fit_frames`] does.
+    pub(super) fn choose(&self, frames: &[Observed], renderers: &[UnitCosts]) -> Result<Chosen> {
         if frames.is_empty() {
             bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
         }

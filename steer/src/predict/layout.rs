@@ -142,6 +142,15 @@ impl InputLayout {
         self.range.as_ref().map_or(Ok(()), |range| range.store(file))
     }
 
+    /// Widens the range of the training data by rows of `width` inputs each. Without a range, the rows give
+    /// it, and the inputs beyond `width` are never clamped. Values that are not finite are ignored.
+    pub fn widen(&mut self, rows: &[f32], width: usize) {
+        match &mut self.range {
+            Some(range) => range.extend(rows, width),
+            None => self.range = Some(InputRange::of_rows(rows, width, self.width() - width)),
+        }
+    }
+
     /// Clamps a row to the training range, if it is known.
     pub fn hold(&self, row: &mut [f32]) {
         if let Some(range) = &self.range {

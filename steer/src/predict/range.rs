@@ -20,17 +20,17 @@ pub struct InputRange {
 impl InputRange {
     /// Returns the range of rows of `width` inputs each. Values that are not finite are ignored. The `free`
     /// inputs that come after these `width` inputs are never clamped.
-    pub fn of_rows(rows: &[f32], width: usize, free: usize) -> Self {
+    pub(super) fn of_rows(rows: &[f32], width: usize, free: usize) -> Self {
         let mut seen = Self { ends: alloc::vec![(f32::MAX, f32::MIN); width].into() };
-        seen.extend(rows);
+        seen.extend(rows, width);
         let any = |(low, high)| if low > high { (f32::MIN, f32::MAX) } else { (low, high) };
         let free = core::iter::repeat_n((f32::MIN, f32::MAX), free);
         Self { ends: seen.ends.iter().copied().map(any).chain(free).collect() }
     }
 
-    /// Extends the range by further rows.
-    pub fn extend(&mut self, rows: &[f32]) {
-        for row in rows.chunks_exact(self.ends.len().max(1)) {
+    /// Extends the range by further rows of `width` inputs each.
+    pub(super) fn extend(&mut self, rows: &[f32], width: usize) {
+        for row in rows.chunks_exact(width.max(1)) {
             for (&x, (low, high)) in row.iter().zip(&mut self.ends) {
                 if x.is_finite() {
                     (*low, *high) = (low.min(x), high.max(x));
@@ -148,7 +148,7 @@ mod tests {
         assert_eq!(held(&range, [0.0, 99.0]), [1.0, 9.0]);
         assert_eq!(held(&range, [2.5, 6.0]), [2.5, 6.0]);
         assert!(held(&range, [f32::NAN, 6.0])[0].is_nan());
-        range.extend(&[-4.0, 6.0]);
+        range.extend(&[-4.0, 6.0], 2);
         assert_eq!(held(&range, [-9.0, 99.0]), [-4.0, 9.0]);
         // The second input is free, so it is not clamped. Inputs without a finite value are not clamped
         // either.

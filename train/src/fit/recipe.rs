@@ -13,7 +13,7 @@ use entire_core::nn::{Dtype, PredNetParts, Target};
 use entire_io::dataset::Timed;
 use entire_io::files::read_model_file;
 use entire_steer::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
-use entire_steer::predict::{AnalyticModel, InputLayout, InputRange};
+use entire_steer::predict::{AnalyticModel, InputLayout};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -429,11 +429,11 @@ impl Recipe {
         let mean = logs.iter().sum::<f64>() / n;
         let sd = (logs.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
         let network = carry_past(network, mean as f32, sd as f32);
-        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?
+        let mut wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?
             .with_probe_side(self.side())
-            .with_unit_costs(costs)
-            // The estimate is not clamped, unlike the factor's inputs.
-            .with_range(Some(InputRange::of_rows(&inputs[0], layout.width(), 1)));
+            .with_unit_costs(costs);
+        // The estimate is not clamped, unlike the factor's inputs.
+        wide.widen(&inputs[0], layout.width());
         self.store(&mut file, network, &wide)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         let units = joined(&self.layers);
@@ -523,7 +523,7 @@ impl Recipe {
              run `entire calibrate --data TABLE.csv --prior {0} --out FILE.safetensors`",
             path.display()
         );
-        let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
+        let mut layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
         let net = model.prednet.as_ref().context("the model file holds no PredNet")?;
         let settings = Settings { target: net.target, ..self.settings()? };
         let inputs = rows(&layout, context, parts)?;
@@ -531,9 +531,10 @@ impl Recipe {
         let samples = samples(&inputs, parts.map(|part| part.seconds));
         let (network, standardization) = (Network::from_parts(net)?, Some(Standardization::of(net)));
         let (tuned, history, outcome) = run_training(context, network, standardization, samples, &settings)?;
-        let mut range = layout.range.clone();
-        range.iter_mut().for_each(|range| range.extend(&inputs[0]));
-        self.store(&mut file, tuned, &layout.with_range(range))?;
+        if layout.range.is_some() {
+            layout.widen(&inputs[0], layout.width());
+        }
+        self.store(&mut file, tuned, &layout)?;
         Ok(FittedModel {
             file,
             what: "PredNet, fine-tuned".into(),

@@ -75,7 +75,7 @@ fn in_context<T>(run: impl FnOnce(&FitContext<'_>) -> T) -> T {
 fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() {
     use entire_core::scene::{Camera, Frame, TransferFunction};
     use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-    use entire_steer::predict::{InputRange, Inputs, load};
+    use entire_steer::predict::{Inputs, load};
 
     let values: Vec<u8> = (0..16 * 12 * 10).map(|i| (i * 7 % 251) as u8).collect();
     let data = entire_io::volume::VolumeData::U8(values);
@@ -93,7 +93,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         let carried = carry_past(ratio.clone(), -3.0, 1.5);
         let mut features = inputs.to_vec();
         features.push(SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
-        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)
+        let mut wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)
             .unwrap()
             .with_probe_side(5)
             .with_unit_costs(costs);
@@ -107,7 +107,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         // The training range has images with 3 to 50 pixels, and chords of 12 to 13. Most images are outside
         // of this range.
         let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
-        let wide = wide.with_range(Some(InputRange::of_rows(&seen, 2, 1)));
+        wide.widen(&seen, 2);
         Recipe::default().store(&mut file, carried, &wide).unwrap();
         let limited = file.to_model().unwrap();
         let (mut limited_predictor, limits) = (load(&limited).unwrap(), Layout::of_model(&limited).unwrap());

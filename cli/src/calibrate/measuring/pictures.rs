@@ -129,9 +129,8 @@ mod tests {
     use crate::calibrate::pool::Pool;
     use crate::scripted::ScriptedRenderer;
     use entire_io::dataset::TimedFrame;
-    use entire_steer::calibrate::PriorModel;
     use entire_steer::features::SceneQuantity;
-    use entire_steer::predict::{COST_QUANTITIES, COSTS};
+    use entire_steer::predict::{COST_QUANTITIES, COSTS, UnitCosts};
     use indicatif::ProgressBar;
 
     #[test]
@@ -158,7 +157,7 @@ mod tests {
             reading: Default::default(),
             expected: vec![1e-3; candidates.len()],
             candidates,
-            prior: PriorModel::default(),
+            prior: UnitCosts::SOFTWARE,
         };
         let (settings, mut renderer) = (Settings::brief(Vec::new()), ScriptedRenderer::default());
         let (now, bar) = (Instant::now(), ProgressBar::hidden());
