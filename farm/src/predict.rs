@@ -137,16 +137,16 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
             .tasks_of(index)
             .into_par_iter()
             .map_init(
-                || (make(), FrameFeatures::with_probe_side(side), transfers.clone()),
-                |(predictor, features, transfers), task| -> Result<f32> {
+                || (make(), transfers.clone()),
+                |(predictor, transfers), task| -> Result<f32> {
                     let predictor = predictor.as_mut().map_err(|e| anyhow::anyhow!("{e:#}"))?;
                     let at = job.place(task);
                     let pose = job.cameras[at.camera];
                     let frame = frame(pose, job.fov_y_deg, job.sizes[at.size], job.steps[at.step], draw)?;
                     let (transfer, lobes) = &mut transfers[at.transfer];
-                    features.measure(&summary, transfer, &frame)?;
+                    let features = FrameFeatures::of(&summary, transfer, &frame, side)?;
                     let predicted = predictor.predict(&Inputs {
-                        features,
+                        features: &features,
                         setting: Setting::from(&frame),
                         changes: Changes::default(),
                         camera: pose,

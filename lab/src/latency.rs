@@ -107,7 +107,7 @@ impl Bench {
         let mid = |mut v: Vec<f64>| entire_io::metrics::median(&mut v).unwrap_or(0.0);
         let mut best = [f64::INFINITY; 3];
         for _ in 0..ROUNDS {
-            let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
+            let mut features = FrameFeatures::default();
             let mut transfer = TransferSummary::new(&self.summary, &first.table)?;
             let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());
             for Shot { frame, before, table, lobes } in &self.scenes {
@@ -118,8 +118,9 @@ impl Bench {
                 let update = start.elapsed().as_secs_f64();
                 let mut call = |frame: &Frame| -> Result<f64> {
                     let start = Instant::now();
-                    if looks {
-                        features.measure(&self.summary, &mut transfer, std::hint::black_box(frame))?;
+                    if let Some(side) = probe_side {
+                        let frame = std::hint::black_box(frame);
+                        features = FrameFeatures::of(&self.summary, &mut transfer, frame, side)?;
                     }
                     let inputs = Inputs {
                         features: &features,

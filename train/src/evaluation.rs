@@ -136,7 +136,7 @@ pub fn warm_latency(
         let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
         summary = Some(VolumeSummary::new(&volume.view())?);
     }
-    let mut features = FrameFeatures::with_probe_side(layout.probe_side());
+    let mut features = FrameFeatures::default();
     let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
     for f in of_volume {
         let (frame, table) = (f.scene.to_frame()?, f.scene.to_table()?);
@@ -145,9 +145,9 @@ pub fn warm_latency(
             let mut transfer = TransferSummary::new(summary, &table)?;
             let start = Instant::now();
             transfer.update(summary, std::hint::black_box(&table))?;
-            // Without rays, `measure` computes only the distance map, and only for a frame that skips by
+            // Without rays, the call computes only the distance map, and only for a frame that skips by
             // distance.
-            FrameFeatures::with_probe_side(0).measure(summary, &mut transfer, &frame)?;
+            FrameFeatures::of(summary, &mut transfer, &frame, 0)?;
             transfer_times.push(start.elapsed().as_secs_f64());
             scene = Some((summary, transfer));
         }
@@ -155,7 +155,8 @@ pub fn warm_latency(
         for _ in 0..ROUNDS {
             let start = Instant::now();
             if let Some((summary, transfer)) = &mut scene {
-                features.measure(summary, transfer, std::hint::black_box(&frame))?;
+                let frame = std::hint::black_box(&frame);
+                features = FrameFeatures::of(summary, transfer, frame, layout.probe_side())?;
             }
             let inputs = Inputs {
                 features: &features,

@@ -227,7 +227,7 @@ impl KeptColumns<'_> {
 
 /// Calls `f` with the inputs of each frame, as known before the frame is drawn. Returns the results in the
 /// order of the frames. Volumes are processed one after another, the frames of a volume in parallel.
-/// `probe_side` goes to [`FrameFeatures::with_probe_side`]. If it is `None`, the scene features are empty,
+/// `probe_side` goes to [`FrameFeatures::of`]. If it is `None`, the scene features are empty,
 /// and volumes are opened only for an encoder.
 ///
 /// # Errors
@@ -270,11 +270,13 @@ pub fn measure<T: Send>(
                 .map(|&i| {
                     let scene = &frames[i].scene;
                     let frame = scene.to_frame()?;
-                    let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
-                    if let Some(summary) = &volume_summary {
-                        let mut transfer = TransferSummary::new(summary, &scene.to_table()?)?;
-                        features.measure(summary, &mut transfer, &frame)?;
-                    }
+                    let features = match (&volume_summary, probe_side) {
+                        (Some(summary), Some(side)) => {
+                            let mut transfer = TransferSummary::new(summary, &scene.to_table()?)?;
+                            FrameFeatures::of(summary, &mut transfer, &frame, side)?
+                        }
+                        _ => FrameFeatures::default(),
+                    };
                     let inputs = Inputs {
                         features: &features,
                         setting: Setting::from(&frame),

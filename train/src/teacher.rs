@@ -14,7 +14,6 @@ pub struct Teacher {
     name: String,
     clock: Option<Clock>,
     predictor: Box<dyn Predictor + Send>,
-    features: FrameFeatures,
     summary: Option<VolumeSummary>,
     transfer: Option<TransferSummary>,
 }
@@ -33,9 +32,8 @@ impl Teacher {
                 group.name
             );
         }
-        let features = FrameFeatures::with_probe_side(predictor.probe_side());
         let clock = entire_io::clock::of(model);
-        Ok(Self { name: name.into(), clock, predictor, features, summary: None, transfer: None })
+        Ok(Self { name: name.into(), clock, predictor, summary: None, transfer: None })
     }
 }
 
@@ -66,9 +64,9 @@ impl Renderer for Teacher {
         let (Some(summary), Some(transfer)) = (&self.summary, &mut self.transfer) else {
             return Err(Error::new("volume or transfer function was not set"));
         };
-        self.features.measure(summary, transfer, frame).map_err(|e| Error::new(e.to_string()))?;
+        let features = FrameFeatures::of(summary, transfer, frame, self.predictor.probe_side());
         let inputs = Inputs {
-            features: &self.features,
+            features: &features.map_err(|e| Error::new(e.to_string()))?,
             setting: Setting::from(frame),
             changes: Changes::default(),
             // The scene features already contain the camera.

@@ -9,7 +9,7 @@ use entire_io::dataset::Timing;
 use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
 use entire_io::scenes::SceneDistribution;
-use entire_steer::features::{FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use entire_steer::features::{FrameFeatures, PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 
@@ -56,7 +56,6 @@ pub fn measure(
     ensure!(scenes > 0 && repeats > 0, "calibration needs at least one scene, rendered at least once");
     renderer.set_volume(volume)?;
     let mut samples = Vec::with_capacity(scenes * CALIBRATION_STEPS.len());
-    let mut features = FrameFeatures::default();
     progress.set_length(scenes as u64);
     progress.reset_eta();
     for scene in 0..scenes {
@@ -67,7 +66,7 @@ pub fn measure(
         let mut transfer = TransferSummary::new(summary, &table)?;
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
-        features.measure(summary, &mut transfer, &frame)?;
+        let features = FrameFeatures::of(summary, &mut transfer, &frame, PROBE_SIDE)?;
         // The first renderings on a device or after a change of scene are slower than later ones, so they are
         // discarded.
         for _ in 0..if scene == 0 { 2 } else { 1 } {

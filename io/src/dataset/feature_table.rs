@@ -326,8 +326,7 @@ mod tests {
         for (shading, dz) in [(Shading::None, 2.5), (Shading::Local, 1.1), (Shading::Scatter, 0.6)] {
             let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz }).unwrap();
             let frame = Frame { shading, ..Frame::new(camera, 90, 70).unwrap() };
-            let mut features = FrameFeatures::with_probe_side(PROBE_SIDE);
-            features.measure(&summary, &mut transfer, &frame).unwrap();
+            let features = FrameFeatures::of(&summary, &mut transfer, &frame, PROBE_SIDE).unwrap();
             let of = features.quantities(Setting::from(&frame));
             for q in SceneQuantity::ALL {
                 let value = of(q);

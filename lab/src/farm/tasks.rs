@@ -15,13 +15,12 @@ use std::path::{Path, PathBuf};
 /// Adds work and seconds for every frame of a trace and every recorded ray step at full image size.
 fn add(measured: &mut Vec<([f64; COSTS], f64)>, trace: &Trace, probe_side: usize) -> Result<()> {
     let (path, summaries) = (trace.path.resolve()?, trace.summaries()?);
-    let mut features = FrameFeatures::with_probe_side(probe_side);
     for (index, at) in path.frames.iter().enumerate() {
         let summary = &summaries[trace.volume_at(index)];
         let table = at.transfer.function().to_table()?;
         let mut transfer = TransferSummary::new(summary, &table)?;
         let frame = trace.frame(&path, index)?;
-        features.measure(summary, &mut transfer, &frame)?;
+        let features = FrameFeatures::of(summary, &mut transfer, &frame, probe_side)?;
         for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
             let setting = Setting { step: p.step, ..Setting::from(&frame) };
             let seconds = median(&mut p.seconds.clone()).context("a point without a time")?;
@@ -54,7 +53,6 @@ fn task_predictor(training: &[PathBuf], side: usize) -> Result<AnalyticModel> {
 pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: usize) -> Result<Vec<Task>> {
     let mut predictor = task_predictor(training, probe_side)?;
     let (path, summaries) = (trace.path.resolve()?, trace.summaries()?);
-    let mut features = FrameFeatures::with_probe_side(probe_side);
     let mut tasks = Vec::with_capacity(trace.frames.len());
     let mut took = std::time::Duration::ZERO;
     for (index, at) in path.frames.iter().enumerate() {
@@ -63,7 +61,7 @@ pub(crate) fn tasks_of_trace(trace: &Trace, training: &[PathBuf], probe_side: us
         let mut transfer = TransferSummary::new(&summaries[volume], &table)?;
         let frame = trace.frame(&path, index)?;
         let begin = std::time::Instant::now();
-        features.measure(&summaries[volume], &mut transfer, &frame)?;
+        let features = FrameFeatures::of(&summaries[volume], &mut transfer, &frame, probe_side)?;
         let lobes = at.transfer.lobes();
         let predicted = predictor.predict(&Inputs {
             features: &features,

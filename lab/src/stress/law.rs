@@ -4,7 +4,7 @@
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
 use entire_cli::steering::rivals::StepResponse;
-use entire_steer::control::{Controller, Observed, Reason, StepLimits};
+use entire_steer::control::{Controller, Observed, PlanRequest, Reason, StepLimits};
 use entire_steer::features::Changes;
 use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source};
 
@@ -116,7 +116,12 @@ fn play_script(
             terms
         };
         let changes = Changes { first: i == 0, ..shot.changes };
-        let decision = controller.plan(shot.target as f32, limits, changes, &mut cost);
+        let decision = controller.plan(&mut PlanRequest {
+            target: shot.target as f32,
+            limits,
+            changes,
+            cost: &mut cost,
+        });
         let clean = |step: f64| shot.speed * (shot.fixed + shot.work * step.powf(-EXPONENT));
         let step = f64::from(decision.step);
         let spike = if spikes.is_some_and(|share| noise.uniform() < share) { 3.0 } else { 1.0 };

@@ -3,7 +3,7 @@
 
 use super::constants::HybridConstants;
 use super::history::History;
-use super::{Controller, Decision, Observed, Reason, SceneMark, StepLimits};
+use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::adapt::state::{Reader, Writer};
 use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, NOVEL, Prior, Standing, Verdict};
 use crate::features::Changes;
@@ -352,17 +352,12 @@ impl Hybrid {
 
     /// Returns the step for the present frame and its reason, by the corrected prediction; with `by_history`,
     /// by the forecast from recent frames.
-    fn choose(
-        &self,
-        target: f32,
-        limits: StepLimits,
-        cost: &mut dyn FnMut(f32) -> CostTerms,
-        by_history: bool,
-    ) -> (f32, Reason) {
+    fn choose(&self, request: &mut PlanRequest<'_>, by_history: bool) -> (f32, Reason) {
+        let limits = request.limits;
         let c = self.options.constants;
-        let target = f64::from(target);
+        let target = f64::from(request.target);
         let ceiling = target * (1.0 + f64::from(self.options.tolerance.max(0.0)));
-        let mut judge = |step: f32| self.expected(&cost(step), step, by_history);
+        let mut judge = |step: f32| self.expected(&(request.cost)(step), step, by_history);
         let excess = |step: f32| {
             let Expected { choice, choice_upper, .. } = judge(step);
             libm::log(f64::max(choice / target, choice_upper / ceiling)).clamp(-50.0, 50.0)
@@ -436,21 +431,16 @@ impl Controller for Hybrid {
         "hybrid"
     }
 
-    fn plan(
-        &mut self,
-        target: f32,
-        limits: StepLimits,
-        changes: Changes,
-        cost: &mut dyn FnMut(f32) -> CostTerms,
-    ) -> Decision {
-        self.enter(changes, cost);
-        let coarsest = cost(limits.coarsest);
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let (limits, changes) = (request.limits, request.changes);
+        self.enter(changes, request.cost);
+        let coarsest = (request.cost)(limits.coarsest);
         let known = coarsest.seconds().is_finite() && coarsest.seconds() > 0.0;
         // Frames before a change of scene do not predict the frame after it.
         let recent = self.history.len > 0 && !(changes.any() && self.scene.first);
         let mut by_history = recent && (!known || self.history.leads);
         if !known && !by_history {
-            self.last = Some(Last { step: limits.coarsest, target, terms: coarsest });
+            self.last = Some(Last { step: limits.coarsest, target: request.target, terms: coarsest });
             return Decision {
                 step: limits.coarsest,
                 seconds: f32::NAN,
@@ -459,15 +449,15 @@ impl Controller for Hybrid {
                 reason: Reason::NoInformation,
             };
         }
-        let (mut step, mut reason) = self.choose(target, limits, cost, by_history);
-        let mut terms = cost(step);
+        let (mut step, mut reason) = self.choose(request, by_history);
+        let mut terms = (request.cost)(step);
         if recent && !by_history && terms.out_of_range > self.options.trust_limit {
             by_history = true;
-            (step, reason) = self.choose(target, limits, cost, by_history);
-            terms = cost(step);
+            (step, reason) = self.choose(request, by_history);
+            terms = (request.cost)(step);
         }
         let Expected { seconds, upper, .. } = self.expected(&terms, step, by_history);
-        self.last = Some(Last { step, target, terms });
+        self.last = Some(Last { step, target: request.target, terms });
         Decision {
             step,
             seconds: seconds as f32,

@@ -114,10 +114,23 @@ names! { Reason:
     Reactive "reactive",
 }
 
+/// Request for a plan of one frame.
+pub struct PlanRequest<'a> {
+    /// Target: seconds that the frame should not exceed; finite and positive.
+    pub target: f32,
+    /// Range of steps. If plans may coarsen the image ([`Session::set_max_image_sample_distance`]), every
+    /// step that a controller receives or returns stands for step · (image sample distance)².
+    pub limits: StepLimits,
+    /// Changes of the scene since the previous frame.
+    pub changes: Changes,
+    /// Predicted cost of the frame at a ray step, uncorrected; NaN if it is unknown.
+    pub cost: &'a mut dyn FnMut(f32) -> CostTerms,
+}
+
 /// A controller's plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decision {
-    /// Chosen step, in reference steps; see [`Controller::plan`].
+    /// Chosen step, in reference steps; see [`PlanRequest::limits`].
     pub step: f32,
     /// Expected seconds; NaN if the controller predicts no time.
     pub seconds: f32,
@@ -170,18 +183,8 @@ pub trait Controller {
     /// Short name for tables.
     fn name(&self) -> &'static str;
 
-    /// Chooses the step of the next frame. `target` is the time in seconds that the frame should not exceed,
-    /// finite and positive; `limits` is the range of steps; `changes` are the changes of the scene since the
-    /// previous frame; `cost` returns the predicted cost of the frame at a ray step, uncorrected, or NaN if it
-    /// is unknown. If plans may coarsen the image ([`Session::set_max_image_sample_distance`]), every step
-    /// that a controller receives or returns stands for step · (image sample distance)².
-    fn plan(
-        &mut self,
-        target: f32,
-        limits: StepLimits,
-        changes: Changes,
-        cost: &mut dyn FnMut(f32) -> CostTerms,
-    ) -> Decision;
+    /// Chooses the step of the next frame.
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision;
 
     /// Updates the controller by a frame's time.
     fn observe(&mut self, observed: &Observed) -> Verdict;

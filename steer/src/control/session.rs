@@ -9,7 +9,7 @@ mod state;
 mod unrecorded;
 
 use super::coarsening::Coarsening;
-use super::{Controller, Decision, HybridOptions, Observed, Reason, StepLimits};
+use super::{Controller, Decision, HybridOptions, Observed, PlanRequest, Reason, StepLimits};
 use crate::adapt::{ObserveFlags, Verdict, check_seconds};
 use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Quality, Source, TERMS};
@@ -328,7 +328,7 @@ impl Session {
             let limits = self.coarsening.limits();
             let (controller, mut cost) = self.costing(changes, setting)?;
             let mut at = |step| cost.at(step);
-            let decision = controller.plan(target, limits, changes, &mut at);
+            let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
             let terms = cost.at(decision.step);
             let recorded = self.recording.is_some();
             let drawn = if recorded { self.coarsening.setting(setting, decision.step) } else { setting };

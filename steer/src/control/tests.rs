@@ -32,7 +32,7 @@ pub(super) fn planned(
     mut cost: impl FnMut(f32) -> CostTerms,
 ) -> (Decision, Observed) {
     let limits = StepLimits { finest: 1.0, coarsest };
-    let plan = hybrid.plan(target, limits, changes, &mut cost);
+    let plan = hybrid.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
     let (step, terms, scene) = (plan.step, cost(plan.step), hybrid.scene());
     let seconds = terms.seconds();
     (plan, Observed { seconds, step, target, changes, terms, scene, unusual: false })

@@ -163,10 +163,9 @@ const WAITING_ENDED: f64 = 10.0;
 
 /// Features of a camera's view of a volume under a transfer function, measured once per frame.
 ///
-/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step,
-/// shading mode, skipping mode and image size (of the same aspect ratio) without marching again. But single
-/// scattering and skipping by a distance map can be evaluated only if the measured frame has them. No method
-/// allocates.
+/// [`FrameFeatures::of`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step, shading
+/// mode, skipping mode and image size (of the same aspect ratio) without marching again. But single scattering
+/// and skipping by a distance map can be evaluated only if the measured frame has them. No method allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     /// Number of rays along each side of the probe.
@@ -183,18 +182,35 @@ pub struct FrameFeatures {
 }
 
 impl Default for FrameFeatures {
-    /// Empty features, to be measured with [`PROBE_SIDE`]² rays.
+    /// Features of a frame in which no ray meets the volume.
     fn default() -> Self {
         Self::with_probe_side(PROBE_SIDE)
     }
 }
 
 impl FrameFeatures {
-    /// Returns the features of a frame in which no ray meets the volume. Frames will be measured with `side`²
-    /// rays; a `side` above [`MAX_PROBE_SIDE`] is reduced to it. With more rays, a measurement takes longer
-    /// and its estimates have a smaller variance. With `side` 0 no ray is cast, and quantities that [need the
-    /// probe](SceneQuantity::needs_probe) have the values of rays that meet no volume.
-    pub fn with_probe_side(side: usize) -> Self {
+    /// Measures a frame with `probe_side`² rays; a `probe_side` above [`MAX_PROBE_SIDE`] is reduced to it. With
+    /// more rays, a measurement takes longer and its estimates have a smaller variance. With `probe_side` 0 no
+    /// ray is cast, and quantities that [need the probe](SceneQuantity::needs_probe) have the values of rays
+    /// that meet no volume. For [`Skipping::Distance`], the first frame of a transfer function also computes
+    /// its distance map. `transfer` must be made from `volume`; if its cells or blocks differ from those of
+    /// `volume`, no ray is cast.
+    ///
+    /// # Errors
+    /// As [`Frame::checked`].
+    pub fn of(
+        volume: &VolumeSummary,
+        transfer: &mut TransferSummary,
+        frame: &Frame,
+        probe_side: usize,
+    ) -> Result<Self> {
+        let mut features = Self::with_probe_side(probe_side);
+        features.measure(volume, transfer, frame)?;
+        Ok(features)
+    }
+
+    /// As the default; frames will be measured with `side`² rays.
+    pub(crate) fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
             level: Level::detect(),
@@ -209,13 +225,8 @@ impl FrameFeatures {
         }
     }
 
-    /// Measures a frame. For [`Skipping::Distance`], the first frame of a transfer function also computes its
-    /// distance map. `transfer` must be made from `volume`; if its cells or blocks differ from those of
-    /// `volume`, no ray is cast.
-    ///
-    /// # Errors
-    /// As [`Frame::checked`].
-    pub fn measure(
+    /// Measures a frame as [`FrameFeatures::of`] does, with the number of rays set before.
+    pub(crate) fn measure(
         &mut self,
         volume: &VolumeSummary,
         transfer: &mut TransferSummary,

@@ -46,9 +46,7 @@ pub(crate) fn frame(rx: f32, ry: f32, dz: f32, size: u32) -> Frame {
 pub(crate) fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> FrameFeatures {
     let mut transfer = TransferSummary::new(volume, table).unwrap();
     transfer.prepare_distance();
-    let mut features = FrameFeatures::default();
-    features.measure(volume, &mut transfer, frame).unwrap();
-    features
+    FrameFeatures::of(volume, &mut transfer, frame, PROBE_SIDE).unwrap()
 }
 
 #[test]
@@ -431,8 +429,7 @@ fn what_needs_no_probe_is_known_without_one() {
     transfer.prepare_distance();
     let mut of = |side: usize, shading: Shading| {
         let frame = Frame { shading, ..frame(20.0, 30.0, 1.7, 200) };
-        let mut features = FrameFeatures::with_probe_side(side);
-        features.measure(&volume, &mut transfer, &frame).unwrap();
+        let features = FrameFeatures::of(&volume, &mut transfer, &frame, side).unwrap();
         SceneQuantity::ALL.map(features.quantities(Setting::from(&frame)))
     };
     let mut both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();

@@ -118,7 +118,7 @@ pub trait Predictor {
     }
 
     /// Number of rays along each side of the probe with which the predictor was trained, see
-    /// [`FrameFeatures::with_probe_side`]; 0 if no input needs the probe.
+    /// [`FrameFeatures::of`]; 0 if no input needs the probe.
     fn probe_side(&self) -> usize {
         PROBE_SIDE
     }

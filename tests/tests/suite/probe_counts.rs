@@ -4,7 +4,9 @@
 use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::Volume;
-use entire_steer::features::{FrameFeatures, SceneQuantity, Setting, TransferSummary, VolumeSummary};
+use entire_steer::features::{
+    FrameFeatures, PROBE_SIDE, SceneQuantity, Setting, TransferSummary, VolumeSummary,
+};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::path::{Path, PathBuf};
 
@@ -83,8 +85,8 @@ fn estimated_work_is_the_counted_work() {
                 };
                 let counts = renderer.render(&frame).expect("a picture").counts.expect("counts");
                 let mut transfer = TransferSummary::new(&summary, &table).expect("a summary");
-                let mut features = FrameFeatures::default();
-                features.measure(&summary, &mut transfer, &frame).expect("a frame");
+                let features =
+                    FrameFeatures::of(&summary, &mut transfer, &frame, PROBE_SIDE).expect("a frame");
                 let of = features.quantities(Setting::from(&frame));
                 let samples = of(SceneQuantity::Samples) + of(SceneQuantity::ShadowSamples);
                 let shaded = of(SceneQuantity::LocalSamples).max(of(SceneQuantity::ScatterSamples));

@@ -118,10 +118,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let frame = Frame::new(Camera::from_arcball(camera).unwrap(), size, size).unwrap();
             let lobes = entire_io::dataset::parse_lobes(lobes).unwrap();
             let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
-            let mut measured = FrameFeatures::with_probe_side(5);
-            measured
-                .measure(&summary, &mut TransferSummary::new(&summary, &table).expect("a summary"), &frame)
-                .expect("a frame");
+            let mut transfer = TransferSummary::new(&summary, &table).expect("a summary");
+            let measured = FrameFeatures::of(&summary, &mut transfer, &frame, 5).expect("a frame");
             let setting = Setting::from(&frame);
             let asked = Inputs {
                 features: &measured,

@@ -1,9 +1,7 @@
 //! Algorithm 1 of the paper, and its baselines: a fixed step, OLP and PID.
 
 use super::{Rule, StepResponse};
-use entire_steer::control::{Controller, Decision, Observed, Reason, StepLimits, Verdict};
-use entire_steer::features::Changes;
-use entire_steer::predict::CostTerms;
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, Reason, StepLimits, Verdict};
 
 fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decision {
     Decision { step, seconds, upper: f32::NAN, out_of_range, reason }
@@ -26,14 +24,8 @@ impl Controller for Fixed {
         "fixed"
     }
 
-    fn plan(
-        &mut self,
-        _: f32,
-        limits: StepLimits,
-        _: Changes,
-        _: &mut dyn FnMut(f32) -> CostTerms,
-    ) -> Decision {
-        decision(limits.clamp(self.step), f32::NAN, f32::NAN, Reason::Off)
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        decision(request.limits.clamp(self.step), f32::NAN, f32::NAN, Reason::Off)
     }
 
     fn observe(&mut self, _: &Observed) -> Verdict {
@@ -55,19 +47,13 @@ impl Controller for Algorithm1 {
         "algorithm1"
     }
 
-    fn plan(
-        &mut self,
-        target: f32,
-        limits: StepLimits,
-        _: Changes,
-        cost: &mut dyn FnMut(f32) -> CostTerms,
-    ) -> Decision {
-        let terms = cost(1.0);
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let terms = (request.cost)(1.0);
         let at_reference = terms.parts.iter().sum::<f32>();
         if !(at_reference.is_finite() && at_reference > 0.0) {
-            return decision(limits.coarsest, f32::NAN, f32::NAN, Reason::NoInformation);
+            return decision(request.limits.coarsest, f32::NAN, f32::NAN, Reason::NoInformation);
         }
-        let step = limits.clamp(self.response.step_ratio(target / at_reference));
+        let step = request.limits.clamp(self.response.step_ratio(request.target / at_reference));
         decision(step, at_reference * self.response.time_ratio(step), terms.out_of_range, Reason::Fits)
     }
 
@@ -119,23 +105,17 @@ impl Controller for Olp {
         }
     }
 
-    fn plan(
-        &mut self,
-        target: f32,
-        limits: StepLimits,
-        _: Changes,
-        _: &mut dyn FnMut(f32) -> CostTerms,
-    ) -> Decision {
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         let n = self.seen.min(3);
         if n == 0 {
-            return reactive(limits.clamp(1.0));
+            return reactive(request.limits.clamp(1.0));
         }
         let at_reference = match self.recent {
             Recent::MeanOfThree => self.window[..n].iter().sum::<f32>() / n as f32,
             Recent::LargerOfTwo if n > 1 => self.ago(0).max(self.ago(1)),
             _ => self.ago(0),
         };
-        let step = limits.clamp(self.response.step_ratio(target / at_reference));
+        let step = request.limits.clamp(self.response.step_ratio(request.target / at_reference));
         decision(step, at_reference * self.response.time_ratio(step), f32::NAN, Reason::Reactive)
     }
 

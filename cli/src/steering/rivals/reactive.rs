@@ -9,9 +9,7 @@
 //! taken as the ray step, which assumes work ∝ 1 / step; the tables say so.
 
 use super::algorithm1::reactive;
-use entire_steer::control::{Controller, Decision, Observed, StepLimits, Verdict};
-use entire_steer::features::Changes;
-use entire_steer::predict::CostTerms;
+use entire_steer::control::{Controller, Decision, Observed, PlanRequest, StepLimits, Verdict};
 
 /// A rule whose steps depend on earlier frames alone.
 pub(crate) trait Rule: Sized {
@@ -35,14 +33,8 @@ impl<R: Rule> Controller for Reactive<R> {
         R::NAME
     }
 
-    fn plan(
-        &mut self,
-        target: f32,
-        limits: StepLimits,
-        _: Changes,
-        _: &mut dyn FnMut(f32) -> CostTerms,
-    ) -> Decision {
-        reactive(self.0.step(target, limits))
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        reactive(self.0.step(request.target, request.limits))
     }
 
     fn observe(&mut self, observed: &Observed) -> Verdict {

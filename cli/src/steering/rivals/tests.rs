@@ -4,7 +4,7 @@
 use super::*;
 use crate::steering::contenders::{ControllerKind, controller};
 use clap::ValueEnum;
-use entire_steer::control::{Controller, Observed, StepLimits};
+use entire_steer::control::{Controller, Observed, PlanRequest, StepLimits};
 use entire_steer::features::Changes;
 use entire_steer::predict::{CostTerms, Source};
 
@@ -33,7 +33,7 @@ fn every_controller_survives_any_observation() {
             let mut cost = |step: f32| CostTerms::whole(base / step, 0.0, Source::Analytic);
             let changes = Changes { transfer: i % 50 == 0, first: i == 0, ..Changes::default() };
             let limits = StepLimits { finest: 0.5, coarsest: 20.0 };
-            let decision = controller.plan(target, limits, changes, &mut cost);
+            let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
             assert!((0.5..=20.0).contains(&decision.step), "{kind} {i} {decision:?}");
             let seconds = match i % 11 {
                 3 => 1e-9,
@@ -63,11 +63,11 @@ fn after(kind: ControllerKind, coarsest: f32, times: &[f32]) -> f32 {
     let (target, changes) = (0.1, Changes::default());
     let mut cost = |_: f32| CostTerms::whole(1.0, 0.0, Source::Analytic);
     for &seconds in times {
-        let step = rule.plan(target, limits, changes, &mut cost).step;
+        let step = rule.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost }).step;
         let (terms, scene) = (cost(step), rule.scene());
         rule.observe(&Observed { seconds, step, target, changes, terms, scene, unusual: false });
     }
-    rule.plan(target, limits, changes, &mut cost).step
+    rule.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost }).step
 }
 
 fn close(a: f32, b: f32) -> bool {
@@ -141,7 +141,7 @@ fn what_the_last_frames_say_is_their_mean_the_last_or_the_larger_of_two() {
                 unusual: false,
             });
         }
-        controller.plan(0.01, limits, changes, &mut cost).step
+        controller.plan(&mut PlanRequest { target: 0.01, limits, changes, cost: &mut cost }).step
     };
     let of = |t: f32| after(Recent::Last, &[t]);
     for n in 1..8 {

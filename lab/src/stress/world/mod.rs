@@ -84,7 +84,6 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
     let summary = VolumeSummary::new(&view)?;
     machine.renderer.set_volume(&view)?;
     let mut rows = Vec::new();
-    let mut features = FrameFeatures::default();
     let mut noise = Noise::new(3);
     for k in 0..24 {
         let table = TransferFunction::Gaussian(lobes(
@@ -100,7 +99,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
         let side = machine.grown() * [24, 40, 64][k % 3];
         for step in [1.0, 2.0, 5.0] {
             let frame = Frame { step, ..Frame::new(Camera::from_arcball(camera)?, side, side)? }.checked()?;
-            features.measure(&summary, &mut transfer, &frame)?;
+            let features = FrameFeatures::of(&summary, &mut transfer, &frame, PROBE_SIDE)?;
             let seconds = machine.seconds(&frame)?;
             rows.push((features.cost_work(&Setting::from(&frame)), seconds));
         }
@@ -279,8 +278,7 @@ fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict>
     let table = TransferFunction::Gaussian(shell()).to_table()?;
     let mut transfer = TransferSummary::new(&summary, &table)?;
     let frame = Frame::new(Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?, 64, 64)?;
-    let mut features = FrameFeatures::default();
-    features.measure(&summary, &mut transfer, &frame)?;
+    let features = FrameFeatures::of(&summary, &mut transfer, &frame, PROBE_SIDE)?;
     let mut noise = Noise::new(28);
     let (mut refused, mut read) = (0, 0);
     let mut check = |bytes: &[u8], what: &str| match Model::from_bytes(bytes).and_then(|m| load(&m)) {

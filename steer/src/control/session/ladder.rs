@@ -79,7 +79,7 @@ pub(super) struct Ladder {
 
 impl Session {
     /// Sets the number of probe rays to `side`²: fewer rays take less time, and their estimates have a larger
-    /// variance (see [`FrameFeatures::with_probe_side`]). The number affects only analytic models
+    /// variance (see [`FrameFeatures::of`]). The number affects only analytic models
     /// ([`crate::Predictor::any_probe_side`]); a network keeps the probe with which it was trained.
     ///
     /// With a `tolerance`, a plan begins with a probe of 4² rays and refines it to 7², 11², 16² and at last
@@ -89,10 +89,9 @@ impl Session {
     /// error, or the coarsest step exceeds the target by more than the error. While the view has hardly
     /// turned since rays were cast, plans reuse the rays' results and recompute only the volume's place in
     /// the image. So `side` bounds the time of a plan, and most plans take less time than this bound.
-    /// [`FrameFeatures::probe_side`] of [`Session::features`] returns the side of the last probe. If the
-    /// finest probe's number of rays changes, recorded frames are dropped. [`Session::predict`] and
-    /// [`Session::choose`] use the finest probe, and so do plans while frames are recorded
-    /// ([`Session::record`]).
+    /// [`Session::probe`] returns the side of the last probe. If the finest probe's number of rays changes,
+    /// recorded frames are dropped. [`Session::predict`] and [`Session::choose`] use the finest probe, and so
+    /// do plans while frames are recorded ([`Session::record`]).
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance

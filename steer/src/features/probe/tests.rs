@@ -113,8 +113,7 @@ fn rays_from_afar_end_where_cells_are_thinner_than_the_rounding_error() {
                     assert_eq!(packets, single, "{opacity} {rx} {frame:?} {side} {level:?}");
                 }
             }
-            let mut features = FrameFeatures::default();
-            features.measure(&s, &mut transfer, &frame).unwrap();
+            let features = FrameFeatures::of(&s, &mut transfer, &frame, PROBE_SIDE).unwrap();
             let of = features.quantities(Setting::from(&frame));
             let counts = [SceneQuantity::Samples, SceneQuantity::Skips, SceneQuantity::Runs].map(of);
             assert!(
@@ -134,8 +133,7 @@ fn a_transfer_function_for_other_blocks_casts_no_ray() {
         let mut transfer = TransferSummary::new(of, &table(|_| 0.1)).unwrap();
         for (j, volume) in volumes.iter().enumerate() {
             assert_eq!(volume.cells, [48, 1, 1]);
-            let mut features = FrameFeatures::default();
-            features.measure(volume, &mut transfer, &frame).unwrap();
+            let features = FrameFeatures::of(volume, &mut transfer, &frame, PROBE_SIDE).unwrap();
             assert_eq!(features.probe.rays > 0, i == j, "{i} {j}");
         }
     }
@@ -167,8 +165,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
             let d = camera.view().row(2).truncate().abs().to_array().map(f64::from);
             let shadow: f64 = (0..3).map(|k| d[k] * edges[(k + 1) % 3] * edges[(k + 2) % 3]).sum();
             let seen = 4.0 * f64::from(scale * scale) * 300.0 / 240.0;
-            let mut features = FrameFeatures::with_probe_side(24);
-            features.measure(&s, &mut transfer, &frame).unwrap();
+            let features = FrameFeatures::of(&s, &mut transfer, &frame, 24).unwrap();
             let what = format!("{spacing:?} {rx} {ry} {dz}");
             for step in [0.5f32, 2.0] {
                 let setting = Setting { step, skipping: Skipping::None, ..Setting::from(&frame) };
@@ -188,8 +185,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
         let through = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 1e-3 }).unwrap();
         let through = through.with_parallel_scale(1.1).unwrap();
         let frame = Frame { termination: 1.0, ..Frame::new(through, 300, 240).unwrap() };
-        let mut features = FrameFeatures::with_probe_side(24);
-        features.measure(&s, &mut transfer, &frame).unwrap();
+        let features = FrameFeatures::of(&s, &mut transfer, &frame, 24).unwrap();
         let half = 0.5 * edges[2] / f64::from(shape.reference_step);
         let chord = features.quantities(Setting::from(&frame))(SceneQuantity::MeanChord);
         assert!((chord / half - 1.0).abs() < 3e-3, "{chord}, not {half}");
@@ -197,7 +193,7 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
         let behind = glam::Mat4::from_translation(glam::Vec3::new(0.0, 0.0, 2.0));
         let behind = Camera::from_world_view(behind, glam::Vec3::ZERO, 1.0).unwrap();
         let frame = Frame::new(behind.with_parallel_scale(1.1).unwrap(), 300, 240).unwrap();
-        features.measure(&s, &mut transfer, &frame).unwrap();
+        let features = FrameFeatures::of(&s, &mut transfer, &frame, 24).unwrap();
         assert_eq!(features.work(&Setting::from(&frame)).rays, 0.0);
     }
 }
