@@ -107,9 +107,8 @@ mod tests {
         let costs = UnitCosts { seconds, ..UnitCosts::SOFTWARE };
         let mut work = [0.0; COSTS];
         (work[0], work[1]) = (1.0, 1200.0);
-        let measured = [(work, costs.time(&work))];
-        let (model, _) = AnalyticModel::fit(&costs, &measured, PROBE_SIDE).unwrap();
-        let file = model.to_model_file().unwrap();
+        let fitted = AnalyticModel::fit(&costs, &[(work, costs.time(&work))], PROBE_SIDE).unwrap().0;
+        let file = fitted.to_model_file().unwrap();
         let mut teacher = Teacher::new("a model", &file.to_model().unwrap()).unwrap();
         assert_eq!((teacher.backend(), teacher.device().as_str()), ("teacher", "the predictor a model"));
         let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz: 2.0 }).unwrap();

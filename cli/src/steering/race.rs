@@ -54,8 +54,8 @@ pub(crate) fn chosen_model(
     Ok((title, file.to_model()?, known))
 }
 
-/// Returns the [chosen](chosen_model) model, and its error for controllers, if it is known. Sessions scale the
-/// shipped model to this machine frame by frame.
+/// Returns the [chosen](chosen_model) model, and its error for controllers, if it is known. Sessions scale
+/// the shipped model to this machine frame by frame.
 pub(crate) fn steering_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,

@@ -124,10 +124,8 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     let layout = Layout::of_model(&model).unwrap();
     let trained = model.prednet.as_ref().and_then(|net| net.input.as_ref()).unwrap();
     // The score is above 0 if an input is over 2.5 standard deviations from its mean in training.
-    let is_out = |row: &&[f32]| {
-        let mut inputs = row.iter().zip(&trained.mean).zip(&trained.std);
-        inputs.any(|((x, mean), std)| (x - mean).abs() / std > 2.5)
-    };
+    let ends = || trained.mean.iter().zip(&trained.std);
+    let is_out = |row: &&[f32]| row.iter().zip(ends()).any(|(x, (mean, std))| (x - mean).abs() / std > 2.5);
     let share_out = |table: usize, volumes: &str| {
         let frames: Vec<_> =
             tables[table].frames.iter().filter(|f| f.scene.volume.contains(volumes)).collect();

@@ -70,32 +70,33 @@ impl Default for HybridOptions {
 }
 
 impl HybridOptions {
-    /// Returns the controller, without observations. It chooses the finest step whose expected time meets the target and whose upper bound stays within the
-    /// tolerance. The expected time is the feed-forward prediction times the online correction; an
-    /// adaptive-conformal margin gives the bound.
+    /// Returns the controller, without observations. It chooses the finest step whose expected time meets
+    /// the target and whose upper bound stays within the tolerance. The expected time is the feed-forward
+    /// prediction times the online correction; an adaptive-conformal margin gives the bound.
     ///
-    /// * Novelty: the relative change of the predicted cost, in amount and composition, at the last drawn step.
-    ///   The larger it is, the less the earlier frames count. A change that the caller announces begins a scene,
-    ///   unless the previous frame was announced as changed too (as while a slider is dragged); then only the
-    ///   change of the cost counts.
-    /// * Calm phases: the correction adapts to the present scene, so the expected error shrinks to the noise
-    ///   between frames. The step is kept while it is close to the best step. Otherwise its change per frame is
-    ///   limited, unless the limited change would miss the target.
-    /// * Other programs on the machine: a detected load multiplies every expected time, until the first frame
-    ///   without the load. The step is chosen by the bound for undisturbed frames; the bound of the plan covers
-    ///   disturbed frames too.
+    /// * Novelty: the relative change of the predicted cost, in amount and composition, at the last drawn
+    ///   step. The larger it is, the less the earlier frames count. A change that the caller announces
+    ///   begins a scene, unless the previous frame was announced as changed too (as while a slider is
+    ///   dragged); then only the change of the cost counts.
+    /// * Calm phases: the correction adapts to the present scene, so the expected error shrinks to the
+    ///   noise between frames. The step is kept while it is close to the best step. Otherwise its change
+    ///   per frame is limited, unless the limited change would miss the target.
+    /// * Other programs on the machine: a detected load multiplies every expected time, until the first
+    ///   frame without the load. The step is chosen by the bound for undisturbed frames; the bound of the
+    ///   plan covers disturbed frames too.
     /// * A new scene: nothing is damped, the logarithm of the earlier scene's correction is multiplied by
     ///   1 − novelty, and the margin is that of new scenes.
-    /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
-    ///   the chosen step lies halfway, in ln(step), between the finest of these steps and the coarsest step. The
-    ///   plan's reason is [`Reason::Fits`] in this case, too.
+    /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the
+    ///   tolerance, the chosen step lies halfway, in ln(step), between the finest of these steps and the
+    ///   coarsest step. The plan's reason is [`Reason::Fits`] in this case, too.
     /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
     /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
-    ///   replaces the prediction if the prediction is missing, is out of range at the step that it would choose,
-    ///   or was recently clearly worse than the forecast. If neither is available, the coarsest step is chosen.
+    ///   replaces the prediction if the prediction is missing, is out of range at the step that it would
+    ///   choose, or was recently clearly worse than the forecast. If neither is available, the coarsest
+    ///   step is chosen.
     ///
-    /// The controller clamps the miss rate, and checks no other option; [`Session::new`](super::Session::new)
-    /// checks them.
+    /// The controller clamps the miss rate, and checks no other option;
+    /// [`Session::new`](super::Session::new) checks them.
     pub fn controller(self) -> Box<dyn Controller + Send> {
         Box::new(Hybrid::new(self))
     }

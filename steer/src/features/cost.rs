@@ -81,7 +81,7 @@ impl UnitCosts {
         0.0, 0.0,
     ]);
 
-    /// The first set of [`UnitCosts::OF_UNKNOWN`], for a software renderer.
+    /// The first set of [`UnitCosts::OF_UNKNOWN`].
     pub(crate) const CONVERTING: Self = {
         let mut costs = Self::SOFTWARE;
         costs.seconds[COMMON_COSTS] = 2.0e-9;

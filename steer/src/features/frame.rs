@@ -164,8 +164,9 @@ const WAITING_ENDED: f64 = 10.0;
 /// Features of a camera's view of a volume under a transfer function, measured once per frame.
 ///
 /// [`FrameFeatures::of`] marches the probe; [`FrameFeatures::quantities`] then evaluates any step, shading
-/// mode, skipping mode and image size (of the same aspect ratio) without marching again. But single scattering
-/// and skipping by a distance map can be evaluated only if the measured frame has them. No method allocates.
+/// mode, skipping mode and image size (of the same aspect ratio) without marching again. But single
+/// scattering and skipping by a distance map can be evaluated only if the measured frame has them. No method
+/// allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     /// Number of rays along each side of the probe.
@@ -189,12 +190,12 @@ impl Default for FrameFeatures {
 }
 
 impl FrameFeatures {
-    /// Measures a frame with `probe_side`² rays; a `probe_side` above [`MAX_PROBE_SIDE`] is reduced to it. With
-    /// more rays, a measurement takes longer and its estimates have a smaller variance. With `probe_side` 0 no
-    /// ray is cast, and quantities that [need the probe](SceneQuantity::needs_probe) have the values of rays
-    /// that meet no volume. For [`Skipping::Distance`], the first frame of a transfer function also computes
-    /// its distance map. `transfer` must be made from `volume`; if its cells or blocks differ from those of
-    /// `volume`, no ray is cast.
+    /// Measures a frame with `probe_side`² rays; a `probe_side` above [`MAX_PROBE_SIDE`] is reduced to it.
+    /// With more rays, a measurement takes longer and its estimates have a smaller variance. With
+    /// `probe_side` 0 no ray is cast, and quantities that [need the probe](SceneQuantity::needs_probe) have
+    /// the values of rays that meet no volume. For [`Skipping::Distance`], the first frame of a transfer
+    /// function also computes its distance map. `transfer` must be made from `volume`; if its cells or blocks
+    /// differ from those of `volume`, no ray is cast.
     ///
     /// # Errors
     /// As [`Frame::checked`].
@@ -225,7 +226,7 @@ impl FrameFeatures {
         }
     }
 
-    /// Measures a frame as [`FrameFeatures::of`] does, with the number of rays set before.
+    /// As [`FrameFeatures::of`], with the number of rays set before.
     pub(crate) fn measure(
         &mut self,
         volume: &VolumeSummary,

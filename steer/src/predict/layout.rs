@@ -176,9 +176,9 @@ impl InputLayout {
         self.write_from(inputs, scene, row)
     }
 
-    /// Writes a row as [`InputLayout::write`] does, but with `scene` in place of [`Inputs::features`]. `scene`
-    /// returns a quantity of the scene in its unit, or `None` if it is unknown. If `scene` gets unit costs,
-    /// the quantity is the seconds that the frame's work takes with these costs.
+    /// Writes a row as [`InputLayout::write`] does, but with `scene` in place of [`Inputs::features`].
+    /// `scene` returns a quantity of the scene in its unit, or `None` if it is unknown. If `scene` gets unit
+    /// costs, the quantity is the seconds that the frame's work takes with these costs.
     ///
     /// # Errors
     /// As [`InputLayout::write`].

@@ -55,8 +55,9 @@ pub struct FittedModel {
     pub outcome: String,
 }
 
-/// Returns the seconds that the model's network predicts for rows of inputs by the model's layout, computed as
-/// in a session: rows are clamped to the training range, if the model states it. The seconds are finite and positive.
+/// Returns the seconds that the model's network predicts for rows of the model's layout, computed as in a
+/// session: rows are clamped to the training range, if the model states it. The seconds are finite and
+/// positive.
 ///
 /// # Errors
 /// When the model holds no PredNet, or its output for a row is not finite.
@@ -82,13 +83,9 @@ pub fn predict_rows_stored(
 /// As [`predict_rows`], with the model's network already built.
 fn rows_by_network(net: &PredNet, layout: &Layout, rows: &[f32]) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
-    let mut held = vec![0.0; layout.width()];
-    let predicted = |row: &[f32]| {
-        held.copy_from_slice(row);
-        layout.hold(&mut held);
-        net.predict(&held, &mut scratch)
-    };
-    let mut seconds: Vec<f32> = rows.chunks_exact(layout.width()).map(predicted).collect();
+    let (width, mut rows) = (layout.width(), rows.to_vec());
+    rows.chunks_exact_mut(width).for_each(|row| layout.hold(row));
+    let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
     check_predictions(&mut seconds)?;
     Ok(seconds.into_iter().map(f64::from).collect())
 }
