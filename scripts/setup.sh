@@ -174,6 +174,7 @@ pip_tool() { # pip_tool NAME VERSION: installs a program from PyPI if it is miss
         say "$1 cannot be installed; its step will be skipped"
 }
 case $for in change | nightly) pip_tool typos 1.52.0 ;; esac
+case $for in nightly) pip_tool zizmor 1.32.0 ;; esac
 if [[ $for == nightly ]] && ! command -v cargo-deny >/dev/null && ! [[ -x $tools/bin/cargo-deny ]] &&
     [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]]; then
     say "no cargo-deny: building it into $tools"

@@ -200,6 +200,11 @@ if [[ $gate == nightly ]]; then
     else
         skip "licenses and sources of crates" "cargo-deny is not installed (cargo install --locked cargo-deny)"
     fi
+    if have zizmor; then
+        step "workflows" zizmor --offline --no-progress --quiet .github
+    else
+        skip "workflows" "zizmor is not installed (pip install zizmor)"
+    fi
     step "core and steer with alloc only" "$cargo" test --quiet --package entire-core --package entire-steer --no-default-features
     step "calibration with alloc only" "$cargo" test --quiet --package entire-steer --no-default-features --features calibrate
     step "oldest Rust" oldest_rust
