@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The bars of the gates (sets of tests and checks): duration, skipped tests, removed tests.
+"""The bars of the gates (sets of tests and checks): duration, skipped tests, removed tests, tests of VTK and ParaView that
+no kept result has.
 
     gate.py [--before REVISION]         prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
     gate.py --measure [demo test change nightly]
@@ -22,6 +23,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import reach
 from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -231,7 +233,7 @@ def main():
 
     asked = {f"gate/{gate}-wall-s": limit for gate, limit in WALL_SECONDS.items()}
     asked |= dict.fromkeys(("gate/nightly-failed", *(f"gate/{g}-skips-not-as-expected" for g in SKIPPING)), 0)
-    asked |= {"gate/steps-doubled": 0, "gate/tests-lost": 0}
+    asked |= {"gate/steps-doubled": 0, "gate/tests-lost": 0, "gate/suites-that-the-matrix-lacks": 0}
     with Bars(asked) as bars:
         judge(bars, options.before)
 
@@ -262,6 +264,10 @@ def judge(bars, before):
     removed = {name for names in REMOVED.values() for name in names}
     lost = (name for name in names_at(before) - removed if not now.issuperset(RENAMED.get(name, name).split()))
     bars.count("gate/tests-lost", sorted(lost))
+    if "VTK" in reach.suite_tests():
+        bars.count("gate/suites-that-the-matrix-lacks", list(reach.lacking_tests()))
+    else:
+        bars.lacking("CMake is not installed (apt-get install cmake)", ["gate/suites-that-the-matrix-lacks"])
     bars.lacking('a gate was not run here: make bars-gate GATES="demo test change nightly"')
 
 
