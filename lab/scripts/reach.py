@@ -1,21 +1,29 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""The versions of VTK and ParaView that the adapters are tested with: results, bars, and the table in the book.
+"""The versions of VTK and ParaView that the adapters are tested with, and the rehearsal of a release: results, bars, and
+the table in the book.
 
-    reach.py record ...      writes the results of scripts/matrix.sh into a file
-    reach.py bars            prints `bar NAME VALUE LIMIT ok|short` for the last run here, or for the kept results if there was
-                             none; exit status 1 when one is short
-    reach.py keep            keeps the results of the last run, and updates the tables in the documents
-    reach.py check           prints the documents that differ from the kept results
+    reach.py record ...                writes the results of scripts/matrix.sh into a file
+    reach.py value NAME VALUE [NOTE]   writes the value of one bar, for the scripts that measure it
+    reach.py bars                      prints `bar NAME VALUE LIMIT ok|short` for the last runs here, and for the kept results
+                                       of all that did not run here; exit status 1 when one is short
+    reach.py keep                      keeps the results of the last runs, and updates the tables in the documents
+    reach.py check                     prints the documents that differ from the kept results
 
 Results have a row for each suite of tests on each system: the number of passed tests and of all tests, the names of tests
 that were skipped because this version lacks what they test, the number of compiler warnings, and wall seconds. Needs
-Python 3.9 and nothing else.
+Python 3.9; CMake to count the tests of the VTK class, and zizmor for the bar of its findings.
 """
 import argparse
 import csv
+import json
+import os
 import re
+import shutil
+import statistics
+import subprocess
 import sys
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -25,6 +33,10 @@ ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / ".ci/matrix.csv"
 LAST = ROOT / "out/matrix/results.csv"
 FIELDS = ("system", "program", "version", "suite", "passed", "tests", "skipped", "warnings", "wall_s")
+# Values of single bars. The note of a value names the machine or the tested parts.
+VALUES, LAST_VALUES = ROOT / ".ci/reach.csv", ROOT / "out/reach/values.csv"
+VALUE_FIELDS = ("name", "value", "note")
+TARGET = ROOT / os.environ.get("CARGO_TARGET_DIR", "target")
 # Programs in which the plugin is checked, in the order of check.sh.
 SUITES = ("pvbatch", "pvpython", "two-ranks", "pvserver", "gui")
 
@@ -33,8 +45,15 @@ WARNINGS = 0
 MINUTES_FROM_NOTHING, MINUTES_KEPT = 40, 12
 # Results while presets of Slicer are switched; upper limit of the percentage of frames over 1.25 times the target;
 # lower limit of that percentage with Slicer's own rule, divided by ours.
-SLICER = ROOT / "out/python/slicer.csv"
+SLICER, LAST_SLICER = ROOT / ".ci/slicer.csv", ROOT / "out/python/slicer.csv"
 SLICER_OVER, SLICER_RATIO = 2, 2
+SLICER_CLOCKS = ("wall", "cpu")
+# Upper limit of the mean of |frame time - target| / target in the newest version of VTK, divided by that in the oldest one.
+VTK_RATIO = 1.1
+VTK_RATIOS = {f"vtk-9.6-over-9.1-{mapper}-{name}": (mapper, name) for mapper in ("fixed", "gpu") for name in ("calibrated", "cold")}
+# Minutes of the rehearsal of a release; commands that each user needs to try the staged files.
+REHEARSAL_MINUTES, USER_COMMANDS = 15, 3
+USERS = ("cargo", "pip", "c")
 
 
 # ------------------------------------------------------------------------------------------------------------ results
@@ -45,12 +64,98 @@ def read(path):
         return list(csv.DictReader(file))
 
 
-def write(path, rows):
+def write(path, rows, fields=FIELDS):
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="", encoding="utf-8") as file:
-        out = csv.DictWriter(file, FIELDS, lineterminator="\n")
+        out = csv.DictWriter(file, fields, lineterminator="\n")
         out.writeheader()
         out.writerows(rows)
+
+
+def key(row):
+    return row["system"], row["program"], row["suite"]
+
+
+def ordered(rows):
+    return sorted(rows, key=lambda r: (r["system"] == "all", r["system"], r["program"] != "VTK"))
+
+
+def results(path):
+    """The kept rows, replaced by those of the last runs here."""
+    last = {key(row): row for row in read(path)} if path.exists() else {}
+    kept = {key(row): row for row in read(KEPT)}
+    return ordered((kept | last).values())
+
+
+def values():
+    """Returns {name: (value, note)}: the kept values, replaced by those of the last runs here."""
+    rows = [row for path in (VALUES, LAST_VALUES) if path.exists() for row in read(path)]
+    return {row["name"]: (float(row["value"]), row["note"]) for row in rows} | vtk_ratios()
+
+
+def store(path, found):
+    write(path, [{"name": name, "value": f"{value:.4g}", "note": note} for name, (value, note) in sorted(found.items())], VALUE_FIELDS)
+
+
+def value(options):
+    """Adds one value to those of the last runs here."""
+    rows = read(LAST_VALUES) if LAST_VALUES.exists() else []
+    found = {row["name"]: (float(row["value"]), row["note"]) for row in rows}
+    store(LAST_VALUES, found | {options.name: (float(options.number), options.note)})
+
+
+def vtk_ratios():
+    """Ratios of the comparisons that both versions of VTK made here (lab/scripts/vtk/bars.sh)."""
+    folders = [TARGET / "vtk/bars", *TARGET.glob("matrix/*/build/vtk/bars")]
+    out = {}
+    for bar, (mapper, name) in VTK_RATIOS.items():
+        off = {}
+        for version in ("9.6", "9.1"):
+            for path in (path for folder in folders for path in folder.glob(f"{version}.*/{mapper}.json")):
+                repeats = json.loads(path.read_text(encoding="utf-8"))["repeats"]
+                if repeats and all(name in r for r in repeats):
+                    off[version] = statistics.median(r[name]["cpu"]["off"] for r in repeats)
+        if len(off) == 2:
+            out[bar] = off["9.6"] / off["9.1"], "this machine"
+    return out
+
+
+# Replaces the commands of plugins/vtk/Testing/CMakeLists.txt that CMake has only in projects, and prints the names of all tests.
+COUNT_TESTS = """
+foreach(command IN ITEMS find_package find_program add_executable target_include_directories target_link_libraries
+    vtk_module_autoinit set_tests_properties set_property)
+  cmake_language(EVAL CODE "function(${command})\nendfunction()")
+endforeach()
+function(add_test)
+  message("test: ${ARGV1}")
+endfunction()
+set(VALGRIND yes)
+set(Python3_Interpreter_FOUND yes)
+set(ENTIRE_PYTHON yes)
+include("${LIST}")
+"""
+
+
+def suite_tests():
+    """Returns {program: number of tests in this source tree of a suite}; without CMake, ParaView's only."""
+    checks = (ROOT / "plugins/paraview/python/check.py").read_text(encoding="utf-8")
+    out = {"ParaView": len(re.findall(r"^check\(", checks, re.M))}
+    if shutil.which("cmake"):
+        with tempfile.TemporaryDirectory() as folder:
+            script = Path(folder) / "count.cmake"
+            script.write_text(COUNT_TESTS, encoding="utf-8")
+            command = ["cmake", f"-DLIST={ROOT / 'plugins/vtk/Testing/CMakeLists.txt'}", "-P", script]
+            said = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+        out["VTK"] = len(set(re.findall(r"^test: (\S+)", said, re.M)))
+    return out
+
+
+def lacking_tests():
+    """Lines that name the suites of which the kept results have fewer tests than this source tree."""
+    for program, tests in suite_tests().items():
+        for row in read(KEPT):
+            if row["program"] == program and int(row["tests"]) < tests:
+                yield f"{row['system']}, {program}, {row['suite']}: {row['tests']} of {tests} tests: make test-matrix, make versions"
 
 
 def found(path, pattern):
@@ -84,7 +189,7 @@ def record(options):
     whole = True
     seconds = {tuple(s.split(",")[:2]): s.split(",")[3] for s in options.suites}
     places = [place.split("=") for place in options.places]
-    asked = len(re.findall(r"^check\(", (ROOT / "plugins/paraview/python/check.py").read_text(encoding="utf-8"), re.M))
+    asked = suite_tests()["ParaView"]
     tests = {name: ctest(Path(vtk) / "tests.xml") for name, _, vtk, _ in places}
     every = set().union(*tests.values())
     rows = []
@@ -118,9 +223,9 @@ def record(options):
             rows.append(dict.fromkeys(FIELDS, "") | {"system": system, "program": "folder", "suite": "made", "wall_s": made})
     if options.library:
         rows.append(dict.fromkeys(FIELDS, "") | {"system": "all", "program": "C library", "suite": "made", "wall_s": options.library})
-    new = {(row["system"], row["program"], row["suite"]) for row in rows}
-    kept = [r for r in read(options.results) if (r["system"], r["program"], r["suite"]) not in new] if options.results.exists() else []
-    write(options.results, sorted(kept + rows, key=lambda r: (r["system"] == "all", r["system"], r["program"] != "VTK")))
+    new = {key(row) for row in rows}
+    kept = [r for r in read(options.results) if key(r) not in new] if options.results.exists() else []
+    write(options.results, ordered(kept + rows))
     print(f"results: {options.results}")
     return whole
 
@@ -132,15 +237,35 @@ def of_version(rows, program, version):
     return [r for r in rows if r["program"] == program and re.match(rf"{re.escape(version)}\b", r["version"])]
 
 
+def slicer_rows():
+    """Rows of the comparison with Slicer's rule: the kept ones, replaced by those that were measured here."""
+    rows = [row for path in (SLICER, LAST_SLICER) if path.exists() for row in read(path)]
+    return list({(row["clock"], row["rule"]): row for row in rows}.values())
+
+
 def slicer_bars(out):
-    if not SLICER.exists():
-        out.lacking("Slicer's rule was not measured: make bars-slicer", ["slicer-frames-over-percent", "slicer-own-rule-over-ours"])
+    for clock in SLICER_CLOCKS:
+        rows = {row["rule"]: row for row in slicer_rows() if row["clock"] == clock}
+        names = [f"slicer-frames-over-percent-{clock}", f"slicer-own-rule-over-ours-{clock}"]
+        if len(rows) != 2:
+            out.lacking(f'Slicer\'s rule was not measured: make bars-slicer SLICER_FLAGS="--clock {clock}"', names)
+            continue
+        over = {rule: float(row["over_percent"]) for rule, row in rows.items()}
+        row = rows["entire"]
+        out.found(names[0], over["entire"], f"{row['volume']}, {row['size']} x {row['size']} pixels; Slicer's own rule: {over['slicer']:g} %")
+        # If none of our frames is over, the ratio is infinite.
+        out.found(names[1], over["slicer"] / over["entire"] if over["entire"] else float("inf") if over["slicer"] else 0)
+
+
+def workflow_bars(out):
+    program = shutil.which("zizmor", path=os.pathsep.join([os.environ.get("PATH", ""), str(TARGET / "tools/bin")]))
+    if not program:
+        out.lacking("zizmor is not installed (pip install zizmor)", ["zizmor-findings"])
         return
-    over = {row["rule"]: float(row["over_percent"]) for row in read(SLICER)}
-    out.found("slicer-frames-over-percent", over["entire"], f"Slicer's own rule: {over['slicer']:g} %")
-    # If none of our frames is over, the ratio is infinite.
-    ratio = over["slicer"] / over["entire"] if over["entire"] else float("inf") if over["slicer"] else 0
-    out.found("slicer-own-rule-over-ours", ratio)
+    done = subprocess.run([program, "--offline", "--quiet", "--format", "json", ".github"], cwd=ROOT, capture_output=True, text=True)
+    with out.part("zizmor-findings"):
+        findings = [f"{f['ident']}: {f['desc']}" for f in json.loads(done.stdout)]
+        out.count("zizmor-findings", findings)
 
 
 def bars(options):
@@ -148,18 +273,31 @@ def bars(options):
     asked = dict.fromkeys(names, 1) | {
         "compiler-warnings": WARNINGS, "tests-that-no-vtk-ran": 0,
         "matrix-from-nothing-minutes": MINUTES_FROM_NOTHING, "matrix-kept-folders-minutes": MINUTES_KEPT,
-        "slicer-frames-over-percent": SLICER_OVER, "slicer-own-rule-over-ours": SLICER_RATIO,
     }  # fmt: skip
-    with Bars(asked, at_least={*names, "slicer-own-rule-over-ours"}) as out:
+    for clock in SLICER_CLOCKS:
+        asked |= {f"slicer-frames-over-percent-{clock}": SLICER_OVER, f"slicer-own-rule-over-ours-{clock}": SLICER_RATIO}
+    single = dict.fromkeys(VTK_RATIOS, VTK_RATIO) | {"release-rehearsal-minutes": REHEARSAL_MINUTES}
+    single |= {f"release-user-{user}-commands": USER_COMMANDS for user in USERS} | {"oldest-rust-tests-failed": 0}
+    asked |= single | {"zizmor-findings": 0}
+    with Bars(asked, at_least={*names, *(f"slicer-own-rule-over-ours-{clock}" for clock in SLICER_CLOCKS)}) as out:
         slicer_bars(out)
-        rows = read(options.results if options.results.exists() else KEPT)
+        found = values()
+        for name in single:
+            if name in found:
+                out.found(name, *found[name])
+        workflow_bars(out)
+        rows = results(options.results)
+        newest = suite_tests()
         for name, (program, version) in names.items():
             mine = of_version(rows, program, version)
             if not mine:
                 out.lacking(f"no {program} {version} was tested: make test-matrix", [name])
                 continue
-            # The number of tests of a suite is the largest that any version has.
-            suites = {r["suite"]: max(int(s["tests"]) for s in rows if s["suite"] == r["suite"] and s["tests"]) for r in mine}
+            # The number of tests of a suite is the largest that any version or this source tree has.
+            suites = {
+                r["suite"]: max(newest.get(program, 0), *(int(s["tests"]) for s in rows if s["suite"] == r["suite"] and s["tests"]))
+                for r in mine
+            }
             skipped = sum(len(r["skipped"].split()) for r in mine)
             note = f"{mine[0]['system']}: {program} {mine[0]['version']}" + (f", {skipped} skipped" if skipped else "")
             out.found(name, sum(int(r["passed"]) for r in mine), note, limit=sum(suites.values()) - skipped)
@@ -176,6 +314,9 @@ def bars(options):
             out.found("matrix-kept-folders-minutes", tested / 60)
             if sum(program == "folder" for _, program in seconds) == 2:
                 out.found("matrix-from-nothing-minutes", sum(seconds.values()) / 60)
+        out.lacking("the rehearsal of a release did not run: make release-rehearsal", [n for n in single if n.startswith("release")])
+        out.lacking("the tests did not run with the oldest Rust: make test-all", ["oldest-rust-tests-failed"])
+        out.lacking("both versions of VTK were not compared: lab/scripts/vtk/bars.sh compare, without and with VTK_DEBIAN=testing", list(VTK_RATIOS))
         out.lacking("not every version was tested: make test-matrix")
 
 
@@ -235,8 +376,11 @@ def stale():
 
 
 def keep(options):
-    if options.results.exists():
-        write(KEPT, read(options.results))
+    write(KEPT, results(options.results))
+    store(VALUES, values())
+    rows = slicer_rows()
+    if rows:
+        write(SLICER, sorted(rows, key=lambda r: (r["clock"], r["rule"])), list(rows[0]))
     for path, text, must in documents(read(KEPT)):
         if text != must:
             path.write_text(must, encoding="utf-8")
@@ -245,7 +389,10 @@ def keep(options):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("record", "bars", "keep", "check"))
+    parser.add_argument("what", choices=("record", "value", "bars", "keep", "check"))
+    parser.add_argument("name", nargs="?", help="the bar of a value")
+    parser.add_argument("number", nargs="?", help="the value")
+    parser.add_argument("note", nargs="?", default="", help="the machine, or the tested parts")
     parser.add_argument("--results", type=Path, default=LAST, help="the file of results (default out/matrix/results.csv)")
     parser.add_argument("--library", type=int, default=0, help="wall seconds of building the C library")
     parser.add_argument("--suites", nargs="*", default=(), help="NAME,PROGRAM,ENDED,SECONDS")
@@ -253,6 +400,8 @@ def main():
     options = parser.parse_args()
     if options.what == "record":
         return int(not record(options))
+    if options.what == "value":
+        return value(options)
     if options.what == "bars":
         return bars(options)
     if options.what == "keep":

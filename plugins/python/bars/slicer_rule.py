@@ -4,8 +4,8 @@
     slicer_rule.py [VOLUME.nrrd] [--rate FPS] [--clock wall|cpu] [--out out/python/slicer.csv]
 
 Two views, each with its own scene, draw every frame: entire steers one of them, Slicer's rule the other.
-Prints a row of results for each view, and writes both rows to the file --out. Without VOLUME, the views show a
-synthetic volume like a CT scan. A frame's time is that of vtkRenderWindow::Render() and includes the work of the
+Prints a row of results for each view, and writes both rows to the file --out, in which rows of the other clock stay.
+Without VOLUME, the views show a synthetic volume like a CT scan. A frame's time is that of vtkRenderWindow::Render() and includes the work of the
 graphics device. On a shared machine, use `--clock cpu`: it counts processor time, with one thread of Mesa's software
 driver, so that without other load both clocks agree. Slicer's rule measures wall time in any case, so other load makes
 its frames coarser.
@@ -58,11 +58,12 @@ def ct_like(edge=160):
 
 
 def volume_of(path):
+    """Returns the name of a volume, its voxels and their spacing."""
     if path is None:
         voxels = ct_like()
-        return voxels, (1.0, 1.0, 1.0)
+        return f"synthetic CT of {len(voxels)}^3 voxels", voxels, (1.0, 1.0, 1.0)
     volume = read_nrrd(path)
-    return volume.voxels, volume.spacing
+    return Path(path).name, volume.voxels, volume.spacing
 
 
 class Arm:
@@ -95,9 +96,10 @@ class Arm:
         self.view.window.WaitForCompletion()
         self.seconds.append(self.now() - began)
 
-    def row(self, target):
+    def row(self, target, scene):
         share = np.asarray(self.seconds) / target
         return {
+            **scene,
             "rule": self.name,
             "frames": len(share),
             "target_ms": f"{1e3 * target:.1f}",
@@ -112,14 +114,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("volume", nargs="?")
     parser.add_argument("--rate", type=float, default=8.0, help="the view's expected frame rate (default 8, Slicer's)")
-    parser.add_argument("--size", type=int, default=512, help="pixels along each side (default 512)")
+    parser.add_argument("--size", type=int, default=256, help="pixels along each side (default 256)")
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="clock of frame times (default wall)")
     parser.add_argument("--out", type=Path, default=Path("out/python/slicer.csv"))
     options = parser.parse_args()
     if options.clock == "cpu":
         os.environ["LP_NUM_THREADS"] = "1"
     clock = time.process_time if options.clock == "cpu" else time.perf_counter
-    voxels, spacing = volume_of(options.volume)
+    name, voxels, spacing = volume_of(options.volume)
     size = (options.size, options.size)
     arms = [Arm(name, voxels, spacing, options.rate, size, clock) for name in ("entire", "slicer")]
     steering = entire.slicer.hold(arms[0].view.manager, clock=options.clock)
@@ -134,12 +136,17 @@ def main():
             arm.draw(frame)
     if steering.fallback_frames:
         sys.exit(f"slicer_rule.py: {steering.fallback_frames} frames were not steered: {steering.status}")
-    rows = [arm.row(1 / options.rate) for arm in arms]
+    scene = {"clock": options.clock, "volume": name, "size": options.size}
+    rows = [arm.row(1 / options.rate, scene) for arm in arms]
     options.out.parent.mkdir(parents=True, exist_ok=True)
+    kept = []
+    if options.out.exists():
+        with open(options.out, newline="", encoding="utf-8") as file:
+            kept = [row for row in csv.DictReader(file) if row.keys() == rows[0].keys() and row["clock"] != options.clock]
     with open(options.out, "w", newline="", encoding="utf-8") as file:
         out = csv.DictWriter(file, rows[0], lineterminator="\n")
         out.writeheader()
-        out.writerows(rows)
+        out.writerows(kept + rows)
     for row in rows:
         print(", ".join(f"{key} {value}" for key, value in row.items()))
 
