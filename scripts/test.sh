@@ -13,6 +13,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh
+. lab/scripts/bar_lines.sh
 
 gate=${1:-test}
 case $gate in
@@ -97,13 +98,17 @@ workspace_tests() {
 
 # Tests the crates of the C library with the oldest compiler that they support (their `rust-version`).
 oldest_rust() {
-    local version toolchain
+    local version toolchain status=0 passed failed
     version=$(sed -n 's/^rust-version = "\(.*\)"/\1/p' core/Cargo.toml)
     # The toolchain's name may include the last part of its version, such as 1.85.1.
     toolchain=$(rustup toolchain list 2>/dev/null | grep -om 1 "^$version[.0-9]*") || toolchain=$version
     if "$cargo" "+$toolchain" --version >/dev/null 2>&1; then
         CARGO_TARGET_DIR=$target/oldest-rust "$cargo" "+$toolchain" test --quiet --package entire-core \
-            --package entire-steer --package entire-ffi
+            --package entire-steer --package entire-ffi 2>&1 | tee "$work/oldest-rust" || status=$?
+        read -r passed failed < <(tests_in "$work/oldest-rust")
+        if ((status && !failed)); then failed=1; fi
+        python3 lab/scripts/reach.py value oldest-rust-tests-failed "$failed" "Rust $toolchain: core, steer, ffi: $passed passed"
+        return "$status"
     else
         skip "oldest Rust" "Rust $version is not installed (rustup toolchain install $version --profile minimal)"
         return "$skipped_all"
