@@ -113,6 +113,19 @@ install_debian() {
     }
 }
 
+# use_mirrors FOLDER: gives a folder with Debian the settings by which this machine reaches its package mirrors.
+use_mirrors() {
+    local folder=$1 file to
+    for file in /etc/resolv.conf /etc/pip.conf "${PIP_CERT:-}" "${SSL_CERT_FILE:-}" "${CARGO_HOME:-$HOME/.cargo}/config.toml"; do
+        [[ -f $file ]] || continue
+        to=$file
+        [[ $file != */config.toml ]] || to=/root/.cargo/config.toml
+        mkdir -p "$folder/$(dirname "$to")"
+        cp "$file" "$folder/$to"
+    done
+    [[ ! -d ${PIP_FIND_LINKS:-} ]] || { mkdir -p "$folder/$PIP_FIND_LINKS" && cp -r "$PIP_FIND_LINKS/." "$folder/$PIP_FIND_LINKS"; }
+}
+
 # in_debian FOLDER [SOURCE=TARGET]... -- COMMAND...: runs a command in the Debian that is installed in FOLDER, with each SOURCE
 # of this machine mounted read-only at TARGET. Only the command's processes see the mounts, so no mount is left when they end.
 # shellcheck disable=SC2016

@@ -38,16 +38,7 @@ if [[ $(cat "$folder/made" 2>/dev/null) != "$release" ]]; then
 fi
 rm -rf "$folder/root/entire"
 git clone --quiet . "$folder/root/entire"
-# The clone gets the settings by which this machine reaches its package mirrors.
-mkdir -p "$folder/root/.cargo"
-for file in /etc/resolv.conf /etc/pip.conf "${PIP_CERT:-}" "${SSL_CERT_FILE:-}" "${CARGO_HOME:-$HOME/.cargo}/config.toml"; do
-    [[ -f $file ]] || continue
-    to=$file
-    [[ $file != */config.toml ]] || to=/root/.cargo/config.toml
-    mkdir -p "$folder/$(dirname "$to")"
-    cp "$file" "$folder/$to"
-done
-[[ ! -d ${PIP_FIND_LINKS:-} ]] || { mkdir -p "$folder/$PIP_FIND_LINKS" && cp -r "$PIP_FIND_LINKS/." "$folder/$PIP_FIND_LINKS"; }
+use_mirrors "$folder"
 
 # Commands of README's blocks of shell, without their comments.
 mapfile -t commands < <(awk '/^```sh$/ { on = 1; next } /^```/ { on = 0 } on && NF' README.md | sed 's/ *#.*//')

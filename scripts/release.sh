@@ -5,9 +5,12 @@
 #   scripts/release.sh [FOLDER]        default out/release
 #
 # FOLDER then has the crates, wheel and sdist, the C library's archive, an SBOM, the release notes, and checksums of all files.
-# RELEASE_DIRTY=1 packs a checkout with local changes. Once the crates are downloaded, only pip needs the network (twine, NumPy).
+# At the end, scripts/release-users.sh tries the files as users do. Minutes and users go to `make bars-reach`.
+# RELEASE_DIRTY=1 packs a checkout with local changes. Once the crates are downloaded, only pip (twine, NumPy) and the users'
+# Debian need the network.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/lib.sh
 folder=$(realpath -m "${1:-out/release}")
 cargo=${CARGO:-cargo}
 python=${PYTHON:-python3}
@@ -50,8 +53,13 @@ LD_LIBRARY_PATH=$scratch/unpacked/lib "$scratch/plan" >"$scratch/plan.txt"
 head -n 3 "$scratch/plan.txt"
 
 step "Python package: wheel and sdist, with metadata that the index accepts, imported in a clean environment"
-plugins/python/run.sh wheel
-cp out/wheels/entire-"$version"*.whl out/wheels/entire-"$version".tar.gz "$folder/"
+rm -f out/wheels/entire-*
+ENTIRE_SKIPPED=$scratch/skipped plugins/python/run.sh sdist || { cat "$scratch/skipped" >&2; exit 1; }
+cp out/wheels/entire-"$version".tar.gz "$folder/"
+# The wheel is built from the sdist.
+builder=${PYTHON_OUT:-$target/python}/build/bin
+PATH=$builder:$PATH CARGO_TARGET_DIR=$target/release-wheel "$builder/python" -m pip wheel --quiet --disable-pip-version-check \
+    --no-deps --no-build-isolation --wheel-dir "$folder" "$folder/entire-$version.tar.gz"
 "$python" -m venv "$scratch/twine"
 "$scratch/twine/bin/pip" install --quiet twine
 "$scratch/twine/bin/twine" check --strict "$folder"/*.whl "$folder/entire-$version.tar.gz"
@@ -60,13 +68,22 @@ cp out/wheels/entire-"$version"*.whl out/wheels/entire-"$version".tar.gz "$folde
 (cd "$scratch" && clean/bin/python -c 'import entire; print("models:", ", ".join(entire.models()))' && clean/bin/entire --version)
 
 step "SBOM, notes and checksums"
-"$python" scripts/sbom.py entire-ffi entire-python >"$folder/entire-$version.cdx.json"
+"$python" scripts/sbom.py entire-ffi entire-python entire-cli entire-explore >"$folder/entire-$version.cdx.json"
 section() { awk -v word="$1" '/^## / { if (told) exit; told = $2 == word || $2 == "[" word "]"; next } told' CHANGELOG.md; }
 section "$version" >"$folder/NOTES.md"
 # Until the version is released, its section has the heading Unreleased.
 [[ -s $folder/NOTES.md ]] || section Unreleased >"$folder/NOTES.md"
 grep -q '[^[:space:]]' "$folder/NOTES.md" || { echo "release.sh: CHANGELOG.md has no text on $version" >&2; exit 1; }
 (cd "$folder" && sha256sum -- * >"$scratch/sums" && mv "$scratch/sums" SHA256SUMS && sha256sum --quiet --check SHA256SUMS)
+
+step "Users of cargo, pip and C"
+ended=0
+ENTIRE_SKIPPED=${ENTIRE_SKIPPED:-$scratch/skipped} scripts/release-users.sh "$folder" || ended=$?
+if ((ended == 0)); then
+    python3 lab/scripts/reach.py value release-rehearsal-minutes "$(awk -v s=$SECONDS 'BEGIN { print s / 60 }')" "on $(nproc) processors"
+elif ((ended != skipped_all)); then
+    exit "$ended"
+fi
 
 step "done: $folder"
 ls -l "$folder"

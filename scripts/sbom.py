@@ -35,7 +35,10 @@ def main():
         if (name, version) in sums:
             component["hashes"] = [{"alg": "SHA-256", "content": sums[name, version]}]
         components.append(component)
-    json.dump({"bomFormat": "CycloneDX", "specVersion": "1.5", "version": 1, "components": components}, sys.stdout, indent=1)
+    version = next(p["version"] for p in metadata["packages"] if p["name"] == sys.argv[1])
+    subject = {"component": {"type": "library", "name": "entire", "version": version}}
+    bill = {"bomFormat": "CycloneDX", "specVersion": "1.5", "version": 1, "metadata": subject, "components": components}
+    json.dump(bill, sys.stdout, indent=1)
     print()
 
 

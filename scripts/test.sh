@@ -217,6 +217,8 @@ if [[ $gate == nightly ]]; then
     step "C library as it is released" env -u ENTIRE_SDK tests/c/run.sh
     step "C library under sanitizers" tests/c/sanitizers.sh
     step "Miri" scripts/miri.sh
+    # The checkout of a gate may have local changes.
+    step "rehearsal of a release" env -u ENTIRE_SDK -u ENTIRE_PROFILE RELEASE_DIRTY=yes scripts/release.sh
     step "VTK under the address sanitizer" plugins/vtk/run.sh asan
     # The steps above have tested the versions of this machine.
     step "versions of VTK and ParaView" scripts/matrix.sh stable testing

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # Builds the Python package, tests the built wheel, measures it, or draws the book's pictures with it.
 #
-#   plugins/python/run.sh wheel|bars|pictures
+#   plugins/python/run.sh wheel|sdist|bars|pictures
 #   plugins/python/run.sh slicer [ARGUMENT…]               compares with Slicer's rule; arguments go to bars/slicer_rule.py
 #   plugins/python/run.sh test [--full] [ARGUMENT…]        arguments go to pytest
 #   plugins/python/run.sh exec ENVIRONMENT COMMAND...      runs a command in an environment of the tests, on a display
@@ -26,8 +26,8 @@ cd "$(dirname "$0")/../.."
 . scripts/lib.sh
 what=${1:-}
 case $what in
-    wheel | test | bars | slicer | pictures | exec) shift ;;
-    *) echo "run.sh: unknown command \"$what\"; use wheel, test, bars, slicer, pictures or exec" >&2; exit 2 ;;
+    wheel | sdist | test | bars | slicer | pictures | exec) shift ;;
+    *) echo "run.sh: unknown command \"$what\"; use wheel, sdist, test, bars, slicer, pictures or exec" >&2; exit 2 ;;
 esac
 here=plugins/python
 out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}
@@ -141,6 +141,10 @@ case $what in
         wheel
         maturin sdist --out out/wheels
         ls -l out/wheels/entire-*.tar.gz
+        ;;
+    sdist)
+        environment build || lacks "$why"
+        maturin sdist --out out/wheels
         ;;
     test)
         needs_display
