@@ -297,11 +297,20 @@ def dependency_tree(package, edges, *options):
 
 
 def addresses():
-    """Returns the files that do not state the project's address as Cargo.toml does; SECURITY.md must state the address of
-    the page for private reports."""
+    """Returns the files that do not state the project's address as Cargo.toml does."""
     address = re.search(r'^repository = "(.+)"', (ROOT / "Cargo.toml").read_text(), re.M).group(1)
-    stated = {"plugins/python/pyproject.toml": address, "CITATION.cff": address, "SECURITY.md": f"{address}/security/advisories/new"}
-    return [name for name, text in stated.items() if text not in (ROOT / name).read_text()]
+    stated = {
+        "Cargo.toml": [f'homepage = "{address}"'],
+        "CITATION.cff": [f"url: {address}", f"repository-code: {address}"],
+        "SECURITY.md": [f"{address}/security/advisories/new"],
+        "plugins/python/pyproject.toml": [f'Homepage = "{address}"', f'Repository = "{address}"'],
+        "plugins/python/conda/recipe.yaml": [f"homepage: {address}"],
+        "ffi/package/spack/packages/entire/package.py": [f'homepage = "{address}"'],
+        "ffi/package/vcpkg/vcpkg.json": [f'"homepage": "{address}"'],
+    }
+    stated |= {path: ["homepage.workspace = true"] for path in tracked("*/Cargo.toml")
+               if "repository.workspace = true" in (ROOT / path).read_text()}  # fmt: skip
+    return [name for name, texts in stated.items() if any(text not in (ROOT / name).read_text() for text in texts)]
 
 
 def product_lines(folder):
