@@ -4,6 +4,7 @@
 the table in the book.
 
     reach.py record ...                writes the results of scripts/matrix.sh into a file
+    reach.py python ...                writes the results of plugins/python/run.sh
     reach.py value NAME VALUE [NOTE]   writes the value of one bar, for the scripts that measure it
     reach.py bars                      prints `bar NAME VALUE LIMIT ok|short` for the last runs here, and for the kept results
                                        of all that did not run here; exit status 1 when one is short
@@ -39,6 +40,12 @@ VALUE_FIELDS = ("name", "value", "note")
 TARGET = ROOT / os.environ.get("CARGO_TARGET_DIR", "target")
 # Programs in which the plugin is checked, in the order of check.sh.
 SUITES = ("pvbatch", "pvpython", "two-ranks", "pvserver", "gui")
+PYTHON = "Python package"
+# Packages of the table of versions, and their names.
+PACKAGES = {
+    "slicer-core": "3D Slicer (slicer-core)", "trame-slicer": "trame-slicer", "vtk": "VTK", "pyvista": "PyVista", "trame": "trame",
+    "napari": "napari", "vispy": "vispy", "yt": "yt",
+}  # fmt: skip
 
 VERSIONS = {"VTK": ("9.1", "9.3", "9.6"), "ParaView": ("5.11", "5.13", "6.1")}
 WARNINGS = 0
@@ -223,11 +230,30 @@ def record(options):
             rows.append(dict.fromkeys(FIELDS, "") | {"system": system, "program": "folder", "suite": "made", "wall_s": made})
     if options.library:
         rows.append(dict.fromkeys(FIELDS, "") | {"system": "all", "program": "C library", "suite": "made", "wall_s": options.library})
-    new = {key(row) for row in rows}
-    kept = [r for r in read(options.results) if key(r) not in new] if options.results.exists() else []
-    write(options.results, ordered(kept + rows))
+    add(options.results, rows)
     print(f"results: {options.results}")
     return whole
+
+
+def add(path, rows):
+    """Adds rows to a file of results; rows of other suites stay."""
+    new = {key(row) for row in rows}
+    kept = [r for r in read(path) if key(r) not in new] if path.exists() else []
+    write(path, ordered(kept + rows))
+
+
+def python(options):
+    """Adds the results of one environment of the Python package's tests."""
+    suite, folder = options.suites[0], Path(options.places[0])
+    said = (folder / f"{suite}-pytest.log").read_text(encoding="utf-8")
+    count = {how: sum(int(n) for n in re.findall(rf"\b(\d+) {how}\b", said)) for how in ("passed", "failed", "error", "errors")}
+    installed = dict(re.findall(r"^(\S+)==(\S+)", (folder / f"{suite}-versions.txt").read_text(encoding="utf-8"), re.M))
+    versions = [f"{shown} {installed[name]}" for name, shown in PACKAGES.items() if name in installed]
+    row = dict.fromkeys(FIELDS, "") | {
+        "system": "Python " + found(folder / suite / "pyvenv.cfg", r"^version = (\d+\.\d+)"), "program": PYTHON, "suite": suite,
+        "version": ", ".join(versions), "passed": count["passed"], "tests": sum(count.values()),
+    }  # fmt: skip
+    add(options.results, [row])
 
 
 # --------------------------------------------------------------------------------------------------------------- bars
@@ -313,7 +339,8 @@ def bars(options):
         if all(of_version(rows, program, version) for program, version in names.values()):
             out.found("matrix-kept-folders-minutes", tested / 60)
             if sum(program == "folder" for _, program in seconds) == 2:
-                out.found("matrix-from-nothing-minutes", sum(seconds.values()) / 60)
+                made = sum(s for (_, program), s in seconds.items() if program in ("folder", "C library"))
+                out.found("matrix-from-nothing-minutes", (tested + made) / 60)
         out.lacking("the rehearsal of a release did not run: make release-rehearsal", [n for n in single if n.startswith("release")])
         out.lacking("the tests did not run with the oldest Rust: make test-all", ["oldest-rust-tests-failed"])
         out.lacking("both versions of VTK were not compared: lab/scripts/vtk/bars.sh compare, without and with VTK_DEBIAN=testing", list(VTK_RATIOS))
@@ -324,7 +351,7 @@ def bars(options):
 
 
 def table(rows):
-    """The rows of a Markdown table, one for each system."""
+    """The rows of two Markdown tables: one row for each system, and one for each environment of Python."""
     yield "| system | VTK | tests passed | ParaView | checks passed |"
     yield "|---|---|---|---|---|"
     versions = {r["system"]: [int(n) for n in r["version"].split(".")] for r in rows if r["program"] == "VTK"}
@@ -336,6 +363,11 @@ def table(rows):
             passed, tests = (sum(int(r[k]) for r in mine) for k in ("passed", "tests"))
             cells += [mine[0]["version"], f"{passed} of {tests - skipped}"] if mine else ["-", "-"]
         yield f"| {' | '.join(cells)} |"
+    mine = [r for r in rows if r["program"] == PYTHON]
+    if mine:
+        yield from ("", "| Python package with | Python | tests passed |", "|---|---|---|")
+    for row in mine:
+        yield f"| {row['version']} | {row['system'].split()[-1]} | {row['passed']} of {row['tests']} |"
 
 
 def phrase(rows, program):
@@ -389,7 +421,7 @@ def keep(options):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("record", "value", "bars", "keep", "check"))
+    parser.add_argument("what", choices=("record", "python", "value", "bars", "keep", "check"))
     parser.add_argument("name", nargs="?", help="the bar of a value")
     parser.add_argument("number", nargs="?", help="the value")
     parser.add_argument("note", nargs="?", default="", help="the machine, or the tested parts")
@@ -400,6 +432,8 @@ def main():
     options = parser.parse_args()
     if options.what == "record":
         return int(not record(options))
+    if options.what == "python":
+        return python(options)
     if options.what == "value":
         return value(options)
     if options.what == "bars":

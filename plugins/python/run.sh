@@ -98,7 +98,7 @@ tests() {
         return
     fi
     printf '\n%s: %s\n' "$name" "$("$out/$name/bin/python" -m pip list --format freeze 2>/dev/null |
-        grep -iE '^(numpy|vtk|pyvista|trame-vtk|yt|vispy|napari|slicer-core|trame-slicer)=' | tr '\n' ' ')"
+        grep -iE '^(numpy|vtk|pyvista|trame|trame-vtk|yt|vispy|napari|slicer-core|trame-slicer)=' | tee "$out/$name-versions.txt" | tr '\n' ' ')"
     run_pytest "$name" "$out/$name/bin/python" -m pytest "$@"
 }
 
@@ -124,11 +124,11 @@ host_tests() {
     fi
 }
 
-# run_pytest NAME COMMAND...: runs pytest by a command and keeps its log.
+# run_pytest NAME COMMAND...: runs pytest by a command and adds its output to the environment's log.
 run_pytest() {
     local name=$1 status=0
     shift
-    (cd $here && PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$@" -rs --durations 5) | tee "$out/$name-pytest.log" || status=$?
+    (cd $here && PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$@" -rs --durations 5) | tee -a "$out/$name-pytest.log" || status=$?
     if [[ ${ENTIRE_SKIPPED:-} ]]; then
         sed -n "s/^SKIPPED \[[0-9]*\] \([^:]*\):[0-9]*: \(.*\)/test-python, $name: \1: \2/p" "$out/$name-pytest.log" >>"$ENTIRE_SKIPPED"
     fi
@@ -155,6 +155,7 @@ case $what in
             shift
         fi
         for name in ${PYTHON_ENVIRONMENTS:-$environments}; do
+            rm -f "$out/$name-pytest.log" "$out/$name-versions.txt"
             case $name in
                 test)
                     if (($#)); then
@@ -173,6 +174,10 @@ case $what in
                 host) host_tests tests/test_vtk.py tests/test_modes.py tests/test_endings.py tests/test_window.py "$@" ;;
                 *) echo "run.sh: PYTHON_ENVIRONMENTS names \"$name\"; use test, oldest, qt, host, slicer and trame-slicer" >&2; exit 2 ;;
             esac
+            # Results of the whole suite, for the table of tested versions (make versions).
+            if [[ $# == 0 && -e $out/$name-versions.txt ]]; then
+                "$python" lab/scripts/reach.py python --suites "$name" --places "$out"
+            fi
         done
         ;;
     bars)
