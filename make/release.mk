@@ -1,5 +1,5 @@
 # This target publishes nothing; .github/workflows/release.yml publishes a release when a tag is pushed.
 
 .PHONY: release-rehearsal
-release-rehearsal: ## Pack and check everything that a release publishes, without publishing it: out/release/
+release-rehearsal: ## Pack everything that a release publishes, build and try it from its packages, without publishing it: out/release/
 	@CARGO="$(CARGO)" PYTHON="$(PYTHON)" scripts/release.sh

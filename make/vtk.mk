@@ -27,11 +27,11 @@ bars-windows: ## Measure stereo, several volumes and several renderers in one wi
 	@CARGO="$(CARGO)" lab/scripts/vtk/windows.sh
 
 .PHONY: bars-reach
-bars-reach: ## Print the bars of the last test-matrix, on this machine or another one (.ci/matrix.csv); fails if one is missed
+bars-reach: ## Print the bars of tested versions, Slicer's rule, the rehearsal of a release and the oldest Rust, of this machine or stored ones (.ci); fails if one is missed
 	@python3 lab/scripts/reach.py bars
 
 .PHONY: versions
-versions: ## Store the results of the last test-matrix in .ci/matrix.csv, and write the tested versions into README and the book
+versions: ## Store the last results for bars-reach in .ci, and write the tested versions into README, the book and entire doctor
 	@python3 lab/scripts/reach.py keep
 
 .PHONY: study-renderers
