@@ -61,8 +61,18 @@ builder=${PYTHON_OUT:-$target/python}/build/bin
 PATH=$builder:$PATH CARGO_TARGET_DIR=$target/release-wheel "$builder/python" -m pip wheel --quiet --disable-pip-version-check \
     --no-deps --no-build-isolation --wheel-dir "$folder" "$folder/entire-$version.tar.gz"
 "$python" -m venv "$scratch/twine"
-"$scratch/twine/bin/pip" install --quiet twine
+"$scratch/twine/bin/pip" install --quiet twine py-rattler-build
 "$scratch/twine/bin/twine" check --strict "$folder"/*.whl "$folder/entire-$version.tar.gz"
+# conda's recipe is rendered as rattler-build does before it builds.
+"$scratch/twine/bin/python" - "$version" <<'PYTHON'
+import pathlib, sys
+import rattler_build
+variants = rattler_build.Stage0Recipe.from_file(pathlib.Path("plugins/python/conda/recipe.yaml")).render()
+for variant in variants:
+    package = variant.recipe.package
+    assert (package.name, str(package.version)) == ("entire", sys.argv[1]), (package.name, package.version)
+print(f"conda's recipe: {len(variants)} variant")
+PYTHON
 "$python" -m venv "$scratch/clean"
 "$scratch/clean/bin/pip" install --quiet "$folder"/*.whl
 (cd "$scratch" && clean/bin/python -c 'import entire; print("models:", ", ".join(entire.models()))' && clean/bin/entire --version)
