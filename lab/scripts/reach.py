@@ -250,7 +250,7 @@ def python(options):
     installed = dict(re.findall(r"^(\S+)==(\S+)", (folder / f"{suite}-versions.txt").read_text(encoding="utf-8"), re.M))
     versions = [f"{shown} {installed[name]}" for name, shown in PACKAGES.items() if name in installed]
     row = dict.fromkeys(FIELDS, "") | {
-        "system": "Python " + found(folder / suite / "pyvenv.cfg", r"^version = (\d+\.\d+)"), "program": PYTHON, "suite": suite,
+        "system": "Python " + ".".join(installed["python"].split(".")[:2]), "program": PYTHON, "suite": suite,
         "version": ", ".join(versions), "passed": count["passed"], "tests": sum(count.values()),
     }  # fmt: skip
     add(options.results, [row])
@@ -381,6 +381,22 @@ def phrase(rows, program):
     return f"{program} " + (" and ".join([", ".join(whole[:-1]), whole[-1]]) if len(whole) > 1 else "".join(whole))
 
 
+def tested(rows):
+    """Lines of a name and of the versions with which all tests passed, for `entire doctor`."""
+    versions = {program: [] for program in VERSIONS} | {name: [] for name in PACKAGES}
+    named = {shown: name for name, shown in PACKAGES.items()}
+    for program in VERSIONS:
+        versions[program] += re.findall(r"\d+\.\d+", phrase(rows, program))
+    for row in rows:
+        if row["program"] == PYTHON and row["passed"] == row["tests"]:
+            for part in row["version"].split(", "):
+                shown, _, version = part.rpartition(" ")
+                versions[named[shown]].append(".".join(version.split(".")[:2]))
+    for name, mine in versions.items():
+        if mine:
+            yield f"{name}: {' '.join(sorted(set(mine), key=lambda v: [int(n) for n in v.split('.')]))}\n"
+
+
 MARKS = "<!-- Tested versions: make versions -->", "<!-- /Tested versions -->"
 
 
@@ -398,6 +414,8 @@ def documents(rows):
     for program in VERSIONS:
         must = re.sub(rf"(?<=[\n ]){program}{versions}(?= \(|,)", lambda _, p=program: phrase(rows, p), must, count=1)
     yield path, text, must
+    path = ROOT / "cli/src/commands/tested-versions.txt"
+    yield path, path.read_text(encoding="utf-8") if path.exists() else "", "".join(tested(rows))
 
 
 def stale():

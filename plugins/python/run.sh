@@ -99,6 +99,7 @@ tests() {
     fi
     printf '\n%s: %s\n' "$name" "$("$out/$name/bin/python" -m pip list --format freeze 2>/dev/null |
         grep -iE '^(numpy|vtk|pyvista|trame|trame-vtk|yt|vispy|napari|slicer-core|trame-slicer)=' | tee "$out/$name-versions.txt" | tr '\n' ' ')"
+    echo "python==$("$out/$name/bin/python" -c 'import platform; print(platform.python_version())')" >>"$out/$name-versions.txt"
     run_pytest "$name" "$out/$name/bin/python" -m pytest "$@"
 }
 
@@ -120,6 +121,9 @@ host_tests() {
     elif ! installed oldest; then
         skip "test-python, host" "$why"
     else
+        "$vtk_python" -c 'import platform
+from vtkmodules.vtkCommonCore import vtkVersion
+print(f"vtk=={vtkVersion.GetVTKVersion()}\npython=={platform.python_version()}")' >"$out/host-versions.txt"
         run_pytest host "$vtk_python" tests/host.py "$(echo "$out"/oldest/lib/python*/site-packages)" "$@"
     fi
 }

@@ -15,9 +15,10 @@ use std::time::Duration;
 
 /// Report what is installed here and what works with it.
 ///
-/// Looks for a Vulkan device, models of this machine, VTK, PyVista, trame and napari in Python, ParaView, the C
-/// library and the engines of render farms. For a missing part it prints the use of that part and, for most
-/// parts, how to install it. Missing parts are no error: the CPU version of the raycaster renders anywhere.
+/// Looks for a Vulkan device, models of this machine, VTK, PyVista, 3D Slicer, trame, napari, vispy and yt, ParaView,
+/// the C library and the engines of render farms. For a found part it prints the version, the use, and the
+/// versions with which that use was tested. For a missing part it prints the use and, for most parts, how to install it.
+/// Missing parts are no error: the CPU version of the raycaster renders anywhere.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire doctor
@@ -34,17 +35,24 @@ const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 /// Time limit of each program that this command runs.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-const PACKAGES: [(&str, &str); 5] = [
-    ("vtk", "steering of VTK in Python"),
+const PACKAGES: [(&str, &str); 9] = [
+    ("vtk", "steering of VTK in Python by entire.vtk.hold"),
     ("pyvista", "steering of PyVista by pl.entire.hold(fps=15)"),
-    ("trame", "volumes in a browser"),
-    ("napari", "steering of napari's volumes"),
+    ("slicer-core", "steering of 3D Slicer's views by entire.slicer.hold"),
+    ("trame-slicer", "steering of 3D Slicer's views in a browser by entire.slicer.hold"),
+    ("trame", "steering of volumes in a browser by entire.trame.watch"),
+    ("napari", "steering of napari's volumes by entire.napari.hold"),
+    ("vispy", "steering of vispy's volumes by entire.vispy.hold"),
+    ("yt", "steering of yt's scenes by entire.yt.hold"),
     ("entire", "prediction and steering in Python"),
 ];
 
-/// A line of the report: the version or location of a part, or the use of a missing part and the command that installs
-/// it.
-type Finding = Result<String, (&'static str, &'static str)>;
+/// Versions with which the adapters passed all of their tests: lines of a name and of versions, each of two numbers.
+/// `make versions` writes the file.
+const TESTED: &str = include_str!("tested-versions.txt");
+
+/// The version of a part, or the command that installs a missing part.
+type Finding = Result<String, &'static str>;
 
 pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     println!("entire {}", machine::version());
@@ -77,21 +85,24 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     heading("Renderers");
     let (asked, system) = (packages_of(&options.python), packages_of(SYSTEM_PYTHON));
     for (package, used_for) in PACKAGES {
-        print(&format!("{package} (Python)"), &python_package(package, used_for, &asked, &system));
+        print(&format!("{package} (Python)"), package, used_for, &python_package(package, &asked, &system));
     }
-    let plugin = "the plugin of entire (`make test-paraview`)";
-    print("ParaView", &version_of("pvbatch", &["--version"], plugin, "apt-get install paraview"));
-    print("VTK for C++", &vtk_for_cxx());
-    let library = ["--modversion", "entire"];
-    print("libentire", &version_of("pkg-config", &library, "C and C++ renderers", "make install PREFIX=…"));
+    let slicer = "steering of its views by entire.slicer.hold, if its Python has the package entire";
+    let remedy = "https://download.slicer.org";
+    print("3D Slicer", "", slicer, &version_of("Slicer", &["--version"], remedy));
+    let plugin = "the plugin of entire, built for exactly this version (`make test-paraview`)";
+    print("ParaView", "ParaView", plugin, &version_of("pvbatch", &["--version"], "apt-get install paraview"));
+    print("VTK for C++", "VTK", "the class vtkEntireSteering (`make test-vtk`)", &vtk_for_cxx());
+    let library = version_of("pkg-config", &["--modversion", "entire"], "make install PREFIX=…");
+    print("libentire", "", "C and C++ renderers", &library);
 
     heading("Render farms");
     let engines = "running `entire farm` on several machines";
-    print("Slurm", &version_of("sbatch", &["--version"], engines, "apt-get install slurm-wlm"));
+    print("Slurm", "", engines, &version_of("sbatch", &["--version"], "apt-get install slurm-wlm"));
     // The farm runs HyperQueue by its Python package, not by its command `hq`.
     let version = ["-c", "from importlib.metadata import version; print(version('hyperqueue'))"];
     let remedy = "pip install hyperqueue into the Python of --python";
-    print("HyperQueue", &version_of(&options.python, &version, engines, remedy));
+    print("HyperQueue", "", engines, &version_of(&options.python, &version, remedy));
     Ok(())
 }
 
@@ -103,12 +114,31 @@ fn found(name: &str, text: &str) {
     println!("  {name:<21} {text}");
 }
 
-fn print(name: &str, finding: &Finding) {
+/// Prints a line of the report. `part` is the part's name in [`TESTED`].
+fn print(name: &str, part: &str, used_for: &str, finding: &Finding) {
     match finding {
-        Ok(text) => found(name, text),
-        Err((used_for, remedy)) => {
-            found(name, &format!("not found; needed for {used_for}; to install it: {remedy}"));
-        }
+        Ok(version) => found(name, &format!("{version}: {used_for}{}", tested_with(part, version))),
+        Err(remedy) => found(name, &format!("not found; needed for {used_for}; to install it: {remedy}")),
+    }
+}
+
+/// Returns the end of a found part's line, which says if its version was tested, or else names the tested versions.
+/// Empty if no version of the part is in [`TESTED`].
+fn tested_with(part: &str, version: &str) -> String {
+    let Some(versions) = TESTED.lines().filter_map(|l| l.split_once(": ")).find(|(name, _)| *name == part)
+    else {
+        return String::new();
+    };
+    let versions = versions.1;
+    // The first word with a digit is the number; the text may have a name before it.
+    let number =
+        version.split([' ', ',']).find(|w| w.starts_with(|c: char| c.is_ascii_digit())).unwrap_or("");
+    let mut parts = number.split('.');
+    let number = format!("{}.{}", parts.next().unwrap_or(""), parts.next().unwrap_or(""));
+    if versions.split(' ').any(|v| v == number) {
+        "; tested with this version".into()
+    } else {
+        format!("; not tested with this version, but with {}", versions.replace(' ', ", "))
     }
 }
 
@@ -156,8 +186,8 @@ fn first_line(program: &str, arguments: &[&str]) -> Option<String> {
     Some(text.lines().map(str::trim).find(|l| !l.is_empty()).unwrap_or("installed").to_owned())
 }
 
-fn version_of(program: &str, arguments: &[&str], used_for: &'static str, remedy: &'static str) -> Finding {
-    first_line(program, arguments).ok_or((used_for, remedy))
+fn version_of(program: &str, arguments: &[&str], remedy: &'static str) -> Finding {
+    first_line(program, arguments).ok_or(remedy)
 }
 
 /// Returns the version of the newest CMake package of VTK in folders that CMake searches by default.
@@ -178,7 +208,7 @@ fn vtk_for_cxx() -> Finding {
         .collect();
     versions.sort();
     let newest = versions.pop().map(|(_, version)| version);
-    newest.ok_or(("the class vtkEntireSteering", "apt-get install libvtk9-dev"))
+    newest.ok_or("apt-get install libvtk9-dev")
 }
 
 /// Python code that prints the name and the version of each installed package among its arguments. It reads
@@ -206,17 +236,14 @@ fn packages_of(python: &str) -> BTreeMap<String, String> {
 /// Returns the version of a package in the Python interpreter of `--python`, else in [`SYSTEM_PYTHON`].
 fn python_package(
     package: &str,
-    used_for: &'static str,
     asked: &BTreeMap<String, String>,
     system: &BTreeMap<String, String>,
 ) -> Finding {
     match (asked.get(package), system.get(package)) {
         (Some(version), _) => Ok(version.clone()),
         (None, Some(version)) => Ok(format!("{version}, only in {SYSTEM_PYTHON}")),
-        (None, None) if package == "entire" => {
-            Err((used_for, "make wheel, then pip install out/wheels/entire-*.whl"))
-        }
-        (None, None) => Err((used_for, "pip install the package into the Python of --python")),
+        (None, None) if package == "entire" => Err("make wheel, then pip install out/wheels/entire-*.whl"),
+        (None, None) => Err("pip install the package into the Python of --python"),
     }
 }
 
@@ -235,7 +262,27 @@ mod tests {
     #[test]
     fn a_missing_package_has_a_remedy() {
         let none = packages_of("entire-no-such-python");
-        let finding = python_package("entire_no_such_package", "a test", &none, &none);
-        assert!(matches!(finding, Err(("a test", remedy)) if remedy.contains("pip install")));
+        let finding = python_package("entire_no_such_package", &none, &none);
+        assert!(matches!(finding, Err(remedy) if remedy.contains("pip install")));
+    }
+
+    #[test]
+    fn tested_versions_are_told_from_others() {
+        let (name, versions) = TESTED.lines().next().expect("a line").split_once(": ").expect("a name");
+        let first = versions.split(' ').next().expect("a version");
+        for text in [format!("{first}.7"), format!("{name} version {first}.0"), first.to_owned()] {
+            assert_eq!(tested_with(name, &text), "; tested with this version", "{text}");
+        }
+        for text in ["99.1.0", "installed", "9"] {
+            assert!(
+                tested_with(name, text).starts_with("; not tested with this version, but with "),
+                "{text}"
+            );
+        }
+        assert_eq!(tested_with("entire", "0.1.0"), "");
+        // Names of the file are those that the report uses.
+        for name in TESTED.lines().filter_map(|l| Some(l.split_once(": ")?.0)) {
+            assert!(["VTK", "ParaView"].contains(&name) || PACKAGES.iter().any(|p| p.0 == name), "{name}");
+        }
     }
 }
