@@ -15,10 +15,10 @@ use std::time::Duration;
 
 /// Report what is installed here and what works with it.
 ///
-/// Looks for a Vulkan device, models of this machine, VTK, PyVista, 3D Slicer, trame, napari, vispy and yt, ParaView,
-/// the C library and the engines of render farms. For a found part it prints the version, the use, and the
-/// versions with which that use was tested. For a missing part it prints the use and, for most parts, how to install it.
-/// Missing parts are no error: the CPU version of the raycaster renders anywhere.
+/// Looks for a Vulkan device, models of this machine, VTK, PyVista, 3D Slicer, trame, napari, vispy and yt,
+/// ParaView, the C library and the engines of render farms. For a found part it prints the version, the
+/// use, and the versions with which that use was tested. For a missing part it prints the use and, for most
+/// parts, how to install it. Missing parts are no error: the CPU version of the raycaster renders anywhere.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire doctor
@@ -47,8 +47,8 @@ const PACKAGES: [(&str, &str); 9] = [
     ("entire", "prediction and steering in Python"),
 ];
 
-/// Versions with which the adapters passed all of their tests: lines of a name and of versions, each of two numbers.
-/// `make versions` writes the file.
+/// Versions with which the adapters passed all of their tests: lines of a name and of versions, each of two
+/// numbers. `make versions` writes the file.
 const TESTED: &str = include_str!("tested-versions.txt");
 
 /// The version of a part, or the command that installs a missing part.
@@ -122,8 +122,8 @@ fn print(name: &str, part: &str, used_for: &str, finding: &Finding) {
     }
 }
 
-/// Returns the end of a found part's line, which says if its version was tested, or else names the tested versions.
-/// Empty if no version of the part is in [`TESTED`].
+/// Returns the end of a found part's line, which says if its version was tested, or else names the tested
+/// versions. Empty if no version of the part is in [`TESTED`].
 fn tested_with(part: &str, version: &str) -> String {
     let Some(versions) = TESTED.lines().filter_map(|l| l.split_once(": ")).find(|(name, _)| *name == part)
     else {
