@@ -15,6 +15,7 @@ import argparse
 import csv
 import math
 import os
+import platform
 import sys
 import time
 from pathlib import Path
@@ -64,6 +65,13 @@ def volume_of(path):
         return f"synthetic CT of {len(voxels)}^3 voxels", voxels, (1.0, 1.0, 1.0)
     volume = read_nrrd(path)
     return Path(path).name, volume.voxels, volume.spacing
+
+
+def machine():
+    """Returns the name of the processor."""
+    info = Path("/proc/cpuinfo")
+    names = [line.split(": ", 1)[1] for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
+    return names[0] if names else platform.processor()
 
 
 class Arm:
@@ -136,7 +144,7 @@ def main():
             arm.draw(frame)
     if steering.fallback_frames:
         sys.exit(f"slicer_rule.py: {steering.fallback_frames} frames were not steered: {steering.status}")
-    scene = {"clock": options.clock, "volume": name, "size": options.size}
+    scene = {"machine": machine(), "clock": options.clock, "volume": name, "size": options.size}
     rows = [arm.row(1 / options.rate, scene) for arm in arms]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     kept = []
