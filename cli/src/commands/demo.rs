@@ -44,9 +44,9 @@ const SMALLEST_SIDE: u32 = 96;
 ///
 /// If this machine has no model, the command calibrates one with the other volumes in data/; without other
 /// volumes, it uses the shipped model. It then plays 120 frames of a volume that no model was trained on,
-/// with three abrupt switches of the transfer function, under five controllers (fixed step, OLP, PID,
-/// Algorithm 1, entire's). It prints the distance of each controller's frame times from the target, and
-/// writes a report.
+/// with three abrupt switches of the transfer function, under seven controllers (fixed step, OLP, the last
+/// frame time, the larger of the last two frame times, PID, Algorithm 1, entire's). It prints the distance
+/// of each controller's frame times from the target, and writes a report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire demo
@@ -169,19 +169,19 @@ fn fit_size(
     Ok(draw)
 }
 
-/// Returns a sentence that compares predicting and reactive controllers at switches; empty if hybrid,
-/// algorithm1, olp or pid was not played, or the path has no switch.
+/// Returns a sentence that compares predicting and reactive controllers at switches; empty if one of them was
+/// not played, or the path has no switch.
 fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     let at = |name: &str| {
         let i = names.iter().position(|n| n == name)?;
         Some(100.0 * metrics[i].mean_error_at_switches?)
     };
-    let (Some(hybrid), Some(algorithm1), Some(olp), Some(pid)) =
-        (at("hybrid"), at("algorithm1"), at("olp"), at("pid"))
+    let (Some(hybrid), Some(algorithm1), Some(olp), Some(last), Some(larger), Some(pid)) =
+        (at("hybrid"), at("algorithm1"), at("olp"), at("last"), at("larger-of-two"), at("pid"))
     else {
         return String::new();
     };
-    let (predicting, reacting) = (hybrid.min(algorithm1), olp.min(pid));
+    let (predicting, reacting) = (hybrid.min(algorithm1), olp.min(last).min(larger).min(pid));
     let outcome = if hybrid < reacting && algorithm1 < reacting {
         "both predicting controllers were closer to the target than the reactive ones"
     } else if predicting < reacting {
@@ -191,8 +191,8 @@ fn verdict(names: &[String], metrics: &[Metrics]) -> String {
     };
     format!(
         "In the first {SWITCH_FRAMES} frames after each abrupt switch, the mean distance from the target was \
-         {hybrid:.0} % (entire) and {algorithm1:.0} % (Algorithm 1), against {olp:.0} % (OLP) and {pid:.0} % \
-         (PID): {outcome}."
+         {hybrid:.0} % (entire) and {algorithm1:.0} % (Algorithm 1), against {olp:.0} % (OLP), {last:.0} % \
+         (last frame), {larger:.0} % (larger of 2) and {pid:.0} % (PID): {outcome}."
     )
 }
 
@@ -287,7 +287,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         format!(
             "The fixed step ({:.2}) is the step at which the median random scene meets the target. OLP takes \
              the mean of the last three frame times, converted to the reference step by G, the frame \
-             time as a function of the step. PID has the gains 0.3, 0.05, 0.1. Algorithm 1 predicts at \
+             time as a function of the step. Two controllers take the last frame time, or the larger of \
+             the last two, in place of this mean. PID has the gains 0.3, 0.05, 0.1. Algorithm 1 predicts at \
              the reference step and converts to other steps by G. entire's controller predicts at every \
              step, corrects predictions by the times of earlier frames, and keeps a margin.",
             prepared.fixed_step
@@ -357,14 +358,22 @@ mod tests {
     #[test]
     fn the_verdict_says_who_won_whoever_did() {
         let names: Vec<String> = ControllerKind::USUAL.iter().map(|k| k.name().to_owned()).collect();
-        let say = |errors: [f64; 5]| verdict(&names, &errors.map(metrics));
+        let say = |errors: [f64; 7]| verdict(&names, &errors.map(metrics));
         assert!(
-            say([0.9, 0.5, 0.6, 0.2, 0.1])
+            say([0.9, 0.5, 0.7, 0.8, 0.6, 0.2, 0.1])
                 .ends_with("both predicting controllers were closer to the target than the reactive ones.")
         );
-        assert!(say([0.9, 0.5, 0.6, 0.55, 0.1]).contains("one of the two"));
-        assert!(say([0.9, 0.1, 0.6, 0.2, 0.2]).contains("neither predicting"));
-        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).contains("10 % (entire) and 20 % (Algorithm 1)"));
+        assert!(say([0.9, 0.5, 0.7, 0.8, 0.6, 0.55, 0.1]).contains("one of the two"));
+        for reactive in 1..5 {
+            let mut errors = [0.9, 0.5, 0.7, 0.8, 0.6, 0.2, 0.2];
+            errors[reactive] = 0.1;
+            assert!(say(errors).contains("neither predicting"), "{reactive}");
+        }
+        let said = say([0.9, 0.5, 0.7, 0.8, 0.6, 0.2, 0.1]);
+        assert!(
+            said.contains("10 % (entire) and 20 % (Algorithm 1), against 50 % (OLP), 70 % (last"),
+            "{said}"
+        );
         assert_eq!(verdict(&names[..1], &[metrics(0.1)]), "");
     }
 }

@@ -56,7 +56,8 @@ entire_core::names! { ControllerKind:
 
 impl ControllerKind {
     /// The controllers that are compared by default.
-    pub(crate) const USUAL: [Self; 5] = [Self::Fixed, Self::Olp, Self::Pid, Self::Algorithm1, Self::Hybrid];
+    pub(crate) const USUAL: [Self; 7] =
+        [Self::Fixed, Self::Olp, Self::Last, Self::LargerOfTwo, Self::Pid, Self::Algorithm1, Self::Hybrid];
 
     /// The title in charts and tables.
     pub const fn title(self) -> &'static str {
@@ -73,7 +74,7 @@ impl ControllerKind {
             Self::Fixed => ("fixed step", 5),
             Self::Olp => ("OLP (mean of 3)", 1),
             Self::Last => ("last frame", Self::OTHER_COLOR),
-            Self::LargerOfTwo => ("larger of 2", Self::OTHER_COLOR),
+            Self::LargerOfTwo => ("larger of 2", 8),
             Self::Pid => ("PID", 3),
             Self::Algorithm1 => ("Algorithm 1", 2),
             Self::Hybrid => ("entire", 0),

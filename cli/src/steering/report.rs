@@ -223,9 +223,18 @@ fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
     chart
 }
 
+/// Returns the indices of the controllers that charts and pictures show: all, but of the three rules that
+/// convert recent frame times by G only OLP if it was played. Their curves would hide each other.
+fn shown(names: &[String]) -> Vec<usize> {
+    use ControllerKind::{Last, LargerOfTwo, Olp};
+    let is = |name: &String, kinds: &[ControllerKind]| kinds.iter().any(|k| k.name() == name);
+    let olp = names.iter().any(|name| is(name, &[Olp]));
+    (0..names.len()).filter(|c| !olp || !is(&names[*c], &[Last, LargerOfTwo])).collect()
+}
+
 fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) -> Mark) -> Chart {
-    for (c, name) in playback.names.iter().enumerate() {
-        let (title, color) = title_and_color(name);
+    for c in shown(&playback.names) {
+        let (title, color) = title_and_color(&playback.names[c]);
         chart = chart.series(Series::new(title, mark(c)).color(color));
     }
     chart
@@ -251,11 +260,18 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         .series(Series::new("target", Mark::Line(target)).color(10))
         .series(Series::new("time at the reference step", Mark::Band(band)).color(6));
     let chart = per_controller(chart, playback, |c| Mark::Line(numbered(c, &|r| r.seconds * 1e3)));
+    let left_out = if shown(&playback.names).len() < playback.names.len() {
+        " Of the rules that convert recent frame times by G, charts and pictures show OLP only."
+    } else {
+        ""
+    };
     page.chart(
         &chart,
-        "Measured time of every frame under every controller. The shaded area reaches from the target to the \
-         frame's time at the reference step. All controllers draw the same frame before the next frame \
-         begins, in rotating order.",
+        &format!(
+            "Measured time of every frame under every controller.{left_out} The shaded area reaches from the \
+             target to the frame's time at the reference step. All controllers draw the same frame before \
+             the next frame begins, in rotating order."
+        ),
     );
 
     if !playback.switches.is_empty() {
@@ -341,8 +357,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         page.paragraph(&what);
         let mut pictures =
             vec![(encode_png(image)?, format!("reference step, {:.1} ms", reference.seconds * 1e3))];
-        for (name, records) in playback.names.iter().zip(&playback.records) {
-            let r = &records[frame];
+        for c in shown(&playback.names) {
+            let (name, r) = (&playback.names[c], &playback.records[c][frame]);
             if let Some(image) = &r.image {
                 let likeness = if r.psnr >= BEST_PSNR { "equal".into() } else { format!("{:.1} dB", r.psnr) };
                 pictures.push((
@@ -411,4 +427,20 @@ pub(crate) fn write(
     write_json(&figures, &summary(story, draw, playback, &metrics))?;
     page(story, draw, playback, &metrics)?.write(&html)?;
     Ok(metrics)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_the_rules_on_recent_frames_charts_show_olp_if_it_was_played() {
+        let shown_of = |kinds: &[ControllerKind]| {
+            let names: Vec<String> = kinds.iter().map(|k| k.name().to_owned()).collect();
+            shown(&names).into_iter().map(|c| kinds[c]).collect::<Vec<_>>()
+        };
+        use ControllerKind::{Algorithm1, Fixed, Hybrid, Last, LargerOfTwo, Olp, Pid};
+        assert_eq!(shown_of(&ControllerKind::USUAL), [Fixed, Olp, Pid, Algorithm1, Hybrid]);
+        assert_eq!(shown_of(&[LargerOfTwo, Last, Hybrid]), [LargerOfTwo, Last, Hybrid]);
+    }
 }
