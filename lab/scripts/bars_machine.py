@@ -43,24 +43,25 @@ FEW_LIMIT = 0.10
 OBSERVED = 10
 BUSY_LIMIT = 0.08
 # Number of neighbors during the calibration `busy`, and the program of a neighbor: it takes a core in bursts of 50 to
-# 500 ms, a fifth of the time.
+# 500 ms, with pauses that are a multiple of the burst.
 NEIGHBORS = 1
 NEIGHBOR = """
 import random, sys, time
-draw = random.Random(int(sys.argv[1]))
+draw, pause = random.Random(int(sys.argv[1])), float(sys.argv[2])
 while True:
     burst = draw.uniform(0.05, 0.5)
     end = time.monotonic() + burst
     while time.monotonic() < end:
         pass
-    time.sleep(4 * burst)
+    time.sleep(pause * burst)
 """
 
 
 @contextlib.contextmanager
-def neighbors(*seeds):
-    """Context in which one neighbor per seed loads the machine."""
-    loops = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(seed)]) for seed in seeds]
+def neighbors(*seeds, pause=4):
+    """Context in which one neighbor per seed loads the machine. `pause`: pause after a burst, divided by the burst; 4 for
+    a fifth of the time, 0 for all the time."""
+    loops = [subprocess.Popen([sys.executable, "-c", NEIGHBOR, str(seed), str(pause)]) for seed in seeds]
     try:
         yield
     finally:
