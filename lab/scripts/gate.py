@@ -50,6 +50,7 @@ RENAMED = {
     "changes_that_prove_true_are_taken_and_jitter_is_not":
         "a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways single_spikes_barely_move_it",
     "exact_non_negative_solutions_are_found": "exact_times_give_back_their_costs",
+    "every_scene_but_one_fails_for_a_rival": "every_scene_fails_for_a_rival",
     "zero_and_duplicate_columns_are_harmless": "a_handful_of_equal_frames_is_enough_to_set_the_scale",
     "solutions_meet_the_optimality_conditions": "a_calibration_finds_another_machines_unit_costs",
     "grahams_worst_case_is_met_exactly": "exchanges_repair_grahams_worst_case",

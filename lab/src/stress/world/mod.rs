@@ -7,12 +7,11 @@ use super::{Limits, Noise, Seen, Verdict, judge};
 use anyhow::{Context, Result, bail};
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::model::Model;
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
 use entire_io::dataset::{Clock, Timing};
 use entire_steer::control::{ObserveFlags, Session, StepLimits};
 use entire_steer::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
-use entire_steer::predict::{AnalyticModel, Inputs, UnitCosts, load};
+use entire_steer::predict::{AnalyticModel, UnitCosts};
 use entire_vk_raycaster::{Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene, shell};
 
@@ -41,7 +40,7 @@ pub(crate) struct Machine<'a> {
 const GROWN: u32 = 4;
 
 /// The scenes of this module that can be played on a real renderer: all except 12, whose images are too large
-/// for a software driver, and 28, which draws nothing. The scenes of other modules have no geometry.
+/// for a software driver. The scenes of other modules have no geometry.
 pub(crate) const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 
 impl Machine<'_> {
@@ -135,13 +134,10 @@ fn session_of(method: ControllerKind, model: AnalyticModel) -> Session {
     contender(method, 2.0, Box::new(model), &response, Some(0.2)).session
 }
 
-/// Plays a scene of real geometry, or scene 28. On a real machine the limits are wider, since the noise is
+/// Plays a scene of real geometry. On a real machine the limits are wider, since the noise is
 /// unpredictable. The share of frames over 1.1 times the target may be 5 percentage points higher, with two
 /// more in a row; quality may be 0.1 lower; 80 % of first frames within their bound suffice.
 pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
-    if number == 28 {
-        return damaged(method, machine);
-    }
     let Some(mut world) = scene(number) else {
         bail!("there is no stress scene {number}; they are numbered 1 to {}", super::SCENES.len())
     };
@@ -268,79 +264,76 @@ fn oracle(grid: &[(f64, f64)], target: f64) -> f64 {
     grid[grid.len() - 1].0
 }
 
-/// Scene 28: damaged model files and states.
-fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
-    let mut broken = Vec::new();
-    let model = fitted(machine)?;
-    let good = model.to_model_file()?.to_bytes()?;
-    let block = Block::ball(16, 0.0);
-    let summary = VolumeSummary::new(&block.view()?)?;
-    let table = TransferFunction::Gaussian(shell()).to_table()?;
-    let mut transfer = TransferSummary::new(&summary, &table)?;
-    let frame = Frame::new(Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?, 64, 64)?;
-    let features = FrameFeatures::of(&summary, &mut transfer, &frame, PROBE_SIDE)?;
-    let mut noise = Noise::new(28);
-    let (mut refused, mut read) = (0, 0);
-    let mut check = |bytes: &[u8], what: &str| match Model::from_bytes(bytes).and_then(|m| load(&m)) {
-        Err(e) if e.to_string().is_empty() => broken.push(format!("{what}: refused without a message")),
-        Err(_) => refused += 1,
-        Ok(mut predictor) => {
-            read += 1;
-            let inputs = Inputs {
-                features: &features,
-                setting: Setting::from(&frame),
-                changes: Changes::default(),
-                camera: frame.camera.to_arcball(),
-                volume_features: None,
-                lobes: None,
-            };
-            match predictor.predict(&inputs) {
-                Ok(p) if p.seconds.is_finite() && p.seconds > 0.0 => {}
-                Ok(p) => broken.push(format!("{what}: predicts {} s", p.seconds)),
-                Err(_) => refused += 1,
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::ValueEnum;
+    use entire_core::model::Model;
+    use entire_steer::predict::{Inputs, load};
+    use entire_vk_raycaster::CpuRaycaster;
+
+    /// Seconds that the model in `bytes` predicts for a frame; `None` if the file or the frame is refused.
+    fn predicted(bytes: &[u8], features: &FrameFeatures, frame: &Frame) -> Option<f32> {
+        let mut predictor = match Model::from_bytes(bytes).and_then(|model| load(&model)) {
+            Ok(predictor) => predictor,
+            Err(error) => {
+                assert!(!error.to_string().is_empty());
+                return None;
             }
-        }
-    };
-    for k in 0..200 {
-        let mut bytes = good.clone();
-        match k % 4 {
-            0 => bytes.truncate((noise.uniform() * good.len() as f64) as usize),
-            1 => {
-                let at = (noise.uniform() * good.len() as f64) as usize;
-                bytes[at] ^= 1 << (k % 8);
+        };
+        let inputs = Inputs {
+            features,
+            setting: Setting::from(frame),
+            changes: Changes::default(),
+            camera: frame.camera.to_arcball(),
+            volume_features: None,
+            lobes: None,
+        };
+        predictor.predict(&inputs).ok().map(|p| p.seconds)
+    }
+
+    #[test]
+    fn damaged_models_and_states_are_refused_or_every_prediction_is_finite() {
+        let mut twin = CpuRaycaster::new();
+        let model = fitted(&mut Machine { renderer: &mut twin, clock: None }).unwrap();
+        let good = model.to_model_file().unwrap().to_bytes().unwrap();
+        let block = Block::ball(16, 0.0);
+        let summary = VolumeSummary::new(&block.view().unwrap()).unwrap();
+        let table = TransferFunction::Gaussian(shell()).to_table().unwrap();
+        let mut transfer = TransferSummary::new(&summary, &table).unwrap();
+        let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
+        let frame = Frame::new(camera, 64, 64).unwrap();
+        let features = FrameFeatures::of(&summary, &mut transfer, &frame, PROBE_SIDE).unwrap();
+        assert!(predicted(&good, &features, &frame).is_some());
+        let mut noise = Noise::new(28);
+        let mut files = vec![Vec::new(), b"not a model".to_vec(), vec![0; 64]];
+        for k in 0..200 {
+            let mut bytes = good.clone();
+            let at = (noise.uniform() * (good.len() - 8) as f64) as usize;
+            match k % 4 {
+                0 => bytes.truncate(at),
+                1 => bytes[at] ^= 1 << (k % 8),
+                2 => bytes[at..at + 8].fill(0xff),
+                _ => bytes.extend_from_slice(b"trailing"),
             }
-            2 => {
-                let at = (noise.uniform() * (good.len() - 8) as f64) as usize;
-                bytes[at..at + 8].fill(0xff);
+            files.push(bytes);
+        }
+        let read: Vec<f32> = files.iter().filter_map(|f| predicted(f, &features, &frame)).collect();
+        assert!(read.iter().all(|s| s.is_finite() && *s > 0.0), "{read:?}");
+        assert!(read.len() <= 103, "{} of {} damaged files were read", read.len(), files.len());
+        for &method in ControllerKind::value_variants() {
+            let mut session = session_of(method, model.clone());
+            session.set_volume(summary.clone(), None);
+            session.set_transfer(&table, None).unwrap();
+            let state = session.save_state();
+            let before = session.plan(&frame, 0.01).unwrap().step;
+            for cut in 0..state.len() {
+                assert!(session.load_state(&state[..cut]).is_err(), "{}: cut to {cut} bytes", method.name());
             }
-            _ => bytes.extend_from_slice(b"trailing"),
-        }
-        check(&bytes, &format!("damage {k}"));
-    }
-    for (what, bytes) in [("an empty file", &b""[..]), ("text", b"not a model"), ("zeros", &[0; 64])] {
-        check(bytes, what);
-    }
-    if refused < 100 {
-        broken.push(format!("only {refused} of 203 damaged files were refused, {read} were read"));
-    }
-    // Saved states of this method that are cut short must be refused, and so must a state of another format.
-    let mut session = session_of(method, model);
-    session.set_volume(summary, None);
-    session.set_transfer(&table, None)?;
-    let state = session.save_state();
-    let before = session.plan(&frame, 0.01)?.step;
-    for cut in 0..state.len() {
-        if session.load_state(&state[..cut]).is_ok() {
-            broken.push(format!("a state cut to {cut} bytes was accepted"));
+            assert!(session.load_state(b"ENS1not a state").is_err());
+            session.load_state(&state).unwrap();
+            let after = session.plan(&frame, 0.01).unwrap().step;
+            assert!(after.is_finite() && (after / before).ln().abs() < 1.0, "{}: {before} {after}", method.name());
         }
     }
-    if session.load_state(b"ENS1not a state").is_ok() {
-        broken.push("a foreign state was accepted".into());
-    }
-    session.load_state(&state)?;
-    let after = session.plan(&frame, 0.01)?.step;
-    if !(after.is_finite() && (after / before).ln().abs() < 1.0) {
-        broken.push(format!("step {after} after refused states, {before} before"));
-    }
-    Ok(judge(28, method, &[], Limits::missed(1.0), broken))
 }
