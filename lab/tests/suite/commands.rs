@@ -1,6 +1,6 @@
-//! `entire-lab` as a process: help, wrong usage, and checks before any work.
+//! `entire-lab` as a process: help, wrong usage, checks before any work, and replays under recorded loads.
 
-use crate::{lab, printed};
+use crate::{lab, printed, read_json};
 use std::process::Output;
 
 #[test]
@@ -117,4 +117,49 @@ fn tune_says_what_recorded_paths_cost() {
         let said = printed(&output.stderr);
         assert!(output.status.code() == Some(1) && said.contains(why), "{said}");
     }
+}
+
+/// Scores of OLP and entire's controller on two recorded paths with the slowdowns of a file.
+fn scores_under(disturbance: &str, more: &[&str]) -> [serde_json::Value; 2] {
+    let dir = tempfile::tempdir().unwrap();
+    let words = "replay lab/tests/data/nyx-switches.json lab/tests/data/castro-cuts.json \
+                 --calibration data/steer/calibration.csv.gz --controllers olp,hybrid";
+    let rest = ["--disturbance", disturbance, "--out", dir.path().to_str().unwrap()];
+    let arguments: Vec<&str> = words.split_whitespace().chain(rest).chain(more.iter().copied()).collect();
+    let output = lab(&arguments);
+    assert!(output.status.success(), "{}", printed(&output.stderr));
+    let scores = read_json(&dir.path().join("scores.json"));
+    ["olp", "hybrid"].map(|name| scores["controllers"][name].clone())
+}
+
+#[test]
+fn whatever_else_runs_fewer_frames_are_late_than_under_olp() {
+    let dir = tempfile::tempdir().unwrap();
+    // Half of the speed for 3 of 9 seconds.
+    let halved = dir.path().join("halved.csv");
+    std::fs::write(&halved, "start_s,slowdown\n0,1\n3,2\n6,1\n9,1\n").unwrap();
+    let recorded = |name: &str| format!("data/steer/disturbances/{name}.csv");
+    let number = |score: &serde_json::Value, group: &str, name: &str| {
+        let of = if group.is_empty() { score } else { &score[group] };
+        of[name].as_f64().unwrap()
+    };
+    // Upper limits: late frames divided by OLP's, and OLP's quality minus entire's.
+    for (file, late, lost) in [
+        (recorded("none"), 0.75, 0.03),
+        (recorded("bursts"), 0.8, 0.06),
+        (recorded("steady"), 0.9, 0.05),
+        (halved.to_str().unwrap().to_owned(), 0.9, 0.06),
+    ] {
+        let [olp, ours] = scores_under(&file, &[]);
+        let ratio = |group: &str, name: &str| number(&ours, group, name) / number(&olp, group, name);
+        let place = format!("{file}: {olp} {ours}");
+        assert!(ratio("all", "missed") <= late, "{place}");
+        assert!(number(&olp, "all", "quality") - number(&ours, "all", "quality") <= lost, "{place}");
+        assert!(ratio("", "first_frame_deviation") <= 0.75, "{place}");
+        assert!(ratio("", "worst") <= 0.75, "{place}");
+    }
+    // A session that ignores the load draws better pictures, and more of its frames are late than OLP's.
+    let [olp, ours] = scores_under(&recorded("bursts"), &["--ignore-load"]);
+    assert!(number(&ours, "all", "missed") > number(&olp, "all", "missed"), "{olp} {ours}");
+    assert!(number(&ours, "all", "quality") > number(&olp, "all", "quality"), "{olp} {ours}");
 }
