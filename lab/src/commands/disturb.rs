@@ -10,7 +10,10 @@ use entire_io::files::{make_folder_of, open_volume, write_whole};
 use entire_io::interrupt;
 use entire_io::metrics::median;
 use entire_io::volume::Reading;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use std::path::PathBuf;
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -23,6 +26,9 @@ pub(crate) enum Neighbor {
     Bursts,
     /// One core is busy all the time.
     Steady,
+    /// No load, but half of the speed: for 10 of the 20 seconds, the process runs only every second
+    /// millisecond.
+    HalfSpeed,
 }
 
 /// Record the slowdown of frames over time while another program runs on the machine.
@@ -48,6 +54,9 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) out: PathBuf,
 }
+
+/// Duration of the first frames, which are not measured, seconds.
+const WARM_SECONDS: f64 = 1.0;
 
 /// Duration of the part without the load, seconds; slowdowns are relative to its median frame time.
 const QUIET_SECONDS: f64 = 5.0;
@@ -76,7 +85,40 @@ fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
     }
 }
 
+/// Pause between two signals to a process that runs at half the speed.
+const TURN: Duration = Duration::from_millis(1);
+
+/// Records in a child process, which is stopped every second millisecond in the middle half of its second part.
+fn run_at_half_speed(options: &Options) -> Result<()> {
+    let mut command = Command::new(std::env::current_exe()?);
+    command.arg("disturb").arg(&options.volume).args(["--neighbor", "none", "--device"]);
+    let device = options.device.to_possible_value().context("a device without a name")?;
+    command.arg(device.get_name()).arg("--out").arg(&options.out);
+    let mut child = command.spawn()?;
+    let pid = Pid::from_raw(child.id().cast_signed());
+    let begin = Instant::now();
+    let slow = WARM_SECONDS + QUIET_SECONDS + 0.25 * LOADED_SECONDS;
+    let slow = slow..slow + 0.5 * LOADED_SECONDS;
+    // Until the exit status is read, no other process can get this id.
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        if slow.contains(&begin.elapsed().as_secs_f64()) {
+            kill(pid, Signal::SIGSTOP)?;
+            std::thread::sleep(TURN);
+            kill(pid, Signal::SIGCONT)?;
+        }
+        std::thread::sleep(TURN);
+    };
+    ensure!(status.success(), "the recording ended with {status}");
+    Ok(())
+}
+
 pub(crate) fn run(options: &Options) -> Result<()> {
+    if options.neighbor == Neighbor::HalfSpeed {
+        return run_at_half_speed(options);
+    }
     let volume = open_volume(&options.volume, &Reading::default())?;
     make_folder_of(&options.out)?;
     let stop = interrupt::flag()?;
@@ -98,7 +140,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
         Ok(out)
     };
-    draw(1.0)?;
+    draw(WARM_SECONDS)?;
     let mut quiet: Vec<f64> = draw(QUIET_SECONDS)?.into_iter().map(|(_, wall)| wall).collect();
     let usual = median(&mut quiet).context("no frame was drawn")?;
     let over = AtomicBool::new(false);
