@@ -34,6 +34,16 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 		--disturbances data/steer/disturbances/none.csv,data/steer/disturbances/bursts.csv,data/steer/disturbances/steady.csv \
 		--out "$(STEER_OUT)/tune.json"
 
+# Every recorded load, without and with `--ignore-load`.
+.PHONY: steer-loads
+steer-loads: steer-build ## Replay training paths beside recorded loads of other programs, which sessions follow or ignore
+	@for load in bursts steady none; do for more in "" --ignore-load; do \
+		echo "== $$load $$more"; \
+		"$(TARGET_DIR)/release/entire-lab" replay data/steer/training/train-*.json.gz \
+			--calibration data/steer/training/calibration.csv.gz --controllers olp,last,larger-of-two,hybrid \
+			--rounds 5 --disturbance "data/steer/disturbances/$$load.csv" $$more --out "$(STEER_OUT)/loads" || exit 1; \
+	done; done
+
 .PHONY: stress
 stress: steer-build ## Play the scenes in which frame-time methods fail, among them a run of a million frames: out/stress/report.html
 	@"$(TARGET_DIR)/release/entire-lab" stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
