@@ -3,7 +3,7 @@
 
 mod scenes;
 
-use super::{Limits, Noise, Seen, Verdict, judge};
+use super::{Noise, Seen, Verdict, judge};
 use anyhow::{Context, Result, bail};
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::rivals::StepResponse;
@@ -13,7 +13,7 @@ use entire_steer::control::{ObserveFlags, Session, StepLimits};
 use entire_steer::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use entire_steer::predict::{AnalyticModel, UnitCosts};
 use entire_vk_raycaster::{Renderer, WorkCounts};
-use scenes::{Block, Shot, World, lobes, scene, shell};
+use scenes::{Block, Shot, World, lobes, scene};
 
 /// Limits of the ray step, reference steps.
 const FINEST: f32 = 1.0;
@@ -266,6 +266,7 @@ fn oracle(grid: &[(f64, f64)], target: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::scenes::shell;
     use super::*;
     use clap::ValueEnum;
     use entire_core::model::Model;
@@ -333,7 +334,11 @@ mod tests {
             assert!(session.load_state(b"ENS1not a state").is_err());
             session.load_state(&state).unwrap();
             let after = session.plan(&frame, 0.01).unwrap().step;
-            assert!(after.is_finite() && (after / before).ln().abs() < 1.0, "{}: {before} {after}", method.name());
+            assert!(
+                after.is_finite() && (after / before).ln().abs() < 1.0,
+                "{}: {before} {after}",
+                method.name()
+            );
         }
     }
 }
