@@ -163,3 +163,32 @@ fn whatever_else_runs_fewer_frames_are_late_than_under_olp() {
     assert!(number(&ours, "all", "missed") > number(&olp, "all", "missed"), "{olp} {ours}");
     assert!(number(&ours, "all", "quality") > number(&olp, "all", "quality"), "{olp} {ours}");
 }
+
+#[test]
+fn replay_fails_if_a_path_cannot_be_played() {
+    let dir = tempfile::tempdir().unwrap();
+    let played = "lab/tests/data/castro-cuts.json";
+    let mut trace = crate::read_json(&crate::repository().join("lab/tests/data/nyx-switches.json"));
+    trace["name"] = "alternating".into();
+    // No step changes these times, so half of the frames meet no target that the others miss.
+    for (i, frame) in trace["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
+        for point in frame.as_array_mut().unwrap() {
+            point["seconds"] = serde_json::json!([if i % 2 == 0 { 1.0 } else { 100.0 }]);
+        }
+    }
+    let alternating = dir.path().join("alternating.json");
+    std::fs::write(&alternating, trace.to_string()).unwrap();
+    let out = dir.path().join("out");
+    let replay = |traces: &[&str]| {
+        let rest = "--calibration data/steer/training/calibration.csv.gz --controllers fixed --rounds 1 --out";
+        let arguments = ["replay"].into_iter().chain(traces.iter().copied()).chain(rest.split(' '));
+        lab(&arguments.chain([out.to_str().unwrap()]).collect::<Vec<_>>())
+    };
+    assert_eq!(replay(&[played]).status.code(), Some(0));
+    std::fs::remove_dir_all(&out).unwrap();
+    let output = replay(&[played, alternating.to_str().unwrap()]);
+    let said = printed(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("entire-lab: not played: alternating"), "{said}");
+    assert!(out.join("scores.json").is_file());
+}
