@@ -13,6 +13,7 @@ use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::play::Course;
 use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
 use crate::steering::report::{Story, make_report_folder, table, write};
+use crate::steering::rivals::PID_GAINS;
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
@@ -288,10 +289,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "The fixed step ({:.2}) is the step at which the median random scene meets the target. OLP takes \
              the mean of the last three frame times, converted to the reference step by G, the frame \
              time as a function of the step. Two controllers take the last frame time, or the larger of \
-             the last two, in place of this mean. PID has the gains 0.3, 0.05, 0.1. Algorithm 1 predicts at \
+             the last two, in place of this mean. PID has the gains {}. Algorithm 1 predicts at \
              the reference step and converts to other steps by G. entire's controller predicts at every \
              step, corrects predictions by the times of earlier frames, and keeps a margin.",
-            prepared.fixed_step
+            prepared.fixed_step,
+            PID_GAINS.map(|gain| gain.to_string()).join(", ")
         ),
     ];
     if factor != 1 {

@@ -21,7 +21,7 @@ pub enum ControllerKind {
     Last,
     /// The longer one of the last two frame times, converted to the reference step by G.
     LargerOfTwo,
-    /// PID: proportional, integral and derivative feedback on the step, with gains 0.3, 0.05 and 0.1.
+    /// PID: proportional, integral and derivative feedback on the step.
     Pid,
     /// The paper's Algorithm 1: prediction at the reference step, converted to other steps by G.
     Algorithm1,
@@ -132,6 +132,13 @@ pub fn controller(
         ControllerKind::Unreal => Box::new(Reactive(Unreal::START)),
         ControllerKind::Filament => Box::new(Reactive(Filament::START)),
     }
+}
+
+/// Returns PID with these proportional, integral and differential gains instead of [`PID_GAINS`].
+///
+/// [`PID_GAINS`]: super::rivals::PID_GAINS
+pub fn pid(gains: [f32; 3]) -> Box<dyn Controller + Send> {
+    Box::new(Reactive(Pid::with_gains(gains)))
 }
 
 /// Returns a contender before its first frame: a controller (see [`controller`]) with its own predictor.

@@ -1,8 +1,11 @@
-//! `entire-lab tune`: search of the controller's constants on recorded paths.
+//! `entire-lab tune`: search of the controller's constants, and of PID's gains, on recorded paths.
 
 use super::replay::Paths;
 use crate::fitted::{Calibrated, samples_by_volume};
-use crate::replay::tune::{Constants, Cost, Course, LAWS, Removed, TRIED, by_law, costs, removed, search};
+use crate::bars::{self, Bar};
+use crate::replay::tune::{
+    Constants, Cost, Course, Gains, LAWS, Ours, Removed, TRIED, Taken, by_law, costs, mean_cost, removed, search,
+};
 use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};
 use entire_cli::steering::calibrate::Sample;
@@ -22,7 +25,8 @@ type Played = ([Replayable; 3], Calibrated);
 /// frames, by a predictor fitted to frames of other volumes and by sessions without a model that start at
 /// several frames. The search takes a value when it lowers the cost of the paths by more than two standard
 /// errors. It changes no file but --out: enter the found values in `steer/src/control/constants.rs` and
-/// `steer/src/adapt/constants.rs`.
+/// `steer/src/adapt/constants.rs`. The gains of PID, which our controller is compared with, are searched in
+/// the same way; their place is `cli/src/steering/rivals/algorithm1.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab tune data/steer/training/*.json.gz \\
@@ -67,16 +71,78 @@ fn worth_table(worth: &[Removed]) -> Table {
     table
 }
 
-pub(crate) fn run(options: &Options) -> Result<()> {
-    let mut first = Constants::default();
-    for given in &options.set {
-        set(&mut first, given)?;
+/// Largest number of constants of our controller that are searched.
+const MOST_SEARCHED: usize = 12;
+
+/// A search of one controller's constants.
+struct Search<C> {
+    start: C,
+    /// Indices of the constants to search.
+    tried: Vec<usize>,
+}
+
+struct Found<C> {
+    constants: C,
+    before: Vec<Cost>,
+    after: Vec<Cost>,
+    taken: Vec<Taken>,
+}
+
+impl<C: Constants + Default> Search<C> {
+    /// Returns a search of the constants named in `only`; of all constants if `only` is empty. It starts from
+    /// the defaults with the values in `given`.
+    fn new(only: &[String], given: &[(&str, f64)]) -> Self {
+        let mut start = C::default();
+        let mut tried = Vec::new();
+        for (i, (name, value)) in C::names().into_iter().zip(start.values()).enumerate() {
+            if let Some((_, given)) = given.iter().rev().find(|(n, _)| *n == name) {
+                *value = *given;
+            }
+            if only.is_empty() || only.iter().any(|n| n == name) {
+                tried.push(i);
+            }
+        }
+        Self { start, tried }
     }
-    let tried: Vec<usize> = if options.only.is_empty() {
-        (0..first.values().count()).collect()
-    } else {
-        options.only.iter().map(|name| place(name)).collect::<Result<_>>()?
-    };
+
+    fn run(&self, courses: &[Course<'_>], paths: usize, rounds: usize) -> Result<Found<C>> {
+        let before = costs(courses, self.start)?;
+        let bar = templated_bar("tune [{bar:30}] {pos}/{len} values tried, {eta} left");
+        bar.set_length((rounds * self.tried.len() * TRIED) as u64);
+        let (constants, after, taken) =
+            search(courses, paths, self.start, before.clone(), &self.tried, rounds, &|| bar.inc(1))?;
+        bar.finish_and_clear();
+        Ok(Found { constants, before, after, taken })
+    }
+}
+
+impl<C: Constants> Found<C> {
+    fn print_mean(&self) {
+        println!("{}: mean cost {:.4} -> {:.4}", C::CONTROLLER, mean_cost(&self.before), mean_cost(&self.after));
+    }
+
+    fn print_taken(&self) {
+        for t in &self.taken {
+            println!(
+                "{}: {:.4} -> {:.4}, mean cost {:.4} -> {:.4} (standard error of the difference {:.4})",
+                t.name, t.from, t.to, t.cost[0], t.cost[1], t.standard_error
+            );
+        }
+        if self.taken.is_empty() {
+            println!("no other value of any constant lowers the cost by more than two standard errors");
+        }
+    }
+
+    fn named(&mut self) -> impl Iterator<Item = (String, serde_json::Value)> {
+        C::names().into_iter().zip(self.constants.values()).map(|(name, value)| (name.to_owned(), json!(*value)))
+    }
+}
+
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let given = options.set.iter().map(|given| parsed(given)).collect::<Result<Vec<_>>>()?;
+    options.only.iter().try_for_each(|name| known(name))?;
+    let ours = Search::<Ours>::new(&options.only, &given);
+    let gains = Search::<Gains>::new(&options.only, &given);
     let targets = options.paths.targets()?;
     let samples = samples_by_volume(&options.paths.calibration)?;
     let mut played = options
@@ -110,60 +176,47 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             recorded[0].trace.name
         );
     }
-    let before = costs(&courses, first)?;
-    let bar = templated_bar("tune [{bar:30}] {pos}/{len} values tried, {eta} left");
-    bar.set_length((options.rounds * tried.len() * TRIED) as u64);
-    let (mut found, after, taken) =
-        search(&courses, undisturbed, first, before.clone(), &tried, options.rounds, &|| bar.inc(1))?;
-    bar.finish_and_clear();
-    println!("{}", table(&played, &before, &after).to_text());
-    let mean = |costs: &[Cost]| costs.iter().map(Cost::value).sum::<f64>() / costs.len() as f64;
-    println!("mean cost {:.4} -> {:.4}", mean(&before), mean(&after));
-    let worth = removed(&courses, undisturbed, found, &after)?;
+    let mut ours = ours.run(&courses, undisturbed, options.rounds)?;
+    let mut gains = gains.run(&courses, undisturbed, options.rounds)?;
+    println!("{}", table(&played, &ours.before, &ours.after).to_text());
+    ours.print_mean();
+    let worth = removed(&courses, undisturbed, ours.constants, &ours.after)?;
     println!("\n{}", worth_table(&worth).to_text());
-    for t in &taken {
-        println!(
-            "{}: {:.4} -> {:.4}, mean cost {:.4} -> {:.4} (standard error of the difference {:.4})",
-            t.name, t.from, t.to, t.cost[0], t.cost[1], t.standard_error
-        );
-    }
-    if taken.is_empty() {
-        println!("no other value of any constant lowers the cost by more than two standard errors");
-    }
+    ours.print_taken();
+    gains.print_mean();
+    gains.print_taken();
     if let Some(out) = &options.out {
         make_folder_of(out)?;
         let names: Vec<&str> = played.iter().map(|(r, _)| r[0].trace.name.as_str()).collect();
-        let constants: serde_json::Map<String, serde_json::Value> =
-            found.values().map(|(name, value)| (name.to_owned(), json!(*value))).collect();
+        let constants: serde_json::Map<String, serde_json::Value> = ours.named().chain(gains.named()).collect();
         let all = json!({
-            "paths": names, "constants": constants, "taken": taken, "without": worth, "before": before, "after": after
+            "paths": names, "constants": constants, "taken": ours.taken, "without": worth,
+            "before": ours.before, "after": ours.after,
+            "pid": { "taken": gains.taken, "before": gains.before, "after": gains.after },
         });
         write_json(out, &all).with_context(|| format!("cannot write {}", out.display()))?;
     }
+    let searched = Ours::names().len() as f64;
+    bars::print(&[Bar::at_most("searched-constants", Some(searched), MOST_SEARCHED as f64)])
+}
+
+/// Fails for a name that is not that of a constant.
+fn known(name: &str) -> Result<()> {
+    let known = [Ours::names(), Gains::names()].concat();
+    ensure!(known.contains(&name), "no constant is named {name}; there are {}", known.join(", "));
     Ok(())
 }
 
-/// The index of a constant.
-fn place(name: &str) -> Result<usize> {
-    let mut constants = Constants::default();
-    let known: Vec<&str> = constants.values().map(|(name, _)| name).collect();
-    let place = known.iter().position(|n| *n == name);
-    place.with_context(|| format!("no constant is named {name}; there are {}", known.join(", ")))
-}
-
-/// Sets a constant from `NAME=VALUE`.
-fn set(constants: &mut Constants, given: &str) -> Result<()> {
+/// Returns name and value from `NAME=VALUE`.
+fn parsed(given: &str) -> Result<(&str, f64)> {
     let (name, value) = given.split_once('=').with_context(|| format!("{given} is no NAME=VALUE"))?;
-    let at = place(name)?;
-    let value: f64 = value
+    known(name)?;
+    let value = value
         .parse()
         .ok()
         .filter(|v: &f64| v.is_finite() && *v >= 0.0)
         .with_context(|| format!("{name} is {value}; it must be a finite number and not negative"))?;
-    if let Some((_, constant)) = constants.values().nth(at) {
-        *constant = value;
-    }
-    Ok(())
+    Ok((name, value))
 }
 
 /// Returns a table with the costs of every path before and after the search.

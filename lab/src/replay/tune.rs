@@ -1,4 +1,5 @@
-//! Search for better constants of the controller on recorded paths.
+//! Search for better constants of a controller on recorded paths: of ours, and of PID, which it is compared
+//! with.
 //!
 //! The cost of a path is the sum of the controller's errors on it over every useful target, each divided by
 //! a limit: the mean of |time − target| / target (8 %), the share of frames over 1.1 targets (3 %), the loss
@@ -20,7 +21,11 @@ use super::{LIMITS, Replayable, Replayed, Tally, Three, Trial, replay, trials};
 use crate::fitted::Calibrated;
 use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
-use entire_steer::control::{CorrectionConstants, HybridConstants, HybridOptions};
+use entire_cli::steering::contenders::{ControllerKind, pid};
+use entire_cli::steering::play::Contender;
+use entire_cli::steering::rivals::PID_GAINS;
+use entire_steer::control::{CorrectionConstants, HybridConstants, HybridOptions, Session};
+use entire_steer::predict::AnalyticModel;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -39,24 +44,85 @@ const PROMISED_MISSES: f64 = 0.03;
 /// Number of frames that each session without a model plays.
 const COLD_FRAMES: usize = 6;
 
-/// All constants that the search varies.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Constants {
-    pub(crate) hybrid: HybridConstants,
-    pub(crate) correction: CorrectionConstants,
-}
+/// Constants of a controller that the search varies.
+pub(crate) trait Constants: Copy + Sync {
+    /// Name of the controller in printed texts.
+    const CONTROLLER: &'static str;
 
-impl Constants {
-    /// Returns the name of every constant and a mutable reference to it, one after the other.
-    pub(crate) fn values(&mut self) -> impl Iterator<Item = (&'static str, &mut f64)> {
-        self.hybrid.values().into_iter().chain(self.correction.values())
-    }
+    /// Name of every constant, in the order of [`Constants::values`].
+    fn names() -> Vec<&'static str>;
+
+    /// Returns a mutable reference to every constant.
+    fn values(&mut self) -> Vec<&mut f64>;
+
+    /// Returns the controller with these constants before its first frame, with a fitted predictor; without
+    /// `calibrated`, with the predictor of an unmeasured machine.
+    fn contender(&self, calibrated: Option<&Calibrated>) -> Result<Contender>;
 
     fn changed(mut self, index: usize, value: f64) -> Self {
-        if let Some((_, v)) = self.values().nth(index) {
+        if let Some(v) = self.values().into_iter().nth(index) {
             *v = value;
         }
         self
+    }
+}
+
+/// Constants of our controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Ours {
+    hybrid: HybridConstants,
+    correction: CorrectionConstants,
+}
+
+impl Constants for Ours {
+    const CONTROLLER: &'static str = ControllerKind::Hybrid.title();
+
+    fn names() -> Vec<&'static str> {
+        let Self { mut hybrid, mut correction } = Self::default();
+        hybrid.values().into_iter().chain(correction.values()).map(|(name, _)| name).collect()
+    }
+
+    fn values(&mut self) -> Vec<&mut f64> {
+        self.hybrid.values().into_iter().chain(self.correction.values()).map(|(_, value)| value).collect()
+    }
+
+    fn contender(&self, calibrated: Option<&Calibrated>) -> Result<Contender> {
+        let Self { hybrid: constants, correction } = *self;
+        let options = HybridOptions { constants, correction, ..HybridOptions::default() };
+        Ok(match calibrated {
+            Some(c) => hybrid(c.model.predictor()?, HybridOptions { log_sd: c.log_sd(), ..options }),
+            None => without_model(options),
+        })
+    }
+}
+
+/// Gains of the PID controller, which entire is compared with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Gains([f64; 3]);
+
+impl Default for Gains {
+    fn default() -> Self {
+        Self(PID_GAINS.map(f64::from))
+    }
+}
+
+impl Constants for Gains {
+    const CONTROLLER: &'static str = ControllerKind::Pid.title();
+
+    fn names() -> Vec<&'static str> {
+        vec!["pid_proportional", "pid_integral", "pid_differential"]
+    }
+
+    fn values(&mut self) -> Vec<&mut f64> {
+        self.0.iter_mut().collect()
+    }
+
+    fn contender(&self, _: Option<&Calibrated>) -> Result<Contender> {
+        let mut out = without_model(HybridOptions::default());
+        out.name = Self::CONTROLLER.into();
+        out.session =
+            Session::with_controller(Box::new(AnalyticModel::default()), pid(self.0.map(|gain| gain as f32)));
+        Ok(out)
     }
 }
 
@@ -91,12 +157,13 @@ pub(crate) struct Removed {
 pub(crate) fn removed(
     courses: &[Course<'_>],
     paths: usize,
-    mut constants: Constants,
+    mut constants: Ours,
     now: &[Cost],
 ) -> Result<Vec<Removed>> {
-    let values: Vec<(&str, f64)> = constants.values().map(|(name, v)| (name, *v)).collect();
-    values
+    let values: Vec<f64> = constants.values().into_iter().map(|v| *v).collect();
+    Ours::names()
         .into_iter()
+        .zip(values)
         .enumerate()
         .filter_map(|(i, (name, value))| {
             WITHOUT.iter().find(|(n, _)| *n == name).map(|&(_, without)| (i, name, value, without))
@@ -202,17 +269,13 @@ impl<'a> Course<'a> {
         self.trials[0].is_empty()
     }
 
-    pub(crate) fn cost(&self, constants: Constants) -> Result<Cost> {
-        let model = &self.calibrated.model;
-        let Constants { hybrid: constants, correction } = constants;
-        let log_sd = self.calibrated.log_sd();
-        let options = HybridOptions { log_sd, constants, correction, ..HybridOptions::default() };
+    pub(crate) fn cost(&self, constants: &impl Constants) -> Result<Cost> {
         let (mut fitted, mut cold) = (Tally::default(), Tally::default());
         let (mut fitted_coarse, mut cold_coarse) = (0.0, 0.0);
         let (mut seconds, mut inside) = (0u32, 0u32);
         for trial in &self.trials[0] {
             for round in 1..=2 {
-                let mut who = hybrid(model.predictor()?, options);
+                let mut who = constants.contender(Some(self.calibrated))?;
                 let all = 0..trial.targets.len();
                 let played = replay(&self.recorded[0], &mut who, &[], &trial.targets, LIMITS, round, all)?;
                 fitted.merge(&Tally::of(&played));
@@ -223,7 +286,7 @@ impl<'a> Course<'a> {
             self.recorded.iter().zip(&self.trials).flat_map(|(r, t)| t.iter().map(move |t| (r, t)))
         {
             for frames in starts(trial.targets.len(), COLD_FRAMES) {
-                let mut who = without_model(options);
+                let mut who = constants.contender(None)?;
                 let played = replay(recorded, &mut who, &[], &trial.targets, LIMITS, 1, frames)?;
                 cold.merge(&Tally::of(&played[1..]));
                 cold_coarse += coarse(&played[1..]);
@@ -244,12 +307,16 @@ impl<'a> Course<'a> {
     }
 }
 
-pub(crate) fn costs(courses: &[Course<'_>], constants: Constants) -> Result<Vec<Cost>> {
-    courses.par_iter().map(|c| c.cost(constants)).collect()
+pub(crate) fn costs(courses: &[Course<'_>], constants: impl Constants) -> Result<Vec<Cost>> {
+    courses.par_iter().map(|c| c.cost(&constants)).collect()
 }
 
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
+}
+
+pub(crate) fn mean_cost(costs: &[Cost]) -> f64 {
+    mean(&costs.iter().map(Cost::value).collect::<Vec<_>>())
 }
 
 /// The difference of two costs: its mean over the recorded paths and its standard error. The courses are the
@@ -268,20 +335,21 @@ fn difference(paths: usize, before: &[Cost], after: &[Cost]) -> (f64, f64) {
 
 /// Searches from `constants`, with the costs `now`, for at most `rounds` rounds over the constants `tried`
 /// (by index). Returns constants, costs and taken changes. `done` is called after every tried value.
-pub(crate) fn search(
+pub(crate) fn search<C: Constants>(
     courses: &[Course<'_>],
     paths: usize,
-    mut constants: Constants,
+    mut constants: C,
     mut now: Vec<Cost>,
     tried: &[usize],
     rounds: usize,
     done: &dyn Fn(),
-) -> Result<(Constants, Vec<Cost>, Vec<Taken>)> {
+) -> Result<(C, Vec<Cost>, Vec<Taken>)> {
     let mut taken = Vec::new();
+    let names = C::names();
     for _ in 0..rounds {
         let before = taken.len();
         for &i in tried {
-            let (name, from) = constants.values().nth(i).map_or(("", f64::NAN), |(name, v)| (name, *v));
+            let from = *constants.values()[i];
             let mut best: Option<(f64, f64, f64, Vec<Cost>)> = None;
             for to in FACTORS.map(|f| f * from) {
                 let costs = costs(courses, constants.changed(i, to))?;
@@ -293,9 +361,8 @@ pub(crate) fn search(
             }
             if let Some((to, _, standard_error, costs)) = best {
                 constants = constants.changed(i, to);
-                let value = |c: &[Cost]| mean(&c.iter().map(Cost::value).collect::<Vec<_>>());
-                let cost = [value(&now), value(&costs)];
-                taken.push(Taken { name, from, to, cost, standard_error });
+                let cost = [mean_cost(&now), mean_cost(&costs)];
+                taken.push(Taken { name: names[i], from, to, cost, standard_error });
                 now = costs;
             }
         }

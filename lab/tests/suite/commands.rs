@@ -81,6 +81,7 @@ fn tune_says_what_recorded_paths_cost() {
     let names: Vec<_> =
         hybrid.values().into_iter().chain(correction.values()).map(|(name, _)| name).collect();
     assert!(names.iter().all(|n| found["constants"][n].is_f64()), "{found}");
+    assert!(said.contains("\nbar searched-constants ") && said.contains(" 12.0000 ok\n"), "{said}");
     for path in 0..2 {
         for (what, most) in [("fitted", 0.15), ("cold", 0.5)] {
             let deviation = found["before"][path][what]["deviation"].as_f64().unwrap();
@@ -102,6 +103,12 @@ fn tune_says_what_recorded_paths_cost() {
     assert_eq!(found["constants"]["full"], HybridConstants::default().full);
     assert!(found["constants"]["damping"].as_f64().unwrap() <= 0.4, "{found}");
     assert_eq!(found["without"].as_array().unwrap().len(), names.len());
+    // Gains of PID are found from another start.
+    let more =
+        ["--set", "pid_integral=5", "--only", "pid_integral", "--rounds", "1", "--out", out.to_str().unwrap()];
+    let found = written(&tune(&both, "45fps,60fps", &more));
+    assert!(found["constants"]["pid_integral"].as_f64().unwrap() < 5.0, "{found}");
+    assert_eq!(found["pid"]["taken"][0]["name"], "pid_integral");
     // Beside another program that takes a core all the time, the same path costs more.
     let more = "--rounds 0 --disturbances data/steer/disturbances/steady.csv --out".split(' ');
     let found = written(&tune(&both, "45fps", &more.chain([out.to_str().unwrap()]).collect::<Vec<_>>()));

@@ -133,23 +133,29 @@ impl Controller for Olp {
 }
 
 /// PID on the step. With the error e = (t − t_target) / t_target of the last frame, the next step is
-/// step · (1 + P e) + I Σe + D Δe (gains P, I, D of 0.3, 0.05, 0.1 in the paper). Σe is reset to 0 when the
-/// limits clamp the step.
+/// step · (1 + P e) + I Σe + D Δe. Σe is reset to 0 when the limits clamp the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pid {
+    gains: [f32; 3],
     step: f32,
     integral: f32,
     last: Option<f32>,
 }
 
+/// Proportional, integral and differential gain of [`Pid`], by a search over recorded paths
+/// (`entire-lab tune`); the paper has 0.3, 0.05 and 0.1.
+pub const PID_GAINS: [f32; 3] = [0.3, 0.05, 0.1];
+
 impl Pid {
-    /// Proportional, integral and differential gain of the paper.
-    const GAINS: [f32; 3] = [0.3, 0.05, 0.1];
+    /// Returns the rule with these gains, before the first frame.
+    pub(crate) const fn with_gains(gains: [f32; 3]) -> Self {
+        Self { gains, ..Self::START }
+    }
 }
 
 impl Rule for Pid {
     const NAME: &'static str = "pid";
-    const START: Self = Self { step: 1.0, integral: 0.0, last: None };
+    const START: Self = Self { gains: PID_GAINS, step: 1.0, integral: 0.0, last: None };
 
     fn step(&mut self, _: f32, limits: StepLimits) -> f32 {
         let clamped = limits.clamp(self.step);
@@ -166,9 +172,13 @@ impl Rule for Pid {
         self.integral = (self.integral + error).clamp(-20.0, 20.0);
         let difference = error - self.last.unwrap_or(error);
         self.last = Some(error);
-        let [p, i, d] = Self::GAINS;
+        let [p, i, d] = self.gains;
         self.step =
             (observed.step * (1.0 + p * error) + i * self.integral + d * difference).clamp(1.0e-3, 1.0e4);
         Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        *self = Self::with_gains(self.gains);
     }
 }

@@ -23,6 +23,11 @@ pub(crate) trait Rule: Sized {
 
     /// Updates the rule by a frame's time.
     fn learn(&mut self, observed: &Observed) -> Verdict;
+
+    /// Forgets all frames.
+    fn reset(&mut self) {
+        *self = Self::START;
+    }
 }
 
 /// A rule as a controller.
@@ -42,7 +47,7 @@ impl<R: Rule> Controller for Reactive<R> {
     }
 
     fn reset(&mut self) {
-        self.0 = R::START;
+        self.0.reset();
     }
 }
 
