@@ -86,9 +86,9 @@ impl HybridOptions {
     ///   plan covers disturbed frames too.
     /// * A new scene: nothing is damped, the logarithm of the earlier scene's correction is multiplied by
     ///   1 − novelty, and the margin is that of new scenes.
-    /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the
-    ///   tolerance, the chosen step lies halfway, in ln(step), between the finest of these steps and the
-    ///   coarsest step. The plan's reason is [`Reason::Fits`] in this case, too.
+    /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
+    ///   the step with the least expected cost of these steps is chosen. The cost is the probability of a late
+    ///   frame plus a constant times ln(step). The plan's reason is [`Reason::Fits`] in this case, too.
     /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
     /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
     ///   replaces the prediction if the prediction is missing, is out of range at the step that it would
@@ -169,6 +169,9 @@ const EVALUATIONS: usize = 12;
 /// Slower frames are due to other programs, and a step that is coarse enough for these frames would be too
 /// coarse for all others.
 const WORTH: f64 = 2.0;
+/// Cost of a step that is coarser by 1 in ln(step), if a late frame costs 1: the ratio of two goals, 3 % late
+/// frames and 8 % of quality. `entire-lab tune` weighs late frames against quality in this ratio, too.
+const COARSENESS: f64 = 0.03 / 0.08;
 /// Learning rate of the margins, which thus adapt over about twenty frames. A fixed margin has the same loss
 /// on the training paths, but does not keep a miss rate.
 const MARGIN_PACE: f32 = 0.05;
@@ -193,6 +196,8 @@ struct Expected {
     /// Upper bound for frames that no other program disturbs. It is used to choose the step: a step that is
     /// coarse enough for disturbed frames would be too coarse for all others.
     choice_upper: f64,
+    /// Standard deviation of ln(time) over frames that no other program disturbs.
+    calm_sd: f64,
 }
 
 impl Hybrid {
@@ -240,13 +245,15 @@ impl Hybrid {
         let slope = self.options.constants.slope_sd * far;
         let wider = |sd: f64| libm::sqrt(sd * sd + slope * slope);
         let z = if self.scene.first { self.changed.multiple } else { self.calm.multiple };
-        let (all, calm) = (z * wider(corrected.sd), self.worth * wider(corrected.calm_sd));
+        let calm_sd = wider(corrected.calm_sd);
+        let (all, calm) = (z * wider(corrected.sd), self.worth * calm_sd);
         let choice = corrected.seconds / self.ignored_load();
         Expected {
             seconds: corrected.seconds,
             upper: corrected.seconds * libm::exp(all),
             choice,
             choice_upper: choice * libm::exp(all.min(calm)),
+            calm_sd,
         }
     }
 
@@ -340,12 +347,44 @@ impl Hybrid {
         Some(best)
     }
 
+    /// Returns the step within the limits with the least `cost`, to about one percent, by golden-section search
+    /// in ln(step). The search assumes that the cost has one minimum; a probability that decreases convexly
+    /// with ln(step), plus a multiple of ln(step), has one.
+    fn cheapest(limits: StepLimits, mut cost: impl FnMut(f32) -> f64) -> f32 {
+        const GOLDEN: f64 = 0.618_033_988_749_895;
+        let (mut low, mut high) = (libm::log(f64::from(limits.finest)), libm::log(f64::from(limits.coarsest)));
+        let mut best = (limits.finest, cost(limits.finest));
+        let mut at = |x: f64| {
+            let step = limits.clamp(libm::exp(x) as f32);
+            let value = cost(step);
+            if value < best.1 {
+                best = (step, value);
+            }
+            value
+        };
+        let mut middle = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)];
+        let mut costs = middle.map(&mut at);
+        for _ in 2..EVALUATIONS {
+            if costs[0] <= costs[1] {
+                high = middle[1];
+                middle = [high - GOLDEN * (high - low), middle[0]];
+                costs = [at(middle[0]), costs[0]];
+            } else {
+                low = middle[0];
+                middle = [middle[1], low + GOLDEN * (high - low)];
+                costs = [costs[1], at(middle[1])];
+            }
+        }
+        best.0
+    }
+
     /// Returns the corrected prediction for the present frame at `step`; `terms` is the predicted cost at
     /// this step. If `by_history` is true, returns the forecast from recent frames instead.
     fn expected(&self, terms: &CostTerms, step: f32, by_history: bool) -> Expected {
         if by_history {
             let (seconds, upper) = self.history.forecast(step, self.calm.multiple);
-            Expected { seconds, upper, choice: seconds, choice_upper: upper }
+            let calm_sd = libm::log(upper / seconds) / self.calm.multiple;
+            Expected { seconds, upper, choice: seconds, choice_upper: upper, calm_sd }
         } else {
             self.judge_at(terms, f64::from(step))
         }
@@ -368,10 +407,12 @@ impl Hybrid {
         let bounded = Self::finest(limits, last, excess);
         let mut step = match bounded {
             Some(step) => step,
-            // No step has a bound that fits. If some steps are expected to fit, the geometric mean of the
-            // finest of these steps and the coarsest step is chosen.
+            // No step has a bound that fits. If some steps are expected to fit, the cheapest of them is chosen.
             None => match Self::finest(limits, last, |step| libm::log(judge(step).choice / target)) {
-                Some(expected) => limits.clamp(libm::sqrtf(expected * limits.coarsest)),
+                Some(finest) => Self::cheapest(StepLimits { finest, ..limits }, |step| {
+                    let Expected { choice, calm_sd, .. } = judge(step);
+                    exceeded(libm::log(ceiling / choice) / calm_sd) + COARSENESS * libm::log(f64::from(step))
+                }),
                 None => {
                     reason = Reason::TargetUnreachable;
                     limits.coarsest
@@ -598,14 +639,18 @@ fn margins(options: &HybridOptions) -> (Margin, Margin) {
     )
 }
 
+/// Returns the probability that a standard normal number exceeds `limit`.
+fn exceeded(limit: f64) -> f64 {
+    0.5 * libm::erfc(limit * core::f64::consts::FRAC_1_SQRT_2)
+}
+
 /// Returns the quantile of the standard normal distribution that is exceeded with this probability, clamped
 /// to 0…8; 0 for a probability that is NaN or not positive.
 fn normal_quantile(probability: f64) -> f64 {
     let (mut low, mut high) = (0.0, 8.0);
     for _ in 0..30 {
         let middle = 0.5 * (low + high);
-        let exceeded = 0.5 * libm::erfc(middle * core::f64::consts::FRAC_1_SQRT_2);
-        if exceeded > probability { low = middle } else { high = middle }
+        if exceeded(middle) > probability { low = middle } else { high = middle }
     }
     if probability > 0.0 { low } else { 0.0 }
 }
