@@ -147,8 +147,6 @@ const SURE: i64 = 2;
 /// Variance that each frame adds to ln of the unit costs' common factor, for a machine whose speed drifts: a
 /// standard deviation of 10 % after 1000 frames. At 0, the loss on the training paths is the same.
 const DRIFT: f64 = 1.0e-5;
-/// As [`DRIFT`], for ln of each unit cost: a standard deviation of 4.5 % after 1000 frames.
-const DRIFT_SINGLE: f64 = 2.0e-6;
 /// Largest number of frames over which the load is averaged; more frames would hide a change of the load.
 const LOAD_FRAMES: f64 = 8.0;
 /// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
@@ -265,7 +263,7 @@ impl Correction {
         // updates.
         let wander = if self.loaded() { 0.0 } else { keep * self.spread * self.gain() * self.gain() };
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
-        self.widen(DRIFT, DRIFT_SINGLE);
+        self.widen(DRIFT, 0.0);
         self.tidy();
         if novelty >= NOVEL {
             self.age = 0;
