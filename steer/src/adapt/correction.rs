@@ -114,12 +114,10 @@ const SPREAD: (f64, f64) = (1.0e-5, 0.25);
 /// Range of `gain`. At 0 the scene's factor would never change; at 1 every error, noise included, would be
 /// added to it completely.
 const GAIN: (f64, f64) = (0.1, 0.8);
-/// Smallest learning rate of the variance of calm frames' errors. At this rate, the variance is an average
-/// over about ten frames. At half the rate, the loss on the training paths is the same.
-const SPREAD_PACE: f64 = 0.1;
-/// Learning rate of the variance, over scenes, of ln of a scene's own factor. At this rate, the variance is
-/// an average over about ten scenes. At half the rate, the loss on the training paths is the same.
-const SCENE_PACE: f64 = 0.1;
+/// Learning rate of statistics of errors: the margins, the variance of calm frames' errors (at least this
+/// rate), and the variance, over scenes, of ln of a scene's own factor. At this rate, a statistic is an
+/// average over about twenty errors.
+pub(crate) const PACE: f64 = 0.05;
 /// Prior variance of ln of each unit cost of a fitted model, and of their common factor, as a share of the
 /// variance of the model's errors. At 0, the loss on the training paths is the same.
 const FITTED_SHARE: f64 = 0.1;
@@ -331,7 +329,7 @@ impl Correction {
                 let local = self.covariance[LOCAL][LOCAL].min(model);
                 let others = (model - local).max(0.0) + noise;
                 let seen = (squared - others).clamp(0.0, SQUARE_LIMIT * self.change);
-                self.change = (self.change + SCENE_PACE * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
+                self.change = (self.change + PACE * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
             }
         } else if calm && self.off == 0 && !self.jumped {
             self.spread = self.follow(self.spread, squared);
@@ -357,7 +355,7 @@ impl Correction {
 
     /// Returns the mean squared error `spread`, updated by the squared error `squared`.
     fn follow(&self, spread: f64, squared: f64) -> f64 {
-        let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(SPREAD_PACE, FASTEST_PACE);
+        let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(PACE, FASTEST_PACE);
         (spread + pace * (squared.min(SQUARE_LIMIT * spread) - spread)).clamp(SPREAD.0, SPREAD.1)
     }
 

@@ -21,9 +21,9 @@ const HIGH: f64 = 8.0;
 impl Margin {
     /// Returns a margin with the given initial multiple, miss rate `rate` and learning rate `pace`. These
     /// values are clamped to 0.5…8, 0.0001…0.5 and 0.001…1, respectively.
-    pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
+    pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f64) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
-        let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
+        let pace = if pace.is_finite() { pace.clamp(1.0e-3, 1.0) } else { 0.1 };
         let multiple = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
         Self { multiple, rate, pace }
     }
@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn nothing_drives_it_out_of_bounds() {
-        let mut margin = Margin::starting_at(f64::NAN, f32::NAN, f32::NAN);
+        let mut margin = Margin::starting_at(f64::NAN, f32::NAN, f64::NAN);
         for e in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300] {
             for _ in 0..1000 {
                 margin.observe(e);

@@ -5,7 +5,7 @@ use super::constants::HybridConstants;
 use super::history::History;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::adapt::state::{Reader, Writer};
-use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, NOVEL, Prior, Standing, Verdict};
+use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, NOVEL, PACE, Prior, Standing, Verdict};
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::boxed::Box;
@@ -172,9 +172,6 @@ const WORTH: f64 = 2.0;
 /// Cost of a step that is coarser by 1 in ln(step), if a late frame costs 1: the ratio of two goals, 3 % late
 /// frames and 8 % of quality. `entire-lab tune` weighs late frames against quality in this ratio, too.
 const COARSENESS: f64 = 0.03 / 0.08;
-/// Learning rate of the margins, which thus adapt over about twenty frames. A fixed margin has the same loss
-/// on the training paths, but does not keep a miss rate.
-const MARGIN_PACE: f32 = 0.05;
 /// Relative change of the step, and relative difference of the expected time from the target, below which the
 /// step is kept. Smaller changes are not visible.
 const DEAD_BAND: f64 = 0.01;
@@ -634,8 +631,8 @@ fn margins(options: &HybridOptions) -> (Margin, Margin) {
     let c = &options.constants;
     let rate = options.miss_rate.max(NEW_SCENE_MISS_RATE);
     (
-        Margin::starting_at(c.margin_start, options.miss_rate, MARGIN_PACE),
-        Margin::starting_at(c.margin_start, rate, MARGIN_PACE),
+        Margin::starting_at(c.margin_start, options.miss_rate, PACE),
+        Margin::starting_at(c.margin_start, rate, PACE),
     )
 }
 
