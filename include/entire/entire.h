@@ -703,8 +703,8 @@ typedef struct entire_plan {
 
 /**
  * The finest step that is expected to meet the target and whose upper bound is at most (1 + tolerance) times
- * the target. If no step has such a bound: the step halfway, in ln(step), between the finest step that is
- * expected to meet the target and the coarsest allowed step.
+ * the target. If no step has such a bound: the step with the least expected cost of late frames and of lost
+ * quality, among the steps that are expected to meet the target.
  */
 #define ENTIRE_REASON_FITS 1
 

@@ -12,8 +12,8 @@ use entire_steer::predict::Source;
 /// Reason for a plan's step: one of the `ENTIRE_REASON_*` numbers.
 pub type entire_reason = u32;
 /// The finest step that is expected to meet the target and whose upper bound is at most (1 + tolerance) times
-/// the target. If no step has such a bound: the step halfway, in ln(step), between the finest step that is
-/// expected to meet the target and the coarsest allowed step.
+/// the target. If no step has such a bound: the step with the least expected cost of late frames and of lost
+/// quality, among the steps that are expected to meet the target.
 pub const ENTIRE_REASON_FITS: entire_reason = 1;
 /// The step moves slowly towards that of ENTIRE_REASON_FITS, because nothing changed abruptly.
 pub const ENTIRE_REASON_DAMPED: entire_reason = 2;

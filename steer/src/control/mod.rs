@@ -77,8 +77,8 @@ impl Default for StepLimits {
 #[repr(u32)]
 pub enum Reason {
     /// The finest step that is expected to meet the target and whose upper bound is within the tolerance. If
-    /// no upper bound is within the tolerance: the step halfway, in ln(step), between the finest step that is
-    /// expected to meet the target and the coarsest allowed step.
+    /// no upper bound is within the tolerance: the step with the least expected cost of late frames and of
+    /// lost quality, among the steps that are expected to meet the target.
     Fits = 1,
     /// As `Fits`, but the change of the step was limited, since the scene has not changed abruptly.
     Damped = 2,

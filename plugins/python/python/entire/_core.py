@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 _FOLDER = Path(__file__).parent / "models"
 _REASONS = {
     "fits": "the finest step that is expected to meet the target and whose upper bound is within the "
-    "tolerance; if no step has such a bound, the step halfway between the finest one that is expected to meet the "
-    "target and the coarsest one",
+    "tolerance; if no step has such a bound, the step with the least expected cost of late frames and lost quality, "
+    "among those that are expected to meet the target",
     "damped": "the step changes gradually towards that of 'fits', since nothing changed abruptly",
     "held": "the last step is still expected to meet the target and is close to that of 'fits'",
     "finest allowed": "the finest allowed step is expected to meet the target",
