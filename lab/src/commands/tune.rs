@@ -4,7 +4,8 @@ use super::replay::Paths;
 use crate::fitted::{Calibrated, samples_by_volume};
 use crate::bars::{self, Bar};
 use crate::replay::tune::{
-    Constants, Cost, Course, Gains, LAWS, Ours, Removed, TRIED, Taken, by_law, costs, mean_cost, removed, search,
+    Constants, Cost, Course, Gains, LAWS, Ours, Removed, TRIED, Taken, by_law, costs, mean_cost, removed,
+    search,
 };
 use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};
@@ -118,7 +119,8 @@ impl<C: Constants + Default> Search<C> {
 
 impl<C: Constants> Found<C> {
     fn print_mean(&self) {
-        println!("{}: mean cost {:.4} -> {:.4}", C::CONTROLLER, mean_cost(&self.before), mean_cost(&self.after));
+        let [before, after] = [&self.before, &self.after].map(|costs| mean_cost(costs));
+        println!("{}: mean cost {before:.4} -> {after:.4}", C::CONTROLLER);
     }
 
     fn print_taken(&self) {
@@ -134,7 +136,8 @@ impl<C: Constants> Found<C> {
     }
 
     fn named(&mut self) -> impl Iterator<Item = (String, serde_json::Value)> {
-        C::names().into_iter().zip(self.constants.values()).map(|(name, value)| (name.to_owned(), json!(*value)))
+        let values = self.constants.values().into_iter();
+        C::names().into_iter().zip(values).map(|(name, value)| (name.to_owned(), json!(*value)))
     }
 }
 
@@ -188,7 +191,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(out) = &options.out {
         make_folder_of(out)?;
         let names: Vec<&str> = played.iter().map(|(r, _)| r[0].trace.name.as_str()).collect();
-        let constants: serde_json::Map<String, serde_json::Value> = ours.named().chain(gains.named()).collect();
+        let constants: serde_json::Map<_, _> = ours.named().chain(gains.named()).collect();
         let all = json!({
             "paths": names, "constants": constants, "taken": ours.taken, "without": worth,
             "before": ours.before, "after": ours.after,

@@ -88,7 +88,7 @@ impl HybridOptions {
     ///   1 − novelty, and the margin is that of new scenes.
     /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
     ///   the step with the least expected cost of these steps is chosen. The cost is the probability of a late
-    ///   frame plus a constant times ln(step). The plan's reason is [`Reason::Fits`] in this case, too.
+    ///   frame plus 0.375 · ln(step). The plan's reason is [`Reason::Fits`] in this case, too.
     /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
     /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
     ///   replaces the prediction if the prediction is missing, or is out of range at the step that it would
@@ -343,12 +343,12 @@ impl Hybrid {
         Some(best)
     }
 
-    /// Returns the step within the limits with the least `cost`, to about one percent, by golden-section search
-    /// in ln(step). The search assumes that the cost has one minimum; a probability that decreases convexly
-    /// with ln(step), plus a multiple of ln(step), has one.
+    /// Returns the step within the limits with the least `cost`, to about one percent, by a golden-section
+    /// search in ln(step). The search assumes that the cost has one minimum; a probability that decreases
+    /// convexly with ln(step), plus a multiple of ln(step), has one.
     fn cheapest(limits: StepLimits, mut cost: impl FnMut(f32) -> f64) -> f32 {
         const GOLDEN: f64 = 0.618_033_988_749_895;
-        let (mut low, mut high) = (libm::log(f64::from(limits.finest)), libm::log(f64::from(limits.coarsest)));
+        let [mut low, mut high] = [limits.finest, limits.coarsest].map(|step| libm::log(f64::from(step)));
         let mut best = (limits.finest, cost(limits.finest));
         let mut at = |x: f64| {
             let step = limits.clamp(libm::exp(x) as f32);
@@ -403,7 +403,8 @@ impl Hybrid {
         let bounded = Self::finest(limits, last, excess);
         let mut step = match bounded {
             Some(step) => step,
-            // No step has a bound that fits. If some steps are expected to fit, the cheapest of them is chosen.
+            // No step has a bound that fits. If some steps are expected to fit, the cheapest of these steps is
+            // chosen.
             None => match Self::finest(limits, last, |step| libm::log(judge(step).choice / target)) {
                 Some(finest) => Self::cheapest(StepLimits { finest, ..limits }, |step| {
                     let Expected { choice, calm_sd, .. } = judge(step);
