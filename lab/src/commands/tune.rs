@@ -1,8 +1,8 @@
 //! `entire-lab tune`: search of the controller's constants, and of PID's gains, on recorded paths.
 
 use super::replay::Paths;
-use crate::fitted::{Calibrated, samples_by_volume};
 use crate::bars::{self, Bar};
+use crate::fitted::{Calibrated, samples_by_volume};
 use crate::replay::tune::{
     Constants, Cost, Course, Gains, LAWS, Ours, Removed, TRIED, Taken, by_law, costs, mean_cost, removed,
     search,

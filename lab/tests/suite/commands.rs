@@ -104,8 +104,16 @@ fn tune_says_what_recorded_paths_cost() {
     assert!(found["constants"]["damping"].as_f64().unwrap() <= 0.4, "{found}");
     assert_eq!(found["without"].as_array().unwrap().len(), names.len());
     // Gains of PID are found from another start.
-    let more =
-        ["--set", "pid_integral=5", "--only", "pid_integral", "--rounds", "1", "--out", out.to_str().unwrap()];
+    let more = [
+        "--set",
+        "pid_integral=5",
+        "--only",
+        "pid_integral",
+        "--rounds",
+        "1",
+        "--out",
+        out.to_str().unwrap(),
+    ];
     let found = written(&tune(&both, "45fps,60fps", &more));
     assert!(found["constants"]["pid_integral"].as_f64().unwrap() < 5.0, "{found}");
     assert_eq!(found["pid"]["taken"][0]["name"], "pid_integral");
@@ -175,7 +183,7 @@ fn whatever_else_runs_fewer_frames_are_late_than_under_olp() {
 fn replay_fails_if_a_path_cannot_be_played() {
     let dir = tempfile::tempdir().unwrap();
     let played = "lab/tests/data/castro-cuts.json";
-    let mut trace = crate::read_json(&crate::repository().join("lab/tests/data/nyx-switches.json"));
+    let mut trace = read_json(&crate::repository().join("lab/tests/data/nyx-switches.json"));
     trace["name"] = "alternating".into();
     // No step changes these times, so half of the frames meet no target that the others miss.
     for (i, frame) in trace["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
@@ -187,7 +195,8 @@ fn replay_fails_if_a_path_cannot_be_played() {
     std::fs::write(&alternating, trace.to_string()).unwrap();
     let out = dir.path().join("out");
     let replay = |traces: &[&str]| {
-        let rest = "--calibration data/steer/training/calibration.csv.gz --controllers fixed --rounds 1 --out";
+        let rest =
+            "--calibration data/steer/training/calibration.csv.gz --controllers fixed --rounds 1 --out";
         let arguments = ["replay"].into_iter().chain(traces.iter().copied()).chain(rest.split(' '));
         lab(&arguments.chain([out.to_str().unwrap()]).collect::<Vec<_>>())
     };
