@@ -23,7 +23,7 @@ use entire_io::files::note;
 use entire_io::volume::Reading;
 use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, fit_frames, fit_quality, prior_costs};
 use entire_steer::features::PROBE_SIDE;
-use entire_steer::predict::UnitCosts;
+use entire_steer::predict::{Quality, UnitCosts};
 use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
 use entire_train::inputs::work_of;
 use entire_train::split::shortest;
@@ -164,11 +164,12 @@ pub(crate) fn calibrate(
     let choosing = start.elapsed().as_secs_f64();
     let frames_end =
         deadline - Duration::from_secs_f64(PICTURES_SHARE * settings.seconds).min(deadline - start);
+    let built_in = Quality::built_in(renderer.backend());
     let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, bar);
     measuring.run()?;
     let compared = measuring.pictures(deadline)?;
     // With too few scenes the model states no quality law.
-    let quality = fit_quality(&compared).ok();
+    let quality = fit_quality(&compared, built_in).ok();
     let frames = measuring.frames();
     let noise = measuring.noise(&frames);
     let Measuring { others, rounds, warm_ups, .. } = measuring;

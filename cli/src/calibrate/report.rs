@@ -243,12 +243,19 @@ pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
          and d is the number of pixels between rays; {:.0} % of the time at full quality depends on the \
          number of rays only. At equal time, the error is {:.2} times the smallest one if this formula \
          chooses step and image size, and {} times if only the step is changed. A coarser step alone saves \
-         at most {:.0} % of the time",
+         at most {:.0} % of the time{}",
         fitted.scenes,
         fitted.settings,
         100.0 * ray_share,
         fitted.over_best,
         fitted.step_over_best.map_or("an unknown number of".into(), |over| format!("{over:.2}")),
-        100.0 * (1.0 - fitted.step_least_time)
+        100.0 * (1.0 - fitted.step_least_time),
+        fitted.over_prior.map_or_else(String::new, |over| {
+            let kept = if over < 1.0 { "" } else { ", so the built-in law is kept" };
+            format!(
+                ". On held-out scenes, the error with laws fitted to the other scenes and the built-in law is \
+                 {over:.2} times that with the built-in law{kept}"
+            )
+        })
     )
 }

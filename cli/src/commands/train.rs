@@ -14,7 +14,7 @@ use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_io::{interrupt, machine};
 use entire_steer::calibrate::fit_quality;
-use entire_steer::predict::{UPPER_LEVEL, UpperBound};
+use entire_steer::predict::{Quality, UPPER_LEVEL, UpperBound};
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, FittedModel, Kind, Recipe, predict_rows};
 use entire_train::inputs::Layout;
@@ -121,8 +121,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     check_used(&recipe)?;
     let pool = thread_pool(options.threads)?;
     let tables = open_tables(&options.data, options.root.as_deref())?;
-    let law = |path: &PathBuf| fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string());
-    let pictures = options.pictures.as_ref().map(law).transpose()?;
     let base = options.fine_tune.as_deref().map(|path| anyhow::Ok((path.display(), open_model(path)?)));
     let base = base.transpose()?;
     let clock = learned_clock(options, &tables, base.as_ref())?;
@@ -148,6 +146,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
     }
     let part = |p: Part| parts.get(&p).map_or(&[][..], Vec::as_slice);
+    // Test frames may be of another renderer.
+    let described = manifests_of(&tables, part(Part::Training)).into_iter().next();
+    let prior = described.as_ref().and_then(|manifest| Quality::built_in(&manifest.renderer));
+    let law = |path: &PathBuf| {
+        fit_quality(&read_pictures(path)?, prior).with_context(|| path.display().to_string())
+    };
+    let pictures = options.pictures.as_ref().map(law).transpose()?;
     note(&format!(
         "{} frames, split by {}: {} for training, {} for validation, {} for testing",
         refs.len(),
@@ -295,8 +300,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(law) = &pictures {
         law.quality.store(&mut fitted.file)?;
     }
-    // Test frames may be of another renderer.
-    if let Some(manifest) = manifests_of(&tables, part(Part::Training)).first() {
+    if let Some(manifest) = described {
         fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
         fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
         fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());

@@ -197,10 +197,10 @@ pub fn scale_at(scales: &[(u32, f32)], frame: usize) -> f32 {
     scales.iter().rev().find(|(from, _)| *from as usize <= frame).map_or(1.0, |(_, scale)| *scale)
 }
 
-/// Quality law of the raycaster's pictures, for models that state no such law. `entire calibrate` fitted this
-/// law to pictures of the volumes in data/, unshaded.
-pub(crate) const RAYCASTER: Quality =
-    Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
+/// Sets the raycaster's picture quality law if the model states none.
+pub(crate) fn choose_pictures(session: &mut Session) -> entire_core::Result<()> {
+    session.set_quality(session.quality().or_else(|| Quality::built_in("vulkan")))
+}
 
 /// Plays a path under all contenders. Each frame is drawn at the reference step first, then under every
 /// contender with its own step, so that noise of the machine affects all contenders equally. The order of the
@@ -220,8 +220,7 @@ pub(crate) fn play(
     for contender in contenders.iter_mut() {
         contender.session.set_limits(contender.acts_on.limits(task.course.limits))?;
         if contender.chooses_image_sample_distance {
-            let known = contender.session.quality().unwrap_or(RAYCASTER);
-            contender.session.set_quality(Some(known))?;
+            choose_pictures(&mut contender.session)?;
             contender.session.set_max_image_sample_distance(task.course.max_image_sample_distance, 1.0)?;
         }
     }
@@ -481,10 +480,11 @@ mod tests {
         assert!(smaller > 0, "no smaller picture");
         // By the quality law, a contender that chooses step and size has less error than one that chooses the
         // step alone. The first contender misses the target in at most one frame more than the second.
+        let law = Quality::built_in("vulkan").unwrap();
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..]
                 .iter()
-                .map(|r| RAYCASTER.error(f64::from(r.step), f64::from(r.image_sample_distance)))
+                .map(|r| law.error(f64::from(r.step), f64::from(r.image_sample_distance)))
                 .sum()
         };
         assert!(error(&sized) < error(&plain), "{} {}", error(&sized), error(&plain));

@@ -169,8 +169,10 @@ fn a_model_states_what_coarser_pictures_cost() {
     assert!(chosen > 0.95 && least > 0.0 && least < 1.0, "{pictures}");
     // The ratio for steps alone is missing if even the coarsest step takes longer than all compared frame
     // times.
+    let fitted = of("over_prior").unwrap() < 1.0;
+    assert_eq!(said.contains("the built-in law is kept"), !fitted, "{said}");
     match of("step_over_best") {
-        Some(alone) => assert!(chosen <= alone + 1e-9, "{pictures}"),
+        Some(alone) => assert!(!fitted || chosen <= alone + 1e-9, "{pictures}"),
         None => assert!(least > 0.7, "{pictures}"),
     }
 }

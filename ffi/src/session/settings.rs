@@ -148,7 +148,8 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
 /// image_weight * (d - 1)^image_exponent, and the time is proportional to (ray_share + (1 - ray_share) / s) /
 /// d^2. Fit the four numbers to pictures of this renderer. The law replaces `step_alone` of
 /// entire_session_set_max_image_sample_distance. An `image_weight` of 0 removes the law: the session then
-/// uses the law of its model, if the model was calibrated with pictures of this renderer.
+/// uses the law of its model, if the model was calibrated with pictures of this renderer, else the built-in
+/// law.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a weight that is neither 0 nor 1e-3 to 1e3, an exponent outside 0.05
 /// to 8, a share outside 0 to 0.9), ENTIRE_NULL_ARGUMENT.
@@ -168,7 +169,9 @@ pub unsafe extern "C" fn entire_session_set_quality(
 
 /// The quality law that plans use: the numbers of entire_session_set_quality, else those of the model
 /// (entire_session_record_picture, `entire calibrate`) if it was calibrated with the renderer that
-/// entire_session_set_timing_source names, or if no renderer is named. All are 0 if there is no law.
+/// entire_session_set_timing_source names, or if no renderer is named, else the built-in law of the named
+/// renderer (the class names of VTK's fixed-point and GPU mapper, or `vulkan` or `cpu` for the raycaster).
+/// All are 0 if there is no law.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

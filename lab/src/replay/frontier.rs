@@ -48,7 +48,7 @@ pub(crate) fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option
             })
         })
         .collect();
-    let law = fit_quality(&pictures).ok()?;
+    let law = fit_quality(&pictures, None).ok()?;
     let (mut frames, mut by_model, mut by_step, mut best) = (0usize, 0.0, 0.0, 0.0);
     for frame in points(true) {
         for (target, _) in targets {

@@ -27,11 +27,6 @@ constexpr double FULL_QUALITY_RATE = 0.01;
 // VTK's maximum image sample distance, in pixels.
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
 
-// Quality laws of the mappers of VTK 9.1, measured with lab/scripts/vtk/tradeoff.py: the four numbers of
-// entire_session_set_quality().
-constexpr std::array<float, 4> FIXED_POINT_QUALITY{ { 5.9F, 0.97F, 1.54F, 0.33F } };
-constexpr std::array<float, 4> GPU_QUALITY{ { 8.5F, 1.22F, 0.78F, 0.15F } };
-
 const char* ReasonName(entire_reason reason)
 {
   switch (reason)
@@ -251,15 +246,6 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float
          this->Session->set_quality(limits[3], limits[4], limits[5], limits[6]) })
   {
     if (!set)
-    {
-      return set.message();
-    }
-  }
-  if (limits[3] == 0 && this->Session->quality().value().image_weight == 0)
-  {
-    // The model has no quality law for this mapper.
-    const std::array<float, 4>& q = this->Gpu ? GPU_QUALITY : FIXED_POINT_QUALITY;
-    if (const entire::status set = this->Session->set_quality(q[0], q[1], q[2], q[3]); !set)
     {
       return set.message();
     }

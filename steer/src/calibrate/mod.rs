@@ -14,7 +14,7 @@ pub use posterior::{Chosen, Observed, fit_frames, prior_costs};
 
 use crate::features::{FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary};
 use crate::memory::mixed;
-use crate::predict::{COSTS, LONGEST_FRAME, UpperBound};
+use crate::predict::{COSTS, LONGEST_FRAME, Quality, UpperBound};
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use core::ops::RangeInclusive;
@@ -262,7 +262,7 @@ impl Calibration {
             rmse_over_sd,
             upper,
             // With too few scenes, the model has no picture quality law.
-            quality: fit_quality(&self.pictures).ok(),
+            quality: fit_quality(&self.pictures, Quality::built_in(source[0])).ok(),
         };
         out.write_metadata(source)?;
         Ok(out)

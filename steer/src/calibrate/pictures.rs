@@ -5,6 +5,10 @@
 //! squares on the means of ln(error) over scenes, then by a search for the parameters that choose the
 //! settings with the smallest measured errors. Measured errors may be proportional to any power of the law's
 //! error.
+//!
+//! Few scenes mislead: their errors say little about other scenes. A prior law, such as the renderer's
+//! built-in one, therefore counts as [`PRIOR_SCENES`] further scenes in the means, and is kept unless the
+//! fitted law chooses better settings for scenes that are held out of the fit.
 
 use crate::numeric::{median, solve};
 use crate::predict::{DISTANCE_RATIO, Quality};
@@ -17,6 +21,14 @@ use serde::Serialize;
 
 /// Smallest number of scenes for a fit.
 const FEWEST_SCENES: usize = 3;
+
+/// Number of scenes that the prior law counts as: the number of scenes that each built-in law of VTK's mappers
+/// was fitted to.
+const PRIOR_SCENES: f64 = 18.0;
+
+/// Largest number of groups of scenes that are held out in turn; up to this number of scenes, each scene is a
+/// group.
+const GROUPS: usize = 8;
 
 /// The fit of the error uses only pictures that take at most this share of the time at full quality. Slower
 /// pictures differ from full quality by rounding only.
@@ -90,6 +102,9 @@ pub struct FittedQuality {
     /// all settings that take at most the same time. Errors are interpolated between drawn settings.
     /// Geometric mean over frame times; 1 is the best value.
     pub over_best: f64,
+    /// Excess error of laws that were fitted to the other scenes, on held-out scenes, divided by that of the
+    /// prior law; 1 or more if the prior law is kept, `None` without a prior.
+    pub over_prior: Option<f64>,
     /// As `over_best`, but only for settings that coarsen the ray step alone. The mean is over those frame
     /// times of `over_best` that such settings reach; `None` if they reach none.
     pub step_over_best: Option<f64>,
@@ -107,6 +122,14 @@ type Line = (f64, Vec<Point>);
 /// error of the last one.
 type Settings = BTreeMap<(u32, u32), (Vec<f64>, f64)>;
 
+/// Scenes that were drawn at the same settings.
+struct Drawn {
+    /// Bits of distance and step, ascending.
+    settings: Vec<(u32, u32)>,
+    /// For each scene and setting: ln of the time relative to full quality, and ln of the error.
+    scenes: Vec<Vec<(f64, f64)>>,
+}
+
 /// Table for the fit: the drawn settings, each with the means of a [`Point`].
 struct Grid {
     /// Image sample distances, ascending, with their points.
@@ -114,6 +137,57 @@ struct Grid {
 }
 
 impl Grid {
+    /// Returns the pictures to which the error is fitted: step, distance and mean ln of the error.
+    fn coarse(&self) -> impl Iterator<Item = (f64, f64, f64)> {
+        let coarse =
+            |(s, d, time, _): &(f64, f64, f64, f64)| (*s > 1.0 || *d > 1.0) && *time <= libm::log(LONGEST);
+        self.points().filter(coarse).map(|(s, d, _, error)| (s, d, error))
+    }
+
+    /// Replaces the means over `scenes` scenes by the means over these scenes and [`PRIOR_SCENES`] scenes that
+    /// follow the prior law, with the factor and the exponent between law and measured errors that fit best.
+    fn add_prior(&mut self, prior: &Quality, scenes: usize) {
+        let (model, measured): (Vec<f64>, Vec<f64>) =
+            self.coarse().map(|(s, d, error)| (libm::log(prior.error(s, d)), error)).unzip();
+        let (slope, [mx, my]) = slope_of(&model, &measured);
+        let part = PRIOR_SCENES / (PRIOR_SCENES + scenes as f64);
+        for (d, line) in &mut self.lines {
+            for (s, time, error) in line.iter_mut().filter(|p| p.0 > 1.0 || *d > 1.0) {
+                *time += part * (libm::log(prior.time_share(*s, *d)) - *time);
+                *error += part * (my + slope * (libm::log(prior.error(*s, *d)) - mx) - *error);
+            }
+        }
+        self.set_full_quality();
+    }
+
+    /// Sets ln(error) of full quality, whose error is 0.
+    fn set_full_quality(&mut self) {
+        if let [whole, next, ..] = &mut self.lines[0].1[..] {
+            whole.2 = next.2 - FULL;
+        }
+    }
+
+    /// Steps at which all lines are evaluated, ascending.
+    fn steps(&self) -> Vec<f64> {
+        powers(FINER, self.lines[0].1.last().map_or(1.0, |p| p.0))
+    }
+
+    /// Returns, for each of [`shares`], the smallest ln(error) of all settings that take at most this time.
+    fn best(&self) -> Vec<f64> {
+        let (largest, steps) = (self.lines.last().map_or(1.0, |l| l.0), self.steps());
+        let all: Vec<(f64, f64)> = powers(DISTANCE_RATIO, largest)
+            .iter()
+            .flat_map(|&d| steps.iter().map(move |&s| self.at(s, d)))
+            .collect();
+        at_shares(&all, &shares(), false)
+    }
+
+    /// Returns the mean, over frame times, of ln of the error of the law's setting divided by the smallest
+    /// error `best`.
+    fn regret(&self, law: &Quality, best: &[f64]) -> f64 {
+        over_best(&self.path(law), best).unwrap_or(0.0)
+    }
+
     fn points(&self) -> impl Iterator<Item = (f64, f64, f64, f64)> {
         self.lines.iter().flat_map(|(d, line)| line.iter().map(|&(s, time, error)| (s, *d, time, error)))
     }
@@ -186,146 +260,195 @@ fn at_shares(points: &[(f64, f64)], shares: &[f64], path: bool) -> Vec<f64> {
     shares.iter().map(|share| at(share).unwrap_or(f64::INFINITY)).collect()
 }
 
+/// Returns the frame times at which choices are evaluated, as shares of the time at full quality.
+fn shares() -> Vec<f64> {
+    (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect()
+}
+
+/// Returns the mean, over [`shares`], of ln of an error ratio: the error of the first setting of `path` within
+/// the share, divided by the smallest error `best` of all settings within the share. `path` holds ln(time) and
+/// ln(error) of settings, in the order in which a law tries them. `None` if `path` reaches no share.
+fn over_best(path: &[(f64, f64)], best: &[f64]) -> Option<f64> {
+    let own = at_shares(path, &shares(), true);
+    let both = own.iter().zip(best).filter(|(own, best)| own.is_finite() && best.is_finite());
+    let (sum, n) = both.fold((0.0, 0.0), |(sum, n), (own, best)| (sum + own - best, n + 1.0));
+    (n > 0.0).then(|| sum / n)
+}
+
+/// Fits a line to `y` over `x` by least squares; returns its slope, at least 0.001, and the means of `x` and
+/// `y`.
+fn slope_of(x: &[f64], y: &[f64]) -> (f64, [f64; 2]) {
+    let n = x.len() as f64;
+    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let mut gram = [x.iter().map(|x| square(x - mx)).sum::<f64>() + 1.0e-9];
+    let product = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
+    (solve(&mut gram, vec![product]).map_or(1.0e-3, |b| b[0].max(1.0e-3)), [mx, my])
+}
+
 /// Fits the law to pictures. Every scene must be drawn at the same settings: full quality, coarser steps, and
-/// smaller images. Scenes with other settings than most scenes are ignored.
+/// smaller images. Scenes with other settings than most scenes are ignored. `prior` is the law that holds
+/// without these pictures ([`Quality::built_in`]): the fewer scenes were drawn, the closer is the fitted law
+/// to it, and it is returned unless the fitted law is better for held-out scenes. Without a prior, the
+/// pictures alone determine the law.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for invalid values, for fewer than three scenes, two steps or two
 /// distances, and if fewer than four settings take at most 0.75 of the time at full quality.
-pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
-    let (grid, scenes) = grid_of(pictures)?;
-    let settings = grid.points().count();
+pub fn fit_quality(pictures: &[Picture], prior: Option<Quality>) -> Result<FittedQuality> {
+    let drawn = Drawn::of(pictures)?;
+    let grid = drawn.grid(|_| true);
+    let counted = grid.coarse().count();
+    if counted < 4 {
+        bail!(
+            InvalidArgument,
+            "{counted} pictures of every scene take at most {LONGEST} times as long as full quality, but at least 4 are \
+             needed; draw coarser steps and smaller images"
+        );
+    }
+    let over_prior = prior.map(|prior| drawn.over_prior(&prior));
+    let quality = match prior {
+        Some(prior) if !over_prior.is_some_and(|over| over < 1.0) => prior,
+        _ => drawn.law(|_| true, prior.as_ref()),
+    };
+    let best = grid.best();
+    let alone: Vec<(f64, f64)> = grid.steps().iter().map(|&step| grid.at(step, 1.0)).collect();
+    Ok(FittedQuality {
+        quality,
+        scenes: drawn.scenes.len(),
+        settings: drawn.settings.len(),
+        over_best: libm::exp(grid.regret(&quality, &best)),
+        over_prior,
+        step_over_best: over_best(&alone, &best).map(libm::exp),
+        step_least_time: alone.iter().map(|p| libm::exp(p.0)).fold(1.0, f64::min),
+    })
+}
+
+/// Fits the law to a grid.
+fn law_of(grid: &Grid) -> Quality {
     let times: Vec<(f64, f64, f64)> = grid.points().map(|(s, d, time, _)| (s, d, time)).collect();
     let rays = least_on_line(0.0, 0.9, &|rays| {
         let law = Quality::within([1.0, 1.0, 1.0, rays]);
         times.iter().map(|&(s, d, time)| square(libm::log(law.time_share(s, d)) - time)).sum()
     });
     let law = |v: &[f64; 3]| Quality::within([libm::exp(v[0]), v[1], v[2], rays]);
-    let counted: Vec<(f64, f64, f64)> = grid
-        .points()
-        .filter(|(s, d, time, _)| (*s > 1.0 || *d > 1.0) && *time <= libm::log(LONGEST))
-        .map(|(s, d, _, error)| (s, d, error))
-        .collect();
-    if counted.len() < 4 {
-        bail!(
-            InvalidArgument,
-            "{} pictures of every scene take at most {LONGEST} times as long as full quality, but at least \
-             4 are needed; draw coarser steps and smaller images",
-            counted.len()
-        );
-    }
+    let counted: Vec<(f64, f64, f64)> = grid.coarse().collect();
+    let measured: Vec<f64> = counted.iter().map(|c| c.2).collect();
     // Mean squared difference of ln(measured error) from a fitted slope times ln(error by the law): measured
     // errors may be proportional to any power of the law's error.
     let off = |v: &[f64; 3]| {
         let law = law(v);
         let model: Vec<f64> = counted.iter().map(|&(s, d, _)| libm::log(law.error(s, d))).collect();
-        let n = counted.len() as f64;
-        let (mx, my) = (model.iter().sum::<f64>() / n, counted.iter().map(|c| c.2).sum::<f64>() / n);
-        let mut gram = [model.iter().map(|m| square(m - mx)).sum::<f64>() + 1.0e-9];
-        let product = model.iter().zip(&counted).map(|(m, c)| (m - mx) * (c.2 - my)).sum();
-        let slope = solve(&mut gram, vec![product]).map_or(1.0e-3, |b| b[0].max(1.0e-3));
-        model.iter().zip(&counted).map(|(m, c)| square(slope * (m - mx) - (c.2 - my))).sum::<f64>() / n
+        let (slope, [mx, my]) = slope_of(&model, &measured);
+        let squares = model.iter().zip(&measured).map(|(m, y)| square(slope * (m - mx) - (y - my)));
+        squares.sum::<f64>() / measured.len() as f64
     };
-    let shares: Vec<f64> =
-        (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect();
-    // Times and errors of all steps at all image sample distances.
-    let largest = grid.lines.last().map_or(1.0, |l| l.0);
-    let steps = powers(FINER, grid.lines[0].1.last().map_or(1.0, |p| p.0));
-    let all: Vec<(f64, f64)> = powers(DISTANCE_RATIO, largest)
-        .iter()
-        .flat_map(|&d| steps.iter().map(move |&s| (s, d)))
-        .map(|(s, d)| grid.at(s, d))
-        .collect();
-    let best = at_shares(&all, &shares, false);
-    // `path` holds ln(time) and ln(error) of settings, in the order in which a law tries the settings. For
-    // each share of the time at full quality, the error of the first setting of `path` within this share is
-    // divided by the smallest error of all settings within this share. Returns the mean, over the shares, of
-    // ln of this ratio.
-    let over_best = |path: &[(f64, f64)]| {
-        let own = at_shares(path, &shares, true);
-        let both = own.iter().zip(&best).filter(|(own, best)| own.is_finite() && best.is_finite());
-        let (sum, n) = both.fold((0.0, 0.0), |(sum, n), (own, best)| (sum + own - best, n + 1.0));
-        (n > 0.0).then(|| sum / n)
-    };
-    let regret = |law: &Quality| over_best(&grid.path(law)).unwrap_or(0.0);
+    let best = grid.best();
     let inside =
         |v: &[f64; 3]| v[0].abs() < 6.5 && (0.2..=6.0).contains(&v[1]) && (0.2..=6.0).contains(&v[2]);
     let fitted = descend([1.0, 1.5, 1.5], 400, &|v| if inside(v) { off(v) } else { f64::INFINITY });
-    let judged = |v: &[f64; 3]| regret(&law(v)) + MISFIT * libm::sqrt(off(v));
-    let moved = descend(fitted, 25, &|v| if inside(v) { judged(v) } else { f64::INFINITY });
-    let quality = law(&moved);
-    let alone: Vec<(f64, f64)> = steps.iter().map(|&step| grid.at(step, 1.0)).collect();
-    Ok(FittedQuality {
-        quality,
-        scenes,
-        settings,
-        over_best: libm::exp(regret(&quality)),
-        step_over_best: over_best(&alone).map(libm::exp),
-        step_least_time: alone.iter().map(|p| libm::exp(p.0)).fold(1.0, f64::min),
-    })
+    let judged = |v: &[f64; 3]| grid.regret(&law(v), &best) + MISFIT * libm::sqrt(off(v));
+    law(&descend(fitted, 25, &|v| if inside(v) { judged(v) } else { f64::INFINITY }))
 }
 
 fn square(x: f64) -> f64 {
     x * x
 }
 
-/// Returns the means over the scenes that were drawn at the most frequent set of settings, and the number of
-/// these scenes.
-fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
-    pictures.iter().try_for_each(Picture::check)?;
-    // The bits of positive floats have the same order as the floats.
-    let key = |p: &Picture| (p.distance.to_bits(), p.step.to_bits());
-    let full = (1f32.to_bits(), 1f32.to_bits());
-    let mut scenes: BTreeMap<u64, Settings> = BTreeMap::new();
-    for p in pictures {
-        let slot = scenes.entry(p.scene).or_default().entry(key(p)).or_default();
-        slot.0.push(p.seconds);
-        slot.1 = p.error;
-    }
-    scenes.retain(|_, settings| settings.contains_key(&full));
-    let mut scenes_of: BTreeMap<Vec<(u32, u32)>, usize> = BTreeMap::new();
-    for settings in scenes.values() {
-        *scenes_of.entry(settings.keys().copied().collect()).or_default() += 1;
-    }
-    let Some((wanted, _)) = scenes_of.into_iter().max_by_key(|(settings, scenes)| (*scenes, settings.len()))
-    else {
-        bail!(InvalidArgument, "no scene was drawn at full quality: step 1, image sample distance 1");
-    };
-    scenes.retain(|_, settings| settings.keys().eq(&wanted));
-    let distinct = |of: fn(&(u32, u32)) -> u32| {
-        let mut all: Vec<u32> = wanted.iter().map(of).collect();
-        all.sort_unstable();
-        all.dedup();
-        all.len()
-    };
-    if scenes.len() < FEWEST_SCENES || distinct(|k| k.0) < 2 || distinct(|k| k.1) < 2 {
-        bail!(
-            InvalidArgument,
-            "{} scenes were drawn at the same {} settings; at least {FEWEST_SCENES} scenes, two steps and two image \
-             sample distances are needed",
-            scenes.len(),
-            wanted.len()
-        );
-    }
-    let count = scenes.len();
-    let mut lines: BTreeMap<u32, Vec<Point>> = BTreeMap::new();
-    for at in &wanted {
-        let (mut time, mut error) = (0.0, 0.0);
-        for settings in scenes.values_mut() {
-            let mut seconds = |at| settings.get_mut(at).and_then(|s: &mut (Vec<f64>, f64)| median(&mut s.0));
-            if let (Some(own), Some(whole)) = (seconds(at), seconds(&full)) {
-                time += libm::log(own / whole) / count as f64;
-            }
-            error += libm::log(settings[at].1.max(LEAST_ERROR)) / count as f64;
+impl Drawn {
+    /// Returns the scenes that were drawn at the most frequent set of settings.
+    fn of(pictures: &[Picture]) -> Result<Self> {
+        pictures.iter().try_for_each(Picture::check)?;
+        // The bits of positive floats have the same order as the floats.
+        let key = |p: &Picture| (p.distance.to_bits(), p.step.to_bits());
+        let full = (1f32.to_bits(), 1f32.to_bits());
+        let mut scenes: BTreeMap<u64, Settings> = BTreeMap::new();
+        for p in pictures {
+            let slot = scenes.entry(p.scene).or_default().entry(key(p)).or_default();
+            slot.0.push(p.seconds);
+            slot.1 = p.error;
         }
-        lines.entry(at.0).or_default().push((f64::from(f32::from_bits(at.1)), time, error));
+        scenes.retain(|_, settings| settings.contains_key(&full));
+        let mut scenes_of: BTreeMap<Vec<(u32, u32)>, usize> = BTreeMap::new();
+        for settings in scenes.values() {
+            *scenes_of.entry(settings.keys().copied().collect()).or_default() += 1;
+        }
+        let Some((wanted, _)) =
+            scenes_of.into_iter().max_by_key(|(settings, scenes)| (*scenes, settings.len()))
+        else {
+            bail!(InvalidArgument, "no scene was drawn at full quality: step 1, image sample distance 1");
+        };
+        scenes.retain(|_, settings| settings.keys().eq(&wanted));
+        let distinct = |of: fn(&(u32, u32)) -> u32| {
+            let mut all: Vec<u32> = wanted.iter().map(of).collect();
+            all.sort_unstable();
+            all.dedup();
+            all.len()
+        };
+        if scenes.len() < FEWEST_SCENES || distinct(|k| k.0) < 2 || distinct(|k| k.1) < 2 {
+            bail!(
+                InvalidArgument,
+                "{} scenes were drawn at the same {} settings; at least {FEWEST_SCENES} scenes, two steps and two \
+                 image sample distances are needed",
+                scenes.len(),
+                wanted.len()
+            );
+        }
+        let measured = |mut settings: Settings| -> Vec<(f64, f64)> {
+            let mut points: Vec<(f64, f64)> = settings
+                .values_mut()
+                .map(|(seconds, error)| {
+                    (median(seconds).map_or(0.0, libm::log), libm::log(error.max(LEAST_ERROR)))
+                })
+                .collect();
+            // Full quality has the smallest step and distance.
+            let whole = points[0].0;
+            points.iter_mut().for_each(|p| p.0 -= whole);
+            points
+        };
+        Ok(Self { settings: wanted, scenes: scenes.into_values().map(measured).collect() })
     }
-    let mut lines: Vec<Line> =
-        lines.into_iter().map(|(d, line)| (f64::from(f32::from_bits(d)), line)).collect();
-    if let [whole, next, ..] = &mut lines[0].1[..] {
-        whole.2 = next.2 - FULL;
+
+    /// Returns the means over the scenes whose index `takes` accepts.
+    fn grid(&self, takes: impl Fn(usize) -> bool) -> Grid {
+        let taken: Vec<&Vec<(f64, f64)>> =
+            self.scenes.iter().enumerate().filter(|(i, _)| takes(*i)).map(|(_, scene)| scene).collect();
+        let mut lines: Vec<Line> = Vec::new();
+        for (i, &(distance, step)) in self.settings.iter().enumerate() {
+            let mean = |of: fn(&(f64, f64)) -> f64| {
+                taken.iter().map(|scene| of(&scene[i])).sum::<f64>() / taken.len() as f64
+            };
+            let [distance, step] = [distance, step].map(|bits| f64::from(f32::from_bits(bits)));
+            if lines.last().is_none_or(|l| l.0 != distance) {
+                lines.push((distance, Vec::new()));
+            }
+            if let Some((_, line)) = lines.last_mut() {
+                line.push((step, mean(|p| p.0), mean(|p| p.1)));
+            }
+        }
+        let mut grid = Grid { lines };
+        grid.set_full_quality();
+        grid
     }
-    Ok((Grid { lines }, count))
+
+    /// Fits the law to the scenes whose index `takes` accepts, and to the prior.
+    fn law(&self, takes: impl Fn(usize) -> bool, prior: Option<&Quality>) -> Quality {
+        let mut grid = self.grid(&takes);
+        if let Some(prior) = prior {
+            grid.add_prior(prior, (0..self.scenes.len()).filter(|i| takes(*i)).count());
+        }
+        law_of(&grid)
+    }
+
+    /// Returns the excess error on held-out scenes, divided by that of the prior law.
+    fn over_prior(&self, prior: &Quality) -> f64 {
+        let groups = self.scenes.len().min(GROUPS);
+        let ratio = |group: usize| {
+            let held = self.grid(|i| i % groups == group);
+            let (law, best) = (self.law(|i| i % groups != group, Some(prior)), held.best());
+            held.regret(&law, &best) - held.regret(prior, &best)
+        };
+        libm::exp((0..groups).map(ratio).sum::<f64>() / groups as f64)
+    }
 }
 
 /// Returns the argument, among 181 evenly spaced values from `low` to `high`, for which `of` is smallest.
@@ -399,7 +522,7 @@ mod tests {
 
     #[test]
     fn a_law_is_found_again() {
-        let found = fit_quality(&pictures(&TRUTH, 4, 0.0)).unwrap();
+        let found = fit_quality(&pictures(&TRUTH, 4, 0.0), None).unwrap();
         assert_eq!((found.scenes, found.settings), (4, 20));
         let q = found.quality;
         let near = |own: f32, wanted: f32| (own / wanted - 1.0).abs() < 0.02;
@@ -413,8 +536,8 @@ mod tests {
     fn renderers_that_differ_are_told_apart_through_noise() {
         let blurred = Quality { image_weight: 60.0, image_exponent: 0.3, ..TRUTH };
         let (sharp, blurred) = (
-            fit_quality(&pictures(&TRUTH, 6, 0.1)).unwrap(),
-            fit_quality(&pictures(&blurred, 6, 0.1)).unwrap(),
+            fit_quality(&pictures(&TRUTH, 6, 0.1), None).unwrap(),
+            fit_quality(&pictures(&blurred, 6, 0.1), None).unwrap(),
         );
         assert!(sharp.over_best < 1.1 && blurred.over_best < 1.1, "{sharp:?} {blurred:?}");
         let alone = [sharp, blurred].map(|found| found.step_over_best.unwrap());
@@ -427,13 +550,13 @@ mod tests {
     fn scenes_that_lack_a_setting_are_passed_over_and_too_few_are_refused() {
         let mut all = pictures(&TRUTH, 4, 0.0);
         all.pop();
-        assert_eq!(fit_quality(&all).unwrap().scenes, 3);
+        assert_eq!(fit_quality(&all, None).unwrap().scenes, 3);
         // A scene with an additional setting and a scene without full quality are ignored.
         let mut more = pictures(&TRUTH, 5, 0.0);
         more.push(Picture { step: 6.0, ..more[4] });
         more.retain(|p| p.scene != 1 || p.step > 1.0);
-        assert_eq!(fit_quality(&more).unwrap().scenes, 3);
-        let says = |pictures: &[Picture]| fit_quality(pictures).unwrap_err().to_string();
+        assert_eq!(fit_quality(&more, None).unwrap().scenes, 3);
+        let says = |pictures: &[Picture]| fit_quality(pictures, None).unwrap_err().to_string();
         assert!(says(&[]).contains("no scene was drawn at full quality"));
         assert!(says(&pictures(&TRUTH, 2, 0.0)).contains("at least 3 scenes"));
         let steps: Vec<Picture> = all.iter().copied().filter(|p| p.distance == 1.0).collect();
@@ -452,10 +575,57 @@ mod tests {
         }
     }
 
+    /// Returns scenes whose laws scatter around `truth`, as those of different transfer functions do.
+    fn scattered(truth: &Quality, scenes: u64, seed: u64) -> Vec<Picture> {
+        let mut random = Noise(seed);
+        let mut factor = |most: f64| libm::pow(most, 2.0 * random.uniform() - 1.0) as f32;
+        (0..scenes)
+            .flat_map(|scene| {
+                let own = Quality {
+                    image_weight: truth.image_weight * factor(6.0),
+                    step_exponent: truth.step_exponent * factor(1.4),
+                    image_exponent: truth.image_exponent * factor(1.6),
+                    ..*truth
+                };
+                pictures(&own, 1, 0.0).into_iter().map(move |p| Picture { scene, ..p })
+            })
+            .collect()
+    }
+
+    /// Excess error of a law for pictures by the law `truth`.
+    fn excess(law: &Quality, truth: &Quality) -> f64 {
+        let grid = Drawn::of(&pictures(truth, 3, 0.0)).unwrap().grid(|_| true);
+        libm::exp(grid.regret(law, &grid.best()))
+    }
+
+    #[test]
+    fn few_scenes_that_mislead_keep_the_prior_law_and_many_replace_it() {
+        // The prior is the true law. Four scenes mislead a fit without a prior, and hardly a fit with it.
+        let draws: Vec<[f64; 2]> = (0..20)
+            .map(|seed| {
+                let few = scattered(&TRUTH, 4, seed);
+                let [alone, found] = [None, Some(TRUTH)].map(|prior| fit_quality(&few, prior).unwrap());
+                assert_eq!(found.quality == TRUTH, found.over_prior.unwrap() >= 1.0, "{seed}: {found:?}");
+                [alone, found].map(|found| excess(&found.quality, &TRUTH))
+            })
+            .collect();
+        let most = |of: usize| draws.iter().map(|d| d[of]).fold(1.0, f64::max);
+        assert!(most(0) > 1.05 * excess(&TRUTH, &TRUTH), "{draws:?}");
+        assert!(most(1) < 1.02 * excess(&TRUTH, &TRUTH), "{draws:?}");
+
+        // The prior is the law of another renderer. Few scenes improve on it, and many find the true law.
+        let other = Quality { image_weight: 0.2, image_exponent: 2.5, ..TRUTH };
+        let fitted = |scenes| fit_quality(&scattered(&TRUTH, scenes, 5), Some(other)).unwrap();
+        let [few, many] = [fitted(8), fitted(300)];
+        let [before, after, end] = [other, few.quality, many.quality].map(|law| excess(&law, &TRUTH));
+        assert!(before > 1.2 && after < before, "{before} {after} {few:?}");
+        assert!(end < 1.02 * excess(&TRUTH, &TRUTH) && many.over_prior.unwrap() < 0.9, "{end} {many:?}");
+    }
+
     #[test]
     fn equal_pictures_have_a_law_too() {
         let blank: Vec<Picture> =
             pictures(&TRUTH, 3, 0.0).into_iter().map(|p| Picture { error: 0.0, ..p }).collect();
-        fit_quality(&blank).unwrap().quality.check().unwrap();
+        fit_quality(&blank, None).unwrap().quality.check().unwrap();
     }
 }

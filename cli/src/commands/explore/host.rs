@@ -3,7 +3,7 @@
 use crate::calibrate::place::{machine_model, of_another_kind};
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::model::SteeringModel;
-use crate::steering::play::RAYCASTER;
+use crate::steering::play::choose_pictures;
 use crate::steering::race::chosen_model;
 use crate::steering::rivals::StepResponse;
 use anyhow::{Context, Result};
@@ -84,9 +84,8 @@ impl Steering for Predicts {
         let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), log_sd);
         let mut session = Session::with_controller(predictor, steers);
         // The window renders with the raycaster, to which the model's quality law was fitted.
-        let pictures = session.quality().unwrap_or(RAYCASTER);
+        choose_pictures(&mut session)?;
         session.set_timing_source("entire explore", WINDOW.name())?;
-        session.set_quality(Some(pictures))?;
         Ok(session)
     }
 

@@ -28,8 +28,8 @@ impl Session {
 
     /// Sets the picture quality law of this renderer, so that plans coarsen the step or the image, whichever
     /// adds less error. With `None`, the initial value, the law in the model file is used, if the model was
-    /// calibrated with the renderer that [`Session::set_timing_source`] named, or if no renderer was named.
-    /// With a law, `step_alone` of [`Session::set_max_image_sample_distance`] has no effect.
+    /// calibrated with the renderer that [`Session::set_timing_source`] named, or if no renderer was named;
+    /// otherwise the law that is built in for the renderer of this name ([`Quality::built_in`]). With a law, `step_alone` of [`Session::set_max_image_sample_distance`] has no effect.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
@@ -44,10 +44,11 @@ impl Session {
     }
 
     /// The picture quality law that plans use: that of [`Session::set_quality`] if one was set, otherwise the
-    /// model's; `None` if there is neither.
+    /// model's, otherwise the built-in one; `None` if there is none of them.
     #[must_use]
     pub fn quality(&self) -> Option<Quality> {
-        self.quality.or_else(|| self.predictor.quality(&self.timing[0]))
+        let renderer = &self.timing[0];
+        self.quality.or_else(|| self.predictor.quality(renderer)).or_else(|| Quality::built_in(renderer))
     }
 
     /// Recomputes, from the present picture quality law, the image sizes that plans choose.
@@ -80,6 +81,8 @@ mod tests {
         assert_eq!(session.quality(), Some(SOME));
         session.set_timing_source("other", "cpu").unwrap();
         assert!(session.quality().is_none() && path(&session) != by_model);
+        session.set_timing_source("vtkFixedPointVolumeRayCastMapper", "cpu").unwrap();
+        assert_eq!(session.quality().map(|q| q.image_weight), Some(5.9));
         session.set_timing_source("mine", "cpu").unwrap();
         assert_eq!(path(&session), by_model);
         let own = Quality { image_weight: 40.0, ..SOME };

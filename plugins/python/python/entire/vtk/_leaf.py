@@ -21,10 +21,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("entire.vtk")
 
-# Quality laws of the mappers (the numbers of Session.set_quality) for models without a law, the same as in
-# vtkEntireSteering.
-_GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
-_FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
 _NAN = math.nan
 # Desired update rate, in frames per second, below which a mapper draws still frames at full quality even if its
 # automatic adjustment is on.
@@ -556,10 +552,6 @@ class Leaf:
         steering, session = self._steering, self._session
         session.set_limits(finest, max(finest, steering.coarsest))
         session.set_max_image_sample_distance(min(64.0, max(1.0, coarsest_image / self._pixels)))
-        # None selects the model's quality law, if the model was calibrated with pictures of this mapper.
-        session.set_quality(None)
-        if session.quality is None:
-            session.set_quality(*(_GPU_QUALITY if self._gpu else _FIXED_POINT_QUALITY))
 
     @property
     def why(self) -> str:
