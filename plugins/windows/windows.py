@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Windows that draw volumes in several passes, for the tests and the bars of both adapters: the class vtkEntireSteering
-and the Python package.
+"""Windows that draw volumes in several passes, for the tests and the bars of all adapters: the class vtkEntireSteering,
+the Python package, and the package's PyVista accessor.
 
-    PYTHON windows.py class|python            tests that the passes of every window share its frame time
-    PYTHON windows.py class|python bars       measures frames of each window at a third of the full-quality time
+    PYTHON windows.py class|python|pyvista            tests that the passes of every window share its frame time
+    PYTHON windows.py class|python|pyvista bars       measures frames of each window at a third of the full-quality time
 """
 
 from __future__ import annotations
@@ -70,6 +70,14 @@ class Window:
     drawn: list[tuple[Any, Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self.open()
+
+    def render(self) -> None:
+        """Draws a frame."""
+        self.window.Render()
+
+    def open(self) -> None:
+        """Makes the window's renderers and volumes."""
         kind, window = self.kind, self.window
         window.SetOffScreenRendering(1)
         window.SetSize(self.size * kind.renderers, self.size)
@@ -97,9 +105,34 @@ class Window:
                 renderer.GetActiveCamera().Azimuth(2)
                 renderer.ResetCameraClippingRange()
             start = time.perf_counter()
-            self.window.Render()
+            self.render()
             seconds.append(time.perf_counter() - start)
         return seconds
+
+
+class Plot(Window):
+    """A window of PyVista, without a second volume in a renderer."""
+
+    def open(self) -> None:
+        import entire  # noqa: F401  (PyVista's accessor)
+        import pyvista
+
+        kind, image = self.kind, pyvista.wrap(volume_image(self.voxels))
+        names = {"gpu": "gpu", "fixed": "fixed_point"}
+        size = (self.size * kind.renderers, self.size)
+        self.plotter = pyvista.Plotter(shape=(1, kind.renderers), border=False, off_screen=True, window_size=size)
+        for i in range(kind.renderers):
+            self.plotter.subplot(0, i)
+            volume = self.plotter.add_volume(image, mapper=names[self.mapper], show_scalar_bar=False)
+            volume.GetMapper().SetAutoAdjustSampleDistances(0)
+            self.drawn.append((self.plotter.renderer, volume))
+        self.plotter.show(auto_close=False)
+        if kind.eyes == 2:
+            self.plotter.enable_stereo_render()
+        self.window = self.plotter.render_window
+
+    def render(self) -> None:
+        self.plotter.render()
 
 
 def volume_image(n: int) -> Any:
@@ -164,8 +197,12 @@ def hold_by_package(renderer: Any, volume: Any, target: float, clock: str) -> He
     """Holds a volume to `target` seconds with the Python package."""
     import entire.vtk
 
-    held = entire.vtk.hold(renderer, volume, seconds=target, always=True, clock=clock)
-    leaf = held.leaves[0]
+    return held_by(entire.vtk.hold(renderer, volume, seconds=target, always=True, clock=clock))
+
+
+def held_by(held: Any) -> Held:
+    """The only volume of a steering of the Python package."""
+    (leaf,) = held.leaves
     return Held(
         lambda: leaf.share_time,
         lambda: (leaf.sample_distance, leaf.image_sample_distance),
@@ -175,17 +212,29 @@ def hold_by_package(renderer: Any, volume: Any, target: float, clock: str) -> He
     )
 
 
-ADAPTERS = {"class": hold_by_class, "python": hold_by_package}
+def hold_by_pyvista(renderer: Any, volume: Any, target: float, clock: str) -> Held:
+    """Holds a volume to `target` seconds with PyVista's accessor."""
+    plotter = renderer.parent
+    plotter.subplot(0, list(plotter.renderers).index(renderer))
+    return held_by(plotter.entire.hold(seconds=target, always=True, clock=clock))
 
 
+ADAPTERS = {"class": hold_by_class, "python": hold_by_package, "pyvista": hold_by_pyvista}
+WINDOWS = {"class": Window, "python": Window, "pyvista": Plot}
 CASES = [(mapper, kind) for mapper in MAPPERS for kind in KINDS]
+PYVISTA_CASES = [(mapper, kind) for mapper, kind in CASES if kind.name in ("one view", "stereo", "three renderers")]
+
+
+def cases(adapter: str) -> list[tuple[str, Kind]]:
+    """Mappers and kinds of windows of an adapter."""
+    return PYVISTA_CASES if adapter == "pyvista" else CASES
 
 
 def check(adapter: str, mapper: str, kind: Kind) -> None:
     """Checks that the shares of the shown volumes' passes add up to the target, which is so long that the time outside
     the passes does not matter."""
     target = 1000.0
-    window = Window(kind, mapper, size=48, voxels=24)
+    window = WINDOWS[adapter](kind, mapper, size=48, voxels=24)
     held = [ADAPTERS[adapter](r, v, target, "cpu") for r, v in window.drawn]
     window.draw(6)
     shares = [h.share() for h in held]
@@ -207,7 +256,7 @@ def check_others(adapter: str, mapper: str) -> None:
     """Checks that volumes that are not steered, and picking, take no share of the time, and that the first frame is
     shared."""
     target = 1000.0
-    window = Window(Kind("two renderers", renderers=2), mapper, size=48, voxels=24)
+    window = WINDOWS[adapter](Kind("two renderers", renderers=2), mapper, size=48, voxels=24)
     held = [ADAPTERS[adapter](r, v, target, "cpu") for r, v in window.drawn]
     # The first frame, before any time is known.
     window.draw(1)
@@ -253,8 +302,8 @@ def unsteered(window: Window, target: float) -> float:
 def bars(adapter: str) -> bool:
     """Measures the frames of every window by wall time; returns true if all bars are met."""
     met = True
-    for mapper, kind in CASES:
-        window = Window(kind, mapper, size=400, voxels=128)
+    for mapper, kind in cases(adapter):
+        window = WINDOWS[adapter](kind, mapper, size=400, voxels=128)
         window.draw(4)
         target = float(np.median(window.draw(9))) / 3
         noise = unsteered(window, target)
@@ -276,7 +325,7 @@ def bars(adapter: str) -> bool:
 if __name__ == "__main__":
     if sys.argv[2:] == ["bars"]:
         sys.exit(not bars(sys.argv[1]))
-    for mapper, kind in CASES:
+    for mapper, kind in cases(sys.argv[1]):
         check(sys.argv[1], mapper, kind)
     for mapper in MAPPERS:
         check_others(sys.argv[1], mapper)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Measures the bars of windows that draw volumes in several passes (plugins/windows), for both adapters. The bar of an
+# Measures the bars of windows that draw volumes in several passes (plugins/windows), for all adapters. The bar of an
 # adapter that cannot run is short.
 set -uo pipefail
 cd "$(dirname "$0")/../../.."
@@ -18,5 +18,6 @@ measured() { # measured ADAPTER COMMAND...
 }
 plugins/python/run.sh wheel >/dev/null || true
 measured python plugins/python/run.sh exec test python
+measured pyvista plugins/python/run.sh exec test python
 measured class plugins/vtk/run.sh exec "${VTK_PYTHON:-/usr/bin/python3}"
 exit $status

@@ -2,6 +2,7 @@
 """PyVista: three lines, widgets, several renderers, screenshots and movies."""
 
 import runpy
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,12 @@ import pytest
 
 pv = pytest.importorskip("pyvista")
 
+# Shared with the tests of the C++ class vtkEntireSteering.
+sys.path.insert(0, str(Path(__file__).parents[2] / "windows"))
+
 import entire
 import entire.vtk
+import windows
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -239,6 +244,11 @@ def test_blocks(image):
     assert len(steering.leaves) == 2
     assert all(leaf.status == "" for leaf in steering.leaves)
     plotter.close()
+
+
+@pytest.mark.parametrize(("mapper", "kind"), windows.PYVISTA_CASES, ids=str)
+def test_passes_share_the_time_of_a_frame(mapper, kind):
+    windows.check("pyvista", mapper, kind)
 
 
 def test_renderers_of_their_own(image):
