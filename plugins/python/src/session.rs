@@ -15,7 +15,7 @@ use crate::volume::Volume;
 use entire_core::scene::Frame;
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::{HybridOptions, Quality, Session as Core, StepLimits};
-use entire_steer::features::{Changes, Setting};
+use entire_steer::features::{Changes, PROBE_SIDE, Setting};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use numpy::PyArray1;
 use pyo3::prelude::*;
@@ -63,7 +63,8 @@ impl Session {
 impl Session {
     #[new]
     #[pyo3(signature = (volume = None, *, model = None, tolerance = 0.1, miss_rate = 0.05,
-        trust_limit = 2.0, damping = true, ignore_load = false, probe_side = None))]
+        trust_limit = 2.0, damping = true, ignore_load = false, probe_side = None,
+        probe_tolerance = 0.0))]
     fn new(
         py: Python<'_>,
         volume: Option<&Volume>,
@@ -74,6 +75,7 @@ impl Session {
         damping: bool,
         ignore_load: bool,
         probe_side: Option<i64>,
+        probe_tolerance: f32,
     ) -> PyResult<Self> {
         let defaults = HybridOptions::default();
         let options = HybridOptions { miss_rate, tolerance, trust_limit, damping, ignore_load, ..defaults };
@@ -82,8 +84,9 @@ impl Session {
             None => Box::new(AnalyticModel::default()),
         };
         let mut core = Core::new(predictor, options).map_err(raise)?;
-        if let Some(side) = probe_side {
-            core = core.with_probe(count(side), None).map_err(raise)?;
+        let accepted = (probe_tolerance != 0.0).then_some(probe_tolerance);
+        if probe_side.is_some() || accepted.is_some() {
+            core = core.with_probe(probe_side.map_or(PROBE_SIDE, count), accepted).map_err(raise)?;
         }
         let model = Guarded::new(model.map(|m| m.0.clone()));
         let made = Self { state: Guarded::new(State::new(core)), model, options };
@@ -178,7 +181,7 @@ impl Session {
     /// image_weight : float or None
     ///     Error of an image of half the size along each side, divided by the error of a step twice as
     ///     coarse, 1e-3 to 1e3. With None, the initial value, the session uses the model's law, if the model
-    ///     was calibrated with pictures of this renderer.
+    ///     was calibrated with pictures of this renderer, else the law that is built in for the renderer.
     /// step_exponent, image_exponent : float, optional
     ///     Exponents of the errors of step and image, 0.05 to 8. Default 1.
     /// ray_share : float, optional
@@ -203,8 +206,8 @@ impl Session {
     }
 
     /// (float, float, float, float) or None : The quality law that plans use, in the order of
-    /// :meth:`set_quality`: the law that was set, else the model's law, if it is for this renderer; None
-    /// without a law.
+    /// :meth:`set_quality`: the law that was set, else the model's law, if it is for this renderer, else the
+    /// law that is built in for the renderer that :meth:`set_timing_source` names; None without a law.
     #[getter]
     fn quality(&self, py: Python<'_>) -> PyResult<Option<(f32, f32, f32, f32)>> {
         let known = self.state(py)?.core.quality();

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import entire
+from entire import _core
 
 CAMERA = entire.Camera.arcball(20, 30, 2.5)
 
@@ -168,9 +170,27 @@ def test_order_and_ranges_are_said(voxels, tf):
             session.plan(CAMERA, tf, size, target)
     with pytest.raises(ValueError, match="shading"):
         session.plan(CAMERA, tf, (64, 64), 0.01, shading="fancy")
-    for bad in ({"miss_rate": 0}, {"miss_rate": 0.6}, {"tolerance": -1}, {"trust_limit": 0}, {"probe_side": 99}, {"probe_side": -1}):
+    for bad in (
+        {"miss_rate": 0}, {"miss_rate": 0.6}, {"tolerance": -1}, {"trust_limit": 0}, {"probe_side": 99},
+        {"probe_side": -1}, {"probe_tolerance": 1.5}, {"probe_tolerance": math.nan},
+    ):
         with pytest.raises(ValueError, match=next(iter(bad)).split("_")[0]):
             entire.Session(**bad)
+
+
+def test_a_plan_casts_few_rays_if_more_cannot_change_it(voxels, tf):
+    def seconds(**probe):
+        return entire.Session(entire.Volume(voxels), **probe).plan(CAMERA, tf, (640, 480), 1e-3).seconds
+
+    # Not even the coarsest step meets the target, so the first probe of 4 x 4 rays is enough.
+    assert seconds(probe_tolerance=0.3) == seconds(probe_side=4) != seconds()
+
+
+def test_adapters_probe_like_the_class():
+    source = Path(__file__).parents[2] / "vtk" / "Steering" / "vtkEntireSteeringInternals.cxx"
+    text = source.read_text()
+    assert f"PROBE_SIDE = {_core.PROBE_SIDE};" in text
+    assert f"PROBE_TOLERANCE = {_core.PROBE_TOLERANCE}f;" in text
 
 
 def test_a_volume_must_be_followed_by_its_transfer_function(voxels, tf):

@@ -36,6 +36,10 @@ _REASONS = {
     "off": "steering is switched off",
     "reactive": "the step was chosen by a rule that uses only past frames",
 }
+# Probe of the adapters' sessions, the same as in vtkEntireSteering: rays along each side of the finest probe for analytic
+# models, and the probe's accepted error. The number of rays is low, since each takes about a microsecond after a large
+# frame has evicted the probe's data from the caches.
+PROBE_SIDE, PROBE_TOLERANCE = 7, 0.3
 
 
 def models() -> list[str]:
@@ -191,6 +195,11 @@ class Session(_native.Session):
         from then on, and steps are chosen for it. Default False.
     probe_side : int, optional
         Rays along each side of the probe that estimates a frame's work, 1 to 24, for analytic models. Default 11.
+    probe_tolerance : float, optional
+        Accepted error of the probe, as a share of the frame's time, 0 to 1, for analytic models. Over 0, plans start
+        with a probe of 4 rays along each side and refine it, up to `probe_side`, only if the probe's estimated error is
+        larger and could change the plan. While the view has hardly turned since rays were cast, their result is reused.
+        Default 0: every plan casts all of its rays, as plans of recorded frames (:meth:`record`) always do.
 
     Raises
     ------
@@ -221,6 +230,7 @@ class Session(_native.Session):
         damping: bool = True,
         ignore_load: bool = False,
         probe_side: int | None = None,
+        probe_tolerance: float = 0.0,
     ) -> Self:
         return super().__new__(
             cls,
@@ -232,6 +242,7 @@ class Session(_native.Session):
             damping=damping,
             ignore_load=ignore_load,
             probe_side=probe_side,
+            probe_tolerance=probe_tolerance,
         )
 
     def record(self, frames: int = 1000, *, model: ModelLike | None = None) -> None:

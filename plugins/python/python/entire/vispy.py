@@ -17,7 +17,7 @@ import numpy as np
 from vispy.gloo import gl
 
 from . import _clocks
-from ._core import CannotSteer, ModelLike, Session, explain
+from ._core import PROBE_SIDE, PROBE_TOLERANCE, CannotSteer, ModelLike, Session, explain
 from ._history import History
 from ._native import Camera, Plan, TransferFunction, Volume
 
@@ -73,7 +73,9 @@ class Holder:
             )
         self.canvas, self.visual, self.seconds, self.moving = canvas, visual, seconds, moving
         self.enabled = True
-        self.session = Session(model=model, tolerance=0.25, miss_rate=0.02, probe_side=6)
+        self.session = Session(
+            model=model, tolerance=0.25, miss_rate=0.02, probe_side=PROBE_SIDE, probe_tolerance=PROBE_TOLERANCE
+        )
         self.session.set_timing_source(f"vispy.{type(visual).__name__}", "wall")
         _clocks.warn(self.session)
         self.coarsest = coarsest

@@ -18,7 +18,7 @@ from time import perf_counter
 from typing import Any, Union
 
 from .. import _clocks
-from .._core import CannotSteer, ModelLike, Session, _model, _named
+from .._core import PROBE_SIDE, PROBE_TOLERANCE, CannotSteer, ModelLike, Session, _model, _named
 from .._history import History
 from .._native import ModelError, write_whole
 from . import _mappers
@@ -28,9 +28,6 @@ from ._window import frame_of, is_picking
 
 log = logging.getLogger("entire.vtk")
 
-# Rays along each side of the probe for analytic models. The number is low, since each ray takes about a microsecond
-# after a large frame has evicted the probe's data from the caches.
-_PROBE_SIDE = 6
 # Smallest target of the window's frame, as a share of `Steering.seconds`: the time outside of the window's drawing is
 # subtracted only down to this share.
 _LEAST_SHARE = 0.2
@@ -129,7 +126,8 @@ class Steering:
             "tolerance": tolerance,
             "miss_rate": miss_rate,
             "ignore_load": ignore_load,
-            "probe_side": _PROBE_SIDE,
+            "probe_side": PROBE_SIDE,
+            "probe_tolerance": PROBE_TOLERANCE,
         }
         self._clock, self._now = clock, now
         # A session without a volume, so that the warning about clocks comes once, before any volume is attached.
