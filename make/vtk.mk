@@ -23,7 +23,7 @@ test-matrix: ## Test the VTK class and the ParaView plugin with the versions of 
 	@CARGO="$(CARGO)" scripts/matrix.sh $(MATRIX)
 
 .PHONY: bars-windows
-bars-windows: ## Measure stereo, several volumes and several renderers in one window, steered by the VTK class and by the Python package
+bars-windows: ## Measure stereo, several volumes and several renderers in one window, steered by the VTK class, by the Python package and by PyVista's accessor
 	@CARGO="$(CARGO)" lab/scripts/vtk/windows.sh
 
 .PHONY: bars-reach
