@@ -23,6 +23,9 @@ TARGETS = {"off-target": (0.10, 0.15), "off-target-frames-over-target": (0.10, 0
            "frames-until-recovered": (1, 1), "image-error-of-auto-adjust-at-its-mean-time": (0.95, 0.95), "image-error-over-cold": (1.02, None),
            "observer-us": (40, 40)}
 
+# Limit of the observer's time divided by that of an earlier version.
+OBSERVER_OVER_BEFORE = 0.6
+
 
 def asked(mapper):
     """Limits by name."""
@@ -141,6 +144,23 @@ def relative_error(repeats, name):
     return error / math.exp(intercept + slope * math.log(at))
 
 
+def observers(options, out, bars, mapper):
+    """Prints the observer's time divided by that of an earlier version. Processes of both versions alternate, since one
+    process cannot load both."""
+    medians = {"today": [], "before": []}
+    for turn in range(2 * options.repeats):
+        side = ("today", "before", "before", "today")[turn % 4]
+        folder = os.path.join(out, f"observer-{side}")
+        os.makedirs(folder, exist_ok=True)
+        places = {"PYTHONPATH": options.before} if side == "before" else {}
+        python(os.path.join(HERE, "compare.py"), "--mapper", mapper, "--out", folder, "--contenders", "full,cold",
+               "--repeats", 1, "--frames", options.frames, env={**os.environ, **places})
+        with open(os.path.join(folder, f"{mapper}.json")) as file:
+            medians[side].append(json.load(file)["repeats"][0]["cold"]["observer_us"])
+    today, before = (statistics.median(medians[side]) for side in ("today", "before"))
+    bars.found(f"{mapper}-observer-over-before", today / before, f"{today:.1f} / {before:.1f} us")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", required=True)
@@ -148,12 +168,16 @@ def main():
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--parts", default="comparison,accuracy")
+    parser.add_argument("--before", metavar="FOLDER",
+                        help="folder of an earlier version's Python module entire_vtk; the observer is compared with it")
     parser.add_argument("--mappers", default="fixed,gpu")
     parser.add_argument("--lacking", help="reason why nothing can be measured; all bars are printed as short")
     options = parser.parse_args()
     os.makedirs(options.out, exist_ok=True)
     parts, mappers = options.parts.split(","), options.mappers.split(",")
     limits = {name: limit for mapper in mappers for name, limit in asked(mapper).items()} if "comparison" in parts else {}
+    if "observer" in parts:
+        limits |= {f"{mapper}-observer-over-before": OBSERVER_OVER_BEFORE for mapper in mappers}
     if "accuracy" in parts:
         limits |= accuracy.ASKED
     with Bars(limits) as bars:
@@ -165,6 +189,10 @@ def main():
                     out = comparison_folder(options)
                     compare(options, out, mapper)
                     comparison_bars(out, bars, mapper)
+        if "observer" in parts:
+            for mapper in mappers:
+                with bars.part(f"{mapper}-observer-over-before"):
+                    observers(options, comparison_folder(options), bars, mapper)
         if "accuracy" in parts:
             accuracy.run(options, bars)
 

@@ -10,6 +10,7 @@
 # VTK_OUT      where builds and results go (default target/vtk)
 # VTK_REPEATS  repeats of the comparison (default 3)
 # VTK_FRAMES   frames of the comparison's path (default 200)
+# VTK_BEFORE   an earlier revision: the observer's time is also compared with that of this revision's class
 # VTK_DEBIAN   stable or testing: the comparison runs with the VTK of this Debian release, in the folder that
 #              `make test-matrix` has made; needs root
 set -euo pipefail
@@ -29,6 +30,23 @@ parts=comparison,accuracy
     python3 "${bars[@]}" --parts $parts --lacking "the command entire cannot be built"
     exit 1
 }
+# before REVISION: builds the class of a revision and prints the folder of its Python module.
+before() {
+    local tree=$out/before
+    [[ -e $tree/.git ]] || git worktree add --quiet --detach "$tree" "$1" >&2
+    git -C "$tree" checkout --quiet --detach "$1" >&2
+    (cd "$tree" && env -u ENTIRE_SDK CARGO_TARGET_DIR="$tree/target" VTK_OUT="$tree/target/vtk" plugins/vtk/run.sh build) >&2
+    echo "$tree/target/vtk/build/lib/python3/site-packages"
+}
+if [[ ${VTK_BEFORE:-} ]]; then
+    observer=("${bars[@]}" --parts observer)
+    if module=$(before "$VTK_BEFORE"); then
+        lab/scripts/or_short.sh python3 "${observer[@]}" -- \
+            plugins/vtk/run.sh exec "${VTK_PYTHON:-/usr/bin/python3}" "${observer[@]}" --before "$module" || status=1
+    else
+        python3 "${observer[@]}" --lacking "the class of $VTK_BEFORE cannot be built" || status=1
+    fi
+fi
 if [[ ${VTK_DEBIAN:-} ]]; then
     . scripts/lib.sh
     folder=$(realpath -m "$target/matrix/$VTK_DEBIAN")
