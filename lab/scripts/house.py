@@ -21,6 +21,7 @@ from pathlib import Path
 
 import circles
 import reach
+import walks
 from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,6 +39,12 @@ INFERENCE_CRATES = 12
 # Limits of cyclic dependencies between files (see circles.py): number of cycles, and files of the largest.
 CIRCLES = 3
 CIRCLE_FILES = 3
+# Limits of builds from nothing: processor seconds of a release build of `entire`, divided by those at the revision BEFORE;
+# processor seconds of `cargo build --package entire-core`.
+BEFORE = "5c08403"
+ENTIRE_BUILD, CORE_BUILD_S = 0.75, 15
+# Limits of the files that a reader visits to follow a value (see walks.py).
+WALKS = {"plan": 4, "calibrate": 12, "steer": 12, "train": 8}
 # Crates that only studies use.
 STUDY_CRATES = ("forust-ml", "image-compare")
 SOURCE_ROOMS = ("core", "steer", "io", "report", "train", "farm", "ffi", "cli", "vk-raycaster", "explore", "plugins", "lab")
@@ -388,6 +395,7 @@ def asked(options):
 def measure(bars, options):
     # The changelog mentions names that are removed.
     pages = [Page(path) for path in tracked("*.md") if path != "CHANGELOG.md"]
+        out |= {f"walk-files-of-{name}": files for name, files in WALKS.items()}
     readme = next(page for page in pages if page.path == "README.md")
     front = [page for page in pages if page.path == "README.md" or page.path.startswith("docs/src/")]
 
@@ -437,6 +445,9 @@ def measure(bars, options):
     bars.found("lines-of-rust", sum(len((ROOT / path).read_bytes().splitlines()) for path in tracked("*.rs")))
     tree = dependency_tree("entire-cli", "normal,build")
     bars.count("study-crates-of-entire", [name for name in STUDY_CRATES if name in tree])
+    for name, files in walks.all_walks().items():
+        if not bars.found(f"walk-files-of-{name}", len(files)):
+            print("\n".join(f"  {file}" for file in files), flush=True)
     if options.measure_build:
         old, new = (build_seconds(revision) for revision in options.measure_build)
         bars.found("release-build-cpu-seconds", new, limit=old)
