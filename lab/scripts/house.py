@@ -385,7 +385,7 @@ def main():
 def asked(options):
     """Limits of the bars by name."""
     counts = ["broken-links", "missing-paths", "missing-c-names", "missing-make-targets", "documents-of-other-versions",
-              "readme-figures-apart-from-results", "code-blocks-that-do-not-compile", "other-addresses"]
+              "readme-figures-apart-from-results", "code-blocks-that-do-not-compile", "other-addresses", "circles-without-reason"]
     if options.bin_dir or not options.quick:
         counts += ["missing-commands", "options-in-no-document"]
     if not options.quick:
@@ -441,6 +441,7 @@ def measure(bars, options):
         bars.count("options-in-no-document", list(undocumented_options(documents, helps)))
     found = circles.all_circles()
     bars.count("circles-of-files", [" ".join(files) for files in found])
+    bars.count("circles-without-reason", list(circles.differences(found)))
     if not bars.found("files-of-a-circle", max(map(len, found), default=0)):
         print("\n".join(f"  {' '.join(files)}" for files in found), flush=True)
     if options.quick:
