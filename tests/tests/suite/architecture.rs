@@ -329,6 +329,32 @@ fn arrows_between_the_rooms_of_a_crate_never_point_back() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Returns the lines of ARCHITECTURE.md about a folder: the line that begins with the folder's name, and the
+/// indented lines after it.
+fn section_of(map: &str, folder: &str) -> String {
+    let start = format!("{folder}/ ");
+    let after = |line: &&str| line.starts_with(' ');
+    let mut lines = map.lines().skip_while(|line| !line.starts_with(&start));
+    let first = lines.next().unwrap_or_else(|| panic!("ARCHITECTURE.md has no line {start}"));
+    [first].into_iter().chain(lines.take_while(after)).collect::<Vec<_>>().join("\n")
+}
+
+/// Checks that ARCHITECTURE.md names each file and folder in the source folder of a crate.
+#[test]
+fn the_map_names_every_file_of_a_crates_top_level() {
+    let map = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    let mut missing = Vec::new();
+    for folder in PRODUCTS.into_iter().filter(|p| !p.contains('/')).chain(["lab"]) {
+        let section = section_of(&map, folder);
+        let words: BTreeSet<&str> = section.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
+        let rooms = rooms_of(&root().join(folder).join("src"));
+        let unnamed =
+            rooms.into_iter().filter(|room| !room.ends_with("_tests") && !words.contains(room.as_str()));
+        missing.extend(unnamed.map(|room| format!("{folder}/src/{room}")));
+    }
+    assert!(missing.is_empty(), "ARCHITECTURE.md does not name\n{}", missing.join("\n"));
+}
+
 #[test]
 fn the_product_knows_nothing_of_the_laboratory() {
     let root = root();
