@@ -43,6 +43,26 @@ CIRCLE_FILES = 3
 # processor seconds of `cargo build --package entire-core`.
 BEFORE = "5c08403"
 ENTIRE_BUILD, CORE_BUILD_S = 0.75, 15
+# Units of measured figures.
+UNIT = r"%|(?:[µm]?s|dB|[KMG]i?B)\b"
+# The rows of README's section Five numbers, by the begin of their names. For the figures of each row, with entire and for
+# comparison: section of docs/src/results.md, begin of the row's name, column, index of the number in the cell.
+README_FIGURES = {
+    "late frames": (
+        ("Steering by wall time", "entire", 1, 0),
+        ("Steering by wall time", "mean of the last three frames", 1, 0),
+    ),
+    r"mean of \|frame time − target\| / target in VTK": (
+        ("Inside VTK", "vtkEntireSteering, cold", 1, 0),
+        ("Inside VTK", "AutoAdjustSampleDistances", 1, 0),
+    ),
+    "time that steering adds to a frame in VTK": (("Inside VTK", "vtkEntireSteering, cold", 4, 0),),
+    r"median of \|predicted / measured − 1\|": (("Calibration on another machine", "unshaded, unseen members", 5, 2),),
+    "render farm": (
+        ("Render farms", "queue, longest predicted first", 2, 0),
+        ("Render farms", "queue in random order", 2, 0),
+    ),
+}
 # Limits of the files that a reader visits to follow a value (see walks.py).
 WALKS = {"plan": 4, "calibrate": 12, "steer": 12, "train": 8}
 # Crates that only studies use.
@@ -167,16 +187,44 @@ def missing_names(pages):
                 yield f"{page.path}: the C headers have no {name}"
 
 
-def figures_apart_from_results(readme):
-    """Yields the decimal numbers of README's section Five numbers that docs/src/results.md does not state."""
-    stated = (ROOT / "docs/src/results.md").read_text(encoding="utf-8")
-    numbers = next((section for section in readme.sections() if section.startswith("## Five numbers")), "")
-    if not numbers:
-        yield "README.md has no section Five numbers"
-    for line in re.findall(r"^\| .*", numbers, re.M):
-        for figure in re.findall(r"(?<![\w.])\d+\.\d+", line):
-            if not re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", stated):
-                yield f"README.md: results.md does not state {figure}"
+def rows_of(page, heading):
+    """Returns the tables' rows of a section, as lists of cells."""
+    section = next((text for text in page.sections() if re.match(rf"#+ {re.escape(heading)}\n", text)), "")
+    lines = re.findall(r"^\|(.*)\|$", section, re.M)
+    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)] for line in lines]
+
+
+def figures_in(cell):
+    """Returns the numbers of a cell with their units. A number without a unit has the next unit in the cell."""
+    found = re.findall(rf"(?<![\w.])(\d+(?:\.\d+)?)(?:\s*({UNIT}))?", cell)
+    unit, figures = "", []
+    for number, own in reversed(found):
+        unit = own or unit
+        figures.insert(0, (number, unit))
+    return figures
+
+
+def figures_apart_from_results(readme, results):
+    """Yields the figures of README that differ from docs/src/results.md. README_FIGURES states where each figure stands."""
+    rows = rows_of(readme, "Five numbers")[2:]
+    if [row[0].split(",")[0].split(":")[0].split(" after")[0] for row in rows] != list(README_FIGURES):
+        yield f"README.md: the rows of Five numbers are not those of house.py: {', '.join(README_FIGURES)}"
+        return
+    for row, sources in zip(rows, README_FIGURES.values()):
+        for cell, source in zip(row[1:3], (*sources, None)):
+            # The name of a method may contain a number; its figure is the last one.
+            stated, expected = figures_in(cell)[-1:] if cell else [], []
+            if source:
+                heading, name, column, index = source
+                named = [r for r in rows_of(results, heading) if r[0].replace("*", "").startswith(name)]
+                expected = figures_in(named[0][column])[index:index + 1] if named else []
+            if stated != expected or source and not expected:
+                yield f"README.md: {row[0]}: {cell or 'no figure'}, but results.md has {expected or 'no such figure'}"
+        if len(figures_in(row[1])) != 1:
+            yield f"README.md: {row[0]}: {row[1]} is not one figure"
+    for number, line in readme.prose:
+        if not line.startswith("|") and re.search(rf"\d\s*({UNIT})", line):
+            yield f"README.md:{number}: a measured figure outside of Five numbers: {line[:60]}"
 
 
 def make_targets():
@@ -406,6 +454,7 @@ def measure(bars, options):
     # The changelog mentions names that are removed.
     pages = [Page(path) for path in tracked("*.md") if path != "CHANGELOG.md"]
     readme = next(page for page in pages if page.path == "README.md")
+    results = next(page for page in pages if page.path == "docs/src/results.md")
     front = [page for page in pages if page.path == "README.md" or page.path.startswith("docs/src/")]
 
     bars.found("readme-lines", len(readme.lines))
@@ -417,7 +466,7 @@ def measure(bars, options):
         ("missing-c-names", missing_names(front)),
         ("missing-make-targets", missing_targets(pages)),
         ("documents-of-other-versions", reach.stale()),
-        ("readme-figures-apart-from-results", figures_apart_from_results(readme)),
+        ("readme-figures-apart-from-results", figures_apart_from_results(readme, results)),
     ):
         bars.count(name, sorted(set(found)))
     if shutil.which("cc"):
