@@ -343,6 +343,18 @@ def file_lengths():
                 yield sum(1 for _ in lines), path
 
 
+def clause_definitions():
+    """Yields the comments whose first word makes them a clause instead of a definition ("What a frame may cost")."""
+    begin = re.compile(r'\s*(?://[/!]?|/\*\*?|#|"""|--) ?(What|Whether|How|Where|Who|Whose)\b(?!.*\?$)')
+    for path in tracked(*SOURCE_ROOMS, "tests", "fuzz", "examples", "scripts", "include"):
+        if path.endswith(SOURCES):
+            before = ""
+            for number, line in enumerate((ROOT / path).read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+                if begin.match(line) and not re.match(r"\s*(//|#|\*)", before):
+                    yield f"{path}:{number}: {line.strip()[:80]}"
+                before = line
+
+
 def dependency_tree(package, edges, *options):
     """Names of the crates that a package needs by these kinds of dependencies, itself included."""
     done = run("cargo", "tree", "--package", package, "--edges", edges, "--prefix", "none", *options)
@@ -433,7 +445,8 @@ def main():
 def asked(options):
     """Limits of the bars by name."""
     counts = ["broken-links", "missing-paths", "missing-c-names", "missing-make-targets", "documents-of-other-versions",
-              "readme-figures-apart-from-results", "code-blocks-that-do-not-compile", "other-addresses", "circles-without-reason"]
+              "readme-figures-apart-from-results", "code-blocks-that-do-not-compile", "other-addresses", "circles-without-reason",
+              "definitions-that-begin-with-what-whether-how"]
     if options.bin_dir or not options.quick:
         counts += ["missing-commands", "options-in-no-document"]
     if not options.quick:
@@ -474,6 +487,7 @@ def measure(bars, options):
     else:
         bars.lacking("there is no C compiler (apt-get install gcc)", ["code-blocks-that-do-not-compile"])
     bars.count("other-addresses", addresses())
+    bars.count("definitions-that-begin-with-what-whether-how", list(clause_definitions()))
     lengths = sorted(file_lengths(), reverse=True)
     if not bars.found("longest-file", lengths[0][0]):
         print("\n".join(f"  {n} {path}" for n, path in lengths if n > FILE_LINES), flush=True)
