@@ -20,7 +20,7 @@ pub fn room<T>(len: usize) -> Result<Vec<T>> {
 }
 
 /// A vector of `len` copies of `value`.
-pub fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
+pub fn try_vec<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
     let mut out = room(len)?;
     out.resize(len, value);
     Ok(out)
@@ -69,7 +69,7 @@ mod tests {
     #[cfg_attr(miri, ignore = "Miri aborts where an allocation fails")]
     fn what_cannot_be_had_is_an_error() {
         assert_eq!(room::<u64>(usize::MAX).unwrap_err().kind(), ErrorKind::OutOfMemory);
-        assert_eq!(filled(isize::MAX as usize, 1u8).unwrap_err().kind(), ErrorKind::OutOfMemory);
+        assert_eq!(try_vec(isize::MAX as usize, 1u8).unwrap_err().kind(), ErrorKind::OutOfMemory);
         assert_eq!(check_bytes(isize::MAX as usize).unwrap_err().kind(), ErrorKind::OutOfMemory);
         let mut kept = vec![1u8, 2];
         assert_eq!(resize(&mut kept, isize::MAX as usize, 0).unwrap_err().kind(), ErrorKind::OutOfMemory);
@@ -78,7 +78,7 @@ mod tests {
 
     #[test]
     fn what_can_be_had_is_exact() {
-        assert_eq!(filled(3, 7u8).unwrap(), [7, 7, 7]);
+        assert_eq!(try_vec(3, 7u8).unwrap(), [7, 7, 7]);
         assert_eq!(collected([3u8, 4].into_iter()).unwrap(), [3, 4]);
         let mut kept = vec![1u8, 2, 3];
         resize(&mut kept, 5, 9).unwrap();

@@ -28,10 +28,11 @@ use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
 use winit::window::{Window, WindowId};
 
-/// Texture ids that the interface uses until they are replaced by the ids of the pictures: [`STEERED`] for
-/// the picture of the last planned frame, [`FULL`] for the picture at full quality.
-pub(crate) const STEERED: TextureId = TextureId::User(u64::MAX);
-pub(crate) const FULL: TextureId = TextureId::User(u64::MAX - 1);
+/// Texture ids that the interface uses until they are replaced by the ids of the pictures:
+/// [`STEERED_TEXTURE`] for the picture of the last planned frame, [`FULL_QUALITY_TEXTURE`] for the picture at
+/// full quality.
+pub(crate) const STEERED_TEXTURE: TextureId = TextureId::User(u64::MAX);
+pub(crate) const FULL_QUALITY_TEXTURE: TextureId = TextureId::User(u64::MAX - 1);
 
 /// Time after a loss of the device within which another loss is fatal.
 const LOST_AGAIN: Duration = Duration::from_secs(10);

@@ -22,7 +22,7 @@ const ETA_EVERY: Duration = Duration::from_millis(1000);
 /// Interval between writings of the database's table during a run.
 const TABLE_EVERY: Duration = Duration::from_secs(30);
 /// Time limit of the images in progress after Ctrl-C.
-const PATIENCE: Duration = Duration::from_secs(600);
+const STOP_TIME_LIMIT: Duration = Duration::from_secs(600);
 /// Maximum number of restarts of an engine without a finished task in between.
 const RESTARTS: u32 = 3;
 /// Quantile of a bundle's seconds that its time request covers.
@@ -249,11 +249,11 @@ impl Drive<'_, '_> {
         } else if interrupted {
             show.note(&format!(
                 "finishing the images in progress, for at most {} minutes; Ctrl-C again ends at once",
-                PATIENCE.as_secs() / 60
+                STOP_TIME_LIMIT.as_secs() / 60
             ));
             self.engine.cancel()?;
             let patience = Instant::now();
-            while self.planner.running() > 0 && patience.elapsed() < PATIENCE {
+            while self.planner.running() > 0 && patience.elapsed() < STOP_TIME_LIMIT {
                 self.take()?;
                 let flushed = self.flush();
                 self.unless_full(flushed)?;

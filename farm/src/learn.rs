@@ -48,7 +48,7 @@ const SCATTER_SLOPE_WITH_MODEL: (f64, f64) = (0.2, 4.0);
 /// Number of standard deviations at which residuals are clipped: one hung task must not affect the others.
 const HUBER: f64 = 4.0;
 /// Number of residuals that are kept for random draws.
-const KEPT: usize = 1024;
+const MAX_DRAWN_RESIDUALS: usize = 1024;
 
 /// Returns the upper limit of a task's expected time, in seconds, which is the upper limit of any prediction.
 /// Without this limit, a task list whose times have a wrong unit could give infinite expected times, which JSON
@@ -489,7 +489,7 @@ impl Learner {
                 (s.y - middle - self.nodes[s.node as usize]) * self.calm(s.task as usize)
             })
             .collect();
-        let stride = n.div_ceil(KEPT).max(1);
+        let stride = n.div_ceil(MAX_DRAWN_RESIDUALS).max(1);
         self.residuals = errors.iter().step_by(stride).map(|e| *e as f32).collect();
         // Drift of the machine: the standard deviation of the mean residuals of consecutive eighths of the
         // tasks, after subtraction of the variance that the errors of the tasks explain.

@@ -3,7 +3,7 @@
 //! readings (warm).
 
 /// Assumed rates of loading before any measurement, cold and warm, bytes per second.
-const BEFORE: [f64; 2] = [200e6, 1000e6];
+const ASSUMED_RATES: [f64; 2] = [200e6, 1000e6];
 
 /// The model of loading times.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,7 +21,7 @@ impl Loads {
     /// loading times: it loads within its tasks, so loading takes zero seconds.
     pub(crate) fn new(bytes: Vec<f64>, has_model: bool) -> Self {
         let seen = vec![[(0.0, 0); 2]; bytes.len()];
-        let laws = if has_model { BEFORE.map(|rate| (0.0, 1.0 / rate)) } else { [(0.0, 0.0); 2] };
+        let laws = if has_model { ASSUMED_RATES.map(|rate| (0.0, 1.0 / rate)) } else { [(0.0, 0.0); 2] };
         Self { bytes, seen, laws, fixed: None }
     }
 

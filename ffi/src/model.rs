@@ -13,7 +13,7 @@ use crate::result::entire_result::{self, *};
 use crate::result::{Failure, frame_time, refuse};
 use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Executor, Level};
-use entire_core::memory::{collected, filled, room};
+use entire_core::memory::{collected, room, try_vec};
 use entire_core::model::{GroupKind, Model, ModelFile};
 use entire_core::nn::{EncodeScratch, PredNet, PredScratch, Target, VolumeNet};
 use entire_steer::predict::{Predictor, load_with};
@@ -172,7 +172,7 @@ impl Loaded {
             }
             return Ok(Some(collected(ready.iter().copied())?));
         }
-        let mut features = filled(size, 0.0)?;
+        let mut features = try_vec(size, 0.0)?;
         self.encode(volume, &mut features)?;
         Ok(Some(features))
     }
@@ -543,7 +543,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
         let scratch = || net.scratch(ROWS_AT_ONCE);
         // Predictions are written to separate memory first, so that a failed call leaves the caller's
         // array unchanged.
-        let mut predicted = filled(rows, 0.0f32)?;
+        let mut predicted = try_vec(rows, 0.0f32)?;
         loaded.rows.with(scratch, |scratch| {
             net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))
         })??;

@@ -6,7 +6,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Interval between checks of a running process.
-const LOOK: Duration = Duration::from_millis(5);
+const CHECK_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Waits for a process and returns its exit status. After the time `limit`, kills the process and returns
 /// `None`.
@@ -24,7 +24,7 @@ pub fn wait_at_most(child: &mut Child, limit: Duration) -> Result<Option<ExitSta
             let _ = child.wait();
             return Ok(None);
         }
-        sleep(LOOK);
+        sleep(CHECK_INTERVAL);
     }
 }
 

@@ -38,6 +38,9 @@ SKIPPING = ("change", "nightly")
 NOISE_SECONDS = 20
 # Renamed and divided tests: old name, and the new name, or several new names separated by blanks.
 RENAMED = {
+    "a_ladder_climbs_no_further_than_the_plan_needs": "an_adaptive_probe_is_refined_no_further_than_the_plan_needs",
+    "frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_granted":
+        "frames_of_the_training_paths_change_no_faster_than_the_adaptive_probe_assumes",
     "the_committed_header_is_that_of_the_source": "the_committed_headers_are_those_of_the_source",
     "arrows_between_the_rooms_of_core_never_point_back": "arrows_between_the_rooms_of_a_crate_never_point_back",
     "arrows_between_the_rooms_of_command_and_laboratory_never_point_back":

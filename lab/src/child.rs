@@ -8,7 +8,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Interval between checks of a running process.
-const LOOK: Duration = Duration::from_millis(50);
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Waits until a process ends; returns its exit status, and true if the process was asked to end. Once `over` returns
 /// true (a deadline has passed, or the user asked to stop), `signal` asks the process to end; if it still runs after
@@ -38,7 +38,7 @@ pub(crate) fn wait(
             }
             _ => {}
         }
-        sleep(LOOK);
+        sleep(CHECK_INTERVAL);
     }
 }
 

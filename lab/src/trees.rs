@@ -19,7 +19,7 @@ const TREES: usize = 1500;
 const LEARNING_RATE: f32 = 0.05;
 
 /// Number of trees without a better validation error after which growing stops.
-const PATIENCE: usize = 60;
+const STOPPING_TREES: usize = 60;
 
 /// Trees that predict ln(seconds) or, for residual recipes, the residual of an analytic model.
 pub(crate) struct Trees {
@@ -62,7 +62,7 @@ impl Trees {
             .set_evaluation_metric(Some(Metric::RootMeanSquaredError))
             .set_iterations(TREES)
             .set_learning_rate(LEARNING_RATE)
-            .set_early_stopping_rounds(judged.is_some().then_some(PATIENCE));
+            .set_early_stopping_rounds(judged.is_some().then_some(STOPPING_TREES));
         context
             .pool
             .install(|| booster.fit(&Matrix::new(&x, y.len(), width), &y, &ones, judged))

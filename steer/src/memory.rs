@@ -3,16 +3,20 @@
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::kernels::Executor;
-use entire_core::memory::filled;
+use entire_core::memory::try_vec;
 
 /// Returns a new vector of `len` zeros if the capacity of `vector` is below `len`, otherwise `None`.
 /// Untouched pages of the new vector take no memory.
-pub(crate) fn longer<T: bytemuck::Zeroable + Clone>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
+pub(crate) fn try_grow<T: bytemuck::Zeroable + Clone>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
     if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
 }
 
 /// Replaces `vector` by `longer` if `longer` is `Some`; otherwise resizes `vector` to `len`.
-pub(crate) fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
+pub(crate) fn replace_or_resize<T: bytemuck::Zeroable + Clone>(
+    vector: &mut Vec<T>,
+    longer: Option<Vec<T>>,
+    len: usize,
+) {
     match longer {
         Some(longer) => *vector = longer,
         None => vector.resize(len, T::zeroed()),
@@ -21,7 +25,7 @@ pub(crate) fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Op
 
 /// A vector of `len` zeros, from zeroed pages if the allocator has them.
 fn zeroed<T: bytemuck::Zeroable + Clone>(len: usize) -> Result<Vec<T>> {
-    bytemuck::allocation::try_zeroed_vec(len).or_else(|()| filled(len, T::zeroed()))
+    bytemuck::allocation::try_zeroed_vec(len).or_else(|()| try_vec(len, T::zeroed()))
 }
 
 /// Splits a slice into arrays of `N` elements and the elements that remain: `slice::as_chunks_mut` for

@@ -24,7 +24,7 @@ const LONG: f64 = 0.12;
 
 /// Noise of a round (see [`Measuring::spread`]) below which the round gets no further pass, once it had the
 /// minimum number of passes.
-const ENOUGH: f64 = 0.02;
+const SETTLED_NOISE: f64 = 0.02;
 
 /// Minimum and maximum number of passes of a round.
 const PASSES: (usize, usize) = (2, 4);
@@ -137,7 +137,7 @@ impl<'a> Measuring<'a> {
             self.rounds += 1;
             for pass in 0..PASSES.1 {
                 if pass >= PASSES.0
-                    && (self.spread(&round) < ENOUGH || self.left() < 0.1 * self.settings.seconds)
+                    && (self.spread(&round) < SETTLED_NOISE || self.left() < 0.1 * self.settings.seconds)
                 {
                     break;
                 }

@@ -33,7 +33,7 @@ pub(crate) struct Options {
 const SYSTEM_PYTHON: &str = "/usr/bin/python3";
 
 /// Time limit of each program that this command runs.
-const PATIENCE: Duration = Duration::from_secs(20);
+const PROGRAM_TIME_LIMIT: Duration = Duration::from_secs(20);
 
 const PACKAGES: [(&str, &str); 9] = [
     ("vtk", "steering of VTK in Python by entire.vtk.hold"),
@@ -174,7 +174,7 @@ fn output_of(program: &str, arguments: &[&str]) -> Option<String> {
         .stderr(Stdio::null())
         .spawn()
         .ok()?;
-    wait_at_most(&mut child, PATIENCE).ok()??;
+    wait_at_most(&mut child, PROGRAM_TIME_LIMIT).ok()??;
     let output = child.wait_with_output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }

@@ -1,6 +1,6 @@
 //! One frame: layout, plan, ray casting, presentation, and the measurement of its time.
 
-use super::{App, FULL, Pictures, STEERED, Waiting};
+use super::{App, FULL_QUALITY_TEXTURE, Pictures, STEERED_TEXTURE, Waiting};
 use crate::loading::{Loaded, warm};
 use crate::log::{Beside, thread_seconds};
 use crate::present::Presented;
@@ -167,7 +167,7 @@ impl App {
         }
         state.changed.transfer = true;
         state.changed.replaced = true;
-        state.picture = Some(Shown { steered: STEERED, full: None });
+        state.picture = Some(Shown { steered: STEERED_TEXTURE, full: None });
         self.warm.clear();
         self.warm.extend(modes);
         self.refinement = None;
@@ -259,7 +259,7 @@ impl App {
         let cast = scene.raycaster.render_to(&planned.frame, whole, &mut pictures.steered)?.wall;
         state.steer.observe(&planned, frame.shading, cast)?;
         pictures.used = [whole.width, whole.height];
-        state.picture = Some(Shown { steered: STEERED, full: None });
+        state.picture = Some(Shown { steered: STEERED_TEXTURE, full: None });
         state.probe = state.steer.probe(state.shading);
         if let Some(recorder) = &mut state.recorder {
             recorder.note(&state.view, &state.edited.curve, changed.replaced)?;
@@ -318,10 +318,11 @@ impl App {
     }
 }
 
-/// Replaces the placeholders [`STEERED`] and [`FULL`] by the texture ids of the pictures, and shows only the
-/// used part of the steered picture. Removes pictures that must not be shown. If this frame drew the steered
-/// picture (`cast`), the full-quality picture is outdated and is removed. If the full-quality picture is
-/// complete (`refined`), the steered picture is removed. A picture that was never drawn is removed, too.
+/// Replaces the placeholders [`STEERED_TEXTURE`] and [`FULL_QUALITY_TEXTURE`] by the texture ids of the
+/// pictures, and shows only the used part of the steered picture. Removes pictures that must not be shown. If
+/// this frame drew the steered picture (`cast`), the full-quality picture is outdated and is removed. If the
+/// full-quality picture is complete (`refined`), the steered picture is removed. A picture that was never
+/// drawn is removed, too.
 fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);
@@ -331,19 +332,19 @@ fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, 
     primitives.retain(|primitive| {
         let Primitive::Mesh(mesh) = &primitive.primitive else { return true };
         match mesh.texture_id {
-            STEERED => !refined && !pictures.steered.is_fresh(),
-            FULL => !cast && !pictures.full.is_fresh(),
+            STEERED_TEXTURE => !refined && !pictures.steered.is_fresh(),
+            FULL_QUALITY_TEXTURE => !cast && !pictures.full.is_fresh(),
             _ => true,
         }
     });
     for primitive in primitives {
         let Primitive::Mesh(mesh) = &mut primitive.primitive else { continue };
-        if mesh.texture_id == STEERED {
+        if mesh.texture_id == STEERED_TEXTURE {
             mesh.texture_id = pictures.steered_id;
             for vertex in &mut mesh.vertices {
                 vertex.uv = egui::pos2(vertex.uv.x * share[0], vertex.uv.y * share[1]);
             }
-        } else if mesh.texture_id == FULL {
+        } else if mesh.texture_id == FULL_QUALITY_TEXTURE {
             mesh.texture_id = pictures.full_id;
         }
     }

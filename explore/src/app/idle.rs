@@ -1,6 +1,6 @@
 //! Work between frames: refinement at rest, screenshots, the map of samples, the next volume of a series.
 
-use super::{App, FULL, STEERED, Waiting};
+use super::{App, FULL_QUALITY_TEXTURE, STEERED_TEXTURE, Waiting};
 use crate::loading::Job;
 use crate::refine::Refinement;
 use crate::screenshot::Screenshot;
@@ -135,8 +135,10 @@ impl App {
             remaining: work.cursor.remaining(),
             took: done.then_some(took),
         });
-        self.state.picture =
-            Some(Shown { steered: STEERED, full: Some((FULL, pictures.size, work.cursor.covered())) });
+        self.state.picture = Some(Shown {
+            steered: STEERED_TEXTURE,
+            full: Some((FULL_QUALITY_TEXTURE, pictures.size, work.cursor.covered())),
+        });
         if done {
             self.refined = true;
             let numbers = [took, work.cast, work.longest];

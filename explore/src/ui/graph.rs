@@ -7,10 +7,10 @@ use egui_plot::{
     AxisHints, FilledArea, GridInput, GridMark, HLine, Line, LineStyle, Plot, PlotPoints, VLine,
 };
 
-const MEASURED: Color32 = Color32::from_rgb(120, 200, 255);
-const PREDICTED: Color32 = Color32::from_rgb(255, 190, 90);
-const TARGET: Color32 = Color32::from_rgb(240, 90, 90);
-const FULL: Color32 = Color32::from_rgb(170, 130, 220);
+const MEASURED_COLOR: Color32 = Color32::from_rgb(120, 200, 255);
+const PREDICTED_COLOR: Color32 = Color32::from_rgb(255, 190, 90);
+const TARGET_COLOR: Color32 = Color32::from_rgb(240, 90, 90);
+const FULL_QUALITY_COLOR: Color32 = Color32::from_rgb(170, 130, 220);
 const STEP: Color32 = Color32::from_rgb(150, 210, 130);
 const DISTANCE: Color32 = Color32::from_rgb(220, 140, 200);
 
@@ -87,13 +87,13 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
         plot.set_plot_bounds_y(range(most.min(4.0 * target), 0.7 * height));
         if xs.len() > 1 {
             let band = FilledArea::new("predicted to bound", &xs, &low, &high);
-            plot.add(band.fill_color(PREDICTED.gamma_multiply(0.18)));
+            plot.add(band.fill_color(PREDICTED_COLOR.gamma_multiply(0.18)));
         }
         switches.iter().for_each(|x| plot.vline(mark(*x)));
-        plot.line(Line::new("full quality, ms", ms(|r| r.full * 1e3)).color(FULL).width(1.0));
-        plot.line(Line::new("predicted, ms", ms(|r| r.predicted * 1e3)).color(PREDICTED).width(1.2));
-        plot.line(Line::new("measured, ms", ms(|r| r.seconds * 1e3)).color(MEASURED).width(1.5));
-        plot.hline(HLine::new("target", target).color(TARGET));
+        plot.line(Line::new("full quality, ms", ms(|r| r.full * 1e3)).color(FULL_QUALITY_COLOR).width(1.0));
+        plot.line(Line::new("predicted, ms", ms(|r| r.predicted * 1e3)).color(PREDICTED_COLOR).width(1.2));
+        plot.line(Line::new("measured, ms", ms(|r| r.seconds * 1e3)).color(MEASURED_COLOR).width(1.5));
+        plot.hline(HLine::new("target", target).color(TARGET_COLOR));
     });
     plot("steps", 0.3 * height).show(ui, |plot| {
         let most = history.iter().map(|r| f64::from(r.step.max(r.image_sample_distance))).fold(2.0, f64::max);
@@ -114,10 +114,10 @@ fn legend(ui: &mut Ui) {
     ui.horizontal_wrapped(|ui| {
         let mut name = |color: Color32, text: &str| ui.label(RichText::new(text).small().color(color));
         name(Color32::GRAY, "Times in ms:");
-        name(MEASURED, "measured");
-        name(PREDICTED, "predicted, shaded up to the upper bound");
-        name(FULL, "full quality");
-        name(TARGET, "target");
+        name(MEASURED_COLOR, "measured");
+        name(PREDICTED_COLOR, "predicted, shaded up to the upper bound");
+        name(FULL_QUALITY_COLOR, "full quality");
+        name(TARGET_COLOR, "target");
         name(Color32::GRAY, "Below:");
         name(STEP, "step");
         name(DISTANCE, "pixels between rays");

@@ -14,11 +14,11 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// Interval between queries of the queue; the spool is read at every poll.
-const LOOK: Duration = Duration::from_secs(2);
+const QUEUE_QUERY_INTERVAL: Duration = Duration::from_secs(2);
 /// Longest time without an answer of squeue: the controller may be restarted, and jobs run on meanwhile.
-const SILENCE: Duration = Duration::from_secs(600);
+const MAX_SILENCE: Duration = Duration::from_secs(600);
 /// Seconds that are added to each time request for start and end of the worker.
-const GRACE: f64 = 15.0;
+const WORKER_START_S: f64 = 15.0;
 
 /// Options of Slurm.
 #[derive(Clone, Debug, Default)]
@@ -136,15 +136,15 @@ fn longest_request(listed: &str, named: Option<&str>) -> Option<f64> {
     limits.map(|l| l.into_iter().fold(0.0, f64::max)).filter(|l| *l > 0.0)
 }
 
-/// Returns the longest time of a bundle without [`GRACE`], seconds. `limit`: longest time request, seconds;
-/// rounded down, since requests are whole minutes.
+/// Returns the longest time of a bundle without [`WORKER_START_S`], seconds. `limit`: longest time request,
+/// seconds; rounded down, since requests are whole minutes.
 fn longest_bundle(limit: f64) -> f64 {
-    60.0 * (limit / 60.0).floor() - GRACE
+    60.0 * (limit / 60.0).floor() - WORKER_START_S
 }
 
-/// Returns a time request in sbatch's format: `seconds` and [`GRACE`], rounded up to whole minutes.
+/// Returns a time request in sbatch's format: `seconds` and [`WORKER_START_S`], rounded up to whole minutes.
 fn request(seconds: f64) -> String {
-    (((seconds + GRACE) / 60.0).ceil().max(1.0) as u64).to_string()
+    (((seconds + WORKER_START_S) / 60.0).ceil().max(1.0) as u64).to_string()
 }
 
 impl Slurm {
@@ -331,10 +331,12 @@ impl Engine for Slurm {
         std::thread::sleep(wait.min(Duration::from_millis(50)));
         let (mut lost, mut refused) = (Vec::new(), Vec::new());
         let waits = !self.open.is_empty() || !self.refused.is_empty();
-        if waits && self.looked.is_none_or(|t| t.elapsed() >= LOOK) {
+        if waits && self.looked.is_none_or(|t| t.elapsed() >= QUEUE_QUERY_INTERVAL) {
             match self.look() {
                 Ok(found) => (lost, self.silent) = (found, None),
-                Err(e) if self.silent.get_or_insert_with(Instant::now).elapsed() > SILENCE => return Err(e),
+                Err(e) if self.silent.get_or_insert_with(Instant::now).elapsed() > MAX_SILENCE => {
+                    return Err(e);
+                }
                 Err(_) => {}
             }
             self.looked = Some(Instant::now());

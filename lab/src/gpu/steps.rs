@@ -13,7 +13,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 /// Time that a command has to end by itself, from the signal that asks it to end until it is killed.
-const GRACE: Duration = Duration::from_secs(10);
+const END_TIME_LIMIT: Duration = Duration::from_secs(10);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Extent {
@@ -235,7 +235,7 @@ pub(crate) fn run(
         .spawn()
         .with_context(|| format!("cannot run {}", entire.display()))?;
     let over = || interrupt::requested(stop) || Instant::now() >= end;
-    let (status, cut) = child::wait(&mut child, over, Signal::SIGINT, GRACE)?;
+    let (status, cut) = child::wait(&mut child, over, Signal::SIGINT, END_TIME_LIMIT)?;
     ensure!(!interrupt::requested(stop), "stopped; the same command continues from here");
     let text = std::fs::read_to_string(&log).unwrap_or_default();
     let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or_default().to_owned();

@@ -18,7 +18,7 @@ use std::time::Duration;
 /// Time that a training has to end by itself after it was asked to end: it completes its batch, evaluates
 /// every volume with the best weights, and writes the weights. A training that is killed after this time
 /// continues from its last epoch at the next run.
-const GRACE: Duration = Duration::from_secs(600);
+const END_TIME_LIMIT: Duration = Duration::from_secs(600);
 
 /// Name of the encoder that is trained on all data sets.
 pub(crate) const ALL: &str = "all";
@@ -172,7 +172,7 @@ fn train(
         command.args(["--threads", &threads.to_string()]);
     }
     let mut child = command.spawn().with_context(|| format!("cannot start {}", work.python.display()))?;
-    let (status, stopped) = child::wait(&mut child, || work.stop(), Signal::SIGTERM, GRACE)?;
+    let (status, stopped) = child::wait(&mut child, || work.stop(), Signal::SIGTERM, END_TIME_LIMIT)?;
     if stopped {
         bail!("{}", work.stopped());
     }

@@ -7,7 +7,7 @@ use entire_core::scene::Shading;
 use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 
 /// A predictor beats another one if its error of cross-validation is below this factor times the other's.
-const WORTH: f64 = 0.95;
+const MAX_ERROR_RATIO: f64 = 0.95;
 
 pub(crate) const SENTENCE: &str = "Rule of selection: a predictor is excluded if another predictor's error is more than 5 % lower on \
      the tables of every machine; of the others, the one with the fewest fitted parameters is selected (if several have the \
@@ -25,7 +25,8 @@ struct Contender {
 
 /// Index of the smallest contender (of equal ones, the first) that no other one beats on every machine.
 fn choose(contenders: &[Contender]) -> Option<usize> {
-    let beats = |a: &Contender, b: &Contender| a.errors.iter().zip(&b.errors).all(|(a, b)| *a < WORTH * b);
+    let beats =
+        |a: &Contender, b: &Contender| a.errors.iter().zip(&b.errors).all(|(a, b)| *a < MAX_ERROR_RATIO * b);
     let good = |c: &&(usize, &Contender)| !contenders.iter().any(|other| beats(other, c.1));
     contenders.iter().enumerate().filter(|c| good(&c)).min_by_key(|c| c.1.size).map(|c| c.0)
 }

@@ -24,12 +24,12 @@ fn the_book_lists_every_constant_with_its_value() {
 }
 
 /// The adaptive probe assumes that a motion of the camera changes ln(time) by at most turn / 0.4 + approach /
-/// 0.15 (`TURN` and `APPROACH` in `steer/src/control/session/ladder.rs`). Here, turn is the angle between
+/// 0.15 (`TURN` and `APPROACH` in `steer/src/control/session/adaptive_probe.rs`). Here, turn is the angle between
 /// both positions of the eye, seen from the volume's center, in radians; approach is the change of
 /// ln(distance from the center). The test checks this for frames of the recorded training paths that are four
 /// frames apart.
 #[test]
-fn frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_granted() {
+fn frames_of_the_training_paths_change_no_faster_than_the_adaptive_probe_assumes() {
     const FRAMES: usize = 4;
     let mut stretches = 0;
     for name in ["orbit", "drag", "fly-in"] {

@@ -18,7 +18,7 @@ static ENDING: OnceLock<ThreadId> = OnceLock::new();
 static AWAY: AtomicUsize = AtomicUsize::new(0);
 
 /// Maximum time that [`end`] waits for threads that will ask for the lock.
-const GRACE: Duration = Duration::from_millis(500);
+const MAX_WAIT: Duration = Duration::from_millis(500);
 
 /// True if another thread is about to end the interpreter.
 fn is_ending() -> bool {
@@ -76,7 +76,7 @@ pub(crate) fn calling<T>(py: Python<'_>, call: impl FnOnce() -> T) -> T {
 pub(crate) fn end(py: Python<'_>) {
     let _ = ENDING.set(std::thread::current().id());
     let begin = Instant::now();
-    while AWAY.load(Ordering::SeqCst) > 0 && begin.elapsed() < GRACE {
+    while AWAY.load(Ordering::SeqCst) > 0 && begin.elapsed() < MAX_WAIT {
         py.detach(|| std::thread::sleep(Duration::from_millis(1)));
     }
 }

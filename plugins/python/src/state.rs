@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Maximum number of observed frames that are kept.
-const KEPT: usize = 4096;
+const MAX_OBSERVED_FRAMES: usize = 4096;
 
 #[derive(Clone)]
 pub(crate) struct Observed {
@@ -30,7 +30,7 @@ pub(crate) struct State {
     camera: Option<CoreCamera>,
     /// Identity of this session, which its plans contain.
     pub(crate) identity: Arc<()>,
-    /// The last [`KEPT`] observed frames, oldest first.
+    /// The last [`MAX_OBSERVED_FRAMES`] observed frames, oldest first.
     pub(crate) history: VecDeque<Observed>,
 }
 
@@ -102,7 +102,7 @@ impl State {
         // No plan has the number 0. So plans of other sessions are rejected like forgotten ones.
         let id = if Arc::ptr_eq(&plan.session, &self.identity) { plan.id } else { 0 };
         let verdict = self.core.observe(id, seconds, flags).map_err(raise)?;
-        if self.history.len() == KEPT {
+        if self.history.len() == MAX_OBSERVED_FRAMES {
             self.history.pop_front();
         }
         self.history.push_back(Observed { plan: plan.clone(), measured: seconds, verdict });

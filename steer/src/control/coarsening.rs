@@ -10,13 +10,13 @@ const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 /// Ratio of the step, in finest steps, to the image sample distance, in pixels, if both are coarsened
 /// together without a picture quality law. Theory suggests a ratio of 1: samples along a ray are then as far
 /// apart as neighboring rays. The added tenth is a choice.
-const TOGETHER: f64 = 1.1;
+const STEP_PER_DISTANCE: f64 = 1.1;
 
 /// Hysteresis factor: an image sample distance is kept until c = step · distance² lies beyond one of its
 /// thresholds by more than this factor. Successive thresholds differ by a factor of 1.2³ = 1.73, so the
-/// geometric mean of two successive thresholds is a factor of 1.31 from each. `KEEP` is the square root of
-/// 1.31.
-const KEEP: f64 = 1.15;
+/// geometric mean of two successive thresholds is a factor of 1.31 from each. The hysteresis factor is the
+/// square root of 1.31.
+const DISTANCE_HYSTERESIS: f64 = 1.15;
 
 /// Capacity of the arrays, in levels of the image sample distance. Distance 1 and the powers of
 /// [`DISTANCE_RATIO`] up to 64 need 23 levels.
@@ -29,8 +29,9 @@ const LEVELS: usize = 24;
 /// together along the path: at equal time, the picture error is smaller than if one of them grew alone. For a
 /// renderer whose smaller images are strongly blurred, only the step grows at first (`step_alone`). With a
 /// law ([`Quality`]), the law determines the path. Distances are powers of 1.2, and a distance is kept until
-/// c lies clearly beyond its thresholds ([`KEEP`]), so that buffers seldom change. A change of the distance
-/// changes the step too, so that step · distance² stays equal to c, unless the step would leave its limits.
+/// c lies clearly beyond its thresholds ([`DISTANCE_HYSTERESIS`]), so that buffers seldom change. A change of
+/// the distance changes the step too, so that step · distance² stays equal to c, unless the step would leave
+/// its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
     pub(super) steps: StepLimits,
@@ -91,7 +92,7 @@ impl Coarsening {
         for level in 1..=self.levels {
             let power = (level - 1 + first) as f64;
             self.distances[level] = libm::pow(DISTANCE_RATIO, power);
-            self.from[level] = TOGETHER * libm::pow(DISTANCE_RATIO, 3.0 * (power - 0.5));
+            self.from[level] = STEP_PER_DISTANCE * libm::pow(DISTANCE_RATIO, 3.0 * (power - 0.5));
         }
         if let Some(quality) = self.quality {
             quality.lay(&self.distances[..=self.levels], &mut self.from[..=self.levels]);
@@ -120,8 +121,8 @@ impl Coarsening {
         let (finest, coarsest) = (f64::from(self.steps.finest), f64::from(self.steps.coarsest));
         let alone = c / finest;
         let last = self.last.min(self.levels);
-        let kept =
-            alone * KEEP >= self.from[last] && (last == self.levels || alone <= self.from[last + 1] * KEEP);
+        let kept = alone * DISTANCE_HYSTERESIS >= self.from[last]
+            && (last == self.levels || alone <= self.from[last + 1] * DISTANCE_HYSTERESIS);
         let mut level = last;
         if !kept {
             level = self.from[1..=self.levels].iter().take_while(|&&from| alone > from).count();

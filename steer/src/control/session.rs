@@ -1,6 +1,6 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
-mod ladder;
+mod adaptive_probe;
 mod pictures;
 #[cfg(feature = "calibrate")]
 mod recording;
@@ -88,9 +88,9 @@ pub struct Session {
     /// Probe that the caller asked for: rays along each side, and the tolerance of a refinement.
     asked_probe: Option<(usize, Option<f32>)>,
     /// Refinement of the probe; `None` if every plan casts the same number of rays.
-    ladder: Option<ladder::Ladder>,
+    adaptive_probe: Option<adaptive_probe::AdaptiveProbe>,
     /// View for which the probe's rays were last cast; `None` without refinement.
-    cast_for: Option<ladder::Cast>,
+    cast_for: Option<adaptive_probe::Cast>,
     coarsening: Coarsening,
     enabled: bool,
     changes: Changes,
@@ -145,7 +145,7 @@ impl Session {
             lobes: None,
             features: FrameFeatures::default(),
             asked_probe: None,
-            ladder: None,
+            adaptive_probe: None,
             cast_for: None,
             coarsening: Coarsening::of_step(StepLimits::default()),
             enabled: true,
@@ -473,7 +473,7 @@ impl Session {
             bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");
         };
         self.features.measure(volume, transfer, frame)?;
-        self.cast_for = self.ladder.map(|_| ladder::Cast::of(frame));
+        self.cast_for = self.adaptive_probe.map(|_| adaptive_probe::Cast::of(frame));
         Ok(())
     }
 

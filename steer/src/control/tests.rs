@@ -554,13 +554,13 @@ fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
 }
 
 #[test]
-fn a_ladder_climbs_no_further_than_the_plan_needs() {
+fn an_adaptive_probe_is_refined_no_further_than_the_plan_needs() {
     let volume = summary(&sphere(64), [64; 3], 48);
     let l = lobes(0.4, 0.05);
     let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
-    let session = |ladder: Option<f32>, side: usize| {
-        let side = if ladder.is_some() { 24 } else { side };
-        let mut session = Session::default().with_probe(side, ladder).unwrap();
+    let session = |tolerance: Option<f32>, side: usize| {
+        let side = if tolerance.is_some() { 24 } else { side };
+        let mut session = Session::default().with_probe(side, tolerance).unwrap();
         session.set_volume(volume.clone(), None);
         session.set_transfer(&table, Some(&l)).unwrap();
         session
@@ -568,14 +568,14 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     let frame = frame(20.0, 30.0, 1.6);
     let expected = session(None, 24).predict(&frame).unwrap().seconds;
     let climbed = |tolerance: f32, target: f32| {
-        let mut ladder = session(Some(tolerance), 11);
-        let plan = ladder.plan(&frame, target).unwrap();
-        let side = ladder.features.probe_side;
+        let mut adaptive = session(Some(tolerance), 11);
+        let plan = adaptive.plan(&frame, target).unwrap();
+        let side = adaptive.features.probe_side;
         // The plan equals that of a session that always uses this probe.
         let same = session(None, side).plan(&frame, target).unwrap();
         assert_eq!((plan.step, plan.seconds), (same.step, same.seconds), "{tolerance} {target}");
         // Predictions always use the finest probe.
-        assert_eq!(ladder.predict(&frame).unwrap().seconds, expected);
+        assert_eq!(adaptive.predict(&frame).unwrap().seconds, expected);
         side
     };
     // All steps meet the target of 1000 s, and no step meets that of 1 ns, so the coarsest probe suffices.
@@ -589,11 +589,11 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     let sides: Vec<usize> = [0.2, 0.1, 0.05, 0.02, 0.01].map(|t| climbed(t, target)).to_vec();
     assert!(sides.is_sorted() && sides.iter().any(|s| (5..24).contains(s)), "{sides:?}");
     // After a refused frame, the rays of a coarse probe do not pass for those of the finest.
-    let mut ladder = session(Some(0.0), 24);
-    ladder.plan(&frame, 1e3).unwrap();
-    assert!(ladder.predict(&Frame { step: 0.0, ..frame }).is_err());
-    ladder.plan(&frame, target).unwrap();
-    assert!(ladder.features.probe.rays > 16);
+    let mut adaptive = session(Some(0.0), 24);
+    adaptive.plan(&frame, 1e3).unwrap();
+    assert!(adaptive.predict(&Frame { step: 0.0, ..frame }).is_err());
+    adaptive.plan(&frame, target).unwrap();
+    assert!(adaptive.features.probe.rays > 16);
     assert!(Session::default().with_probe(0, Some(0.1)).is_err());
     assert!(Session::default().with_probe(11, Some(f32::NAN)).is_err());
 }

@@ -1,7 +1,7 @@
 //! Classes of cells by their distance to the nearest empty cell. A renderer whose skip map holds this
 //! distance looks the map up less often far from empty cells than next to them.
 
-use crate::memory::{fit, longer};
+use crate::memory::{replace_or_resize, try_grow};
 use alloc::vec::Vec;
 use entire_core::Result;
 
@@ -33,11 +33,11 @@ impl Interior {
     ///
     /// # Errors
     /// [`crate::ErrorKind::OutOfMemory`].
-    pub(super) fn longer(&self, grid: [usize; 3]) -> Result<[Option<Vec<u64>>; BUFFERS]> {
+    pub(super) fn try_grow(&self, grid: [usize; 3]) -> Result<[Option<Vec<u64>>; BUFFERS]> {
         let words = row_words(grid) * grid[1] * grid[2];
         let mut out = [const { None }; BUFFERS];
         for (slot, present) in out.iter_mut().zip(&self.bits) {
-            *slot = longer(present, words)?;
+            *slot = try_grow(present, words)?;
         }
         Ok(out)
     }
@@ -46,7 +46,7 @@ impl Interior {
     pub(super) fn fit(&mut self, longer: [Option<Vec<u64>>; BUFFERS], grid: [usize; 3]) {
         let words = row_words(grid) * grid[1] * grid[2];
         for (present, longer) in self.bits.iter_mut().zip(longer) {
-            fit(present, longer, words);
+            replace_or_resize(present, longer, words);
         }
         self.found = false;
     }
@@ -154,7 +154,7 @@ mod tests {
                 let set: Vec<bool> = (0..n).map(|i| !clear(i)).collect();
                 let mut full = vec![0u64; n.div_ceil(64)];
                 set.iter().enumerate().for_each(|(i, &s)| full[i / 64] |= u64::from(s) << (i % 64));
-                let longer = interior.longer(grid).unwrap();
+                let longer = interior.try_grow(grid).unwrap();
                 interior.fit(longer, grid);
                 interior.find(grid, &full);
                 for cell in (0..n).filter(|&c| set[c]) {

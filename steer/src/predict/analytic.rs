@@ -80,10 +80,10 @@ impl UnitCosts {
 const FEWEST_NAMES: usize = 11;
 
 /// Lower clamp of predicted times, in seconds.
-const SHORTEST: f32 = 1.0e-9;
+const MIN_SECONDS: f32 = 1.0e-9;
 
 /// Upper clamp of predicted times, in seconds.
-const LONGEST: f32 = 1.0e9;
+const MAX_SECONDS: f32 = 1.0e9;
 
 /// Linear cost model: seconds = cost per frame + Σ unit cost · work, over all kinds of work. No cost is
 /// negative, so no prediction is negative, and none falls with a finer step. With more pixels, only the part
@@ -313,7 +313,7 @@ impl AnalyticModel {
         }
         let mut parts: [f32; TERMS] = sums.map(finite);
         let sum: f32 = parts.iter().sum();
-        parts[0] += (SHORTEST - sum).max(0.0);
+        parts[0] += (MIN_SECONDS - sum).max(0.0);
         CostTerms { parts, out_of_range: self.score(&work), source: Source::Analytic }
     }
 }
@@ -329,7 +329,7 @@ impl Predictor for AnalyticModel {
 
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
         let terms = self.parts(inputs.features, &inputs.setting);
-        let seconds = terms.seconds().clamp(SHORTEST, LONGEST);
+        let seconds = terms.seconds().clamp(MIN_SECONDS, MAX_SECONDS);
         Ok(Prediction {
             seconds,
             upper: self.calibration.upper(seconds),
@@ -391,7 +391,7 @@ fn range_point(work: &[f64; COSTS]) -> [f32; RANGE_TERMS] {
 }
 
 fn finite(v: f64) -> f32 {
-    if v.is_finite() { (v as f32).clamp(0.0, LONGEST) } else { LONGEST }
+    if v.is_finite() { (v as f32).clamp(0.0, MAX_SECONDS) } else { MAX_SECONDS }
 }
 
 #[cfg(test)]
@@ -590,7 +590,7 @@ mod tests {
             let modes = (Shading::None, Skipping::None);
             let setting =
                 Setting { step: 1.0, width: side, height: side, shading: modes.0, skipping: modes.1 };
-            let expected = (1.0e-13 * (side * side) as f32).max(SHORTEST);
+            let expected = (1.0e-13 * (side * side) as f32).max(MIN_SECONDS);
             let found = model.parts(&FrameFeatures::default(), &setting).seconds();
             assert!((found / expected - 1.0).abs() < 1e-5, "{side}: {found} {expected}");
         }

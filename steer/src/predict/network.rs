@@ -12,7 +12,7 @@ use alloc::sync::Arc;
 use alloc::vec::Vec;
 use entire_core::Result;
 use entire_core::bail;
-use entire_core::memory::filled;
+use entire_core::memory::try_vec;
 use entire_core::model::{Key, Model};
 use entire_core::nn::{PredNet, PredScratch};
 use serde::{Deserialize, Serialize};
@@ -127,7 +127,7 @@ impl ModelPredictor {
                 net.inputs()
             );
         }
-        let mut spread = filled(width, (f32::NAN, 1.0))?;
+        let mut spread = try_vec(width, (f32::NAN, 1.0))?;
         if let Some(norm) = model.prednet.as_ref().and_then(|p| p.input.as_ref()) {
             let mut left = spread.iter_mut().zip(norm.mean.iter().zip(&norm.std));
             for &(kind, size) in &layout.groups {
@@ -148,7 +148,7 @@ impl ModelPredictor {
             net,
             spread,
             scratch,
-            row: filled(width, 0.0)?,
+            row: try_vec(width, 0.0)?,
             calibration,
             clock: Clock::of(model),
             quality: KnownQuality::of(model)?,

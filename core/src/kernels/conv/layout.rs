@@ -4,7 +4,7 @@ use super::tiles::Cut;
 use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
-use crate::memory::filled;
+use crate::memory::try_vec;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -23,7 +23,7 @@ impl Buffer {
     /// # Errors
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) if the allocation fails.
     pub(super) fn zeroed(len: usize) -> Result<Self> {
-        Ok(Self(filled(len.div_ceil(LINE), Line([0.0; LINE]))?))
+        Ok(Self(try_vec(len.div_ceil(LINE), Line([0.0; LINE]))?))
     }
 
     pub(super) fn as_slice(&self) -> &[f32] {

@@ -28,7 +28,7 @@ mod tiles;
 
 use crate::Result;
 use crate::kernels::{Executor, Level, mlp};
-use crate::memory::{collected, filled, room};
+use crate::memory::{collected, room, try_vec};
 use alloc::vec::Vec;
 use channels_last::ChannelsLast;
 use core::ops::Range;
@@ -141,7 +141,7 @@ impl Encoder {
             scratch.workers.push(Worker {
                 prepared: Buffer::zeroed(scratch.sizes[0])?,
                 ring: Buffer::zeroed(scratch.sizes[1])?,
-                taps: filled(taps, 0)?,
+                taps: try_vec(taps, 0)?,
             });
         }
         Ok(())

@@ -37,7 +37,7 @@ mod weights;
 
 use super::Level;
 use crate::Result;
-use crate::memory::{filled, resize, room};
+use crate::memory::{resize, room, try_vec};
 use alloc::vec::Vec;
 use batch::ForwardRows;
 pub use packing::Storage;
@@ -110,7 +110,7 @@ impl Mlp {
         let lines = inputs.div_ceil(16);
         let mut normal = Vec::new();
         if let Some((mean, std)) = norm {
-            normal = filled(2 * lines, Line::default())?;
+            normal = try_vec(2 * lines, Line::default())?;
             let (first, second) = bytemuck::cast_slice_mut::<_, f32>(&mut normal).split_at_mut(lines * 16);
             first[..inputs].copy_from_slice(mean);
             second.iter_mut().zip(std).for_each(|(to, s)| *to = 1.0 / s);
@@ -152,11 +152,11 @@ impl Mlp {
         let int8 = self.int8;
         Ok(MlpScratch {
             rows,
-            a: filled(lines, Line::default())?,
-            b: filled(lines, Line::default())?,
-            quantized: filled(if int8 { bytes.div_ceil(LINE_BYTES) } else { 0 }, Line::default())?,
-            ranges: filled(if int8 { rows } else { 0 }, [0.0; 2])?,
-            panel: filled(self.panel.div_ceil(16), Line::default())?,
+            a: try_vec(lines, Line::default())?,
+            b: try_vec(lines, Line::default())?,
+            quantized: try_vec(if int8 { bytes.div_ceil(LINE_BYTES) } else { 0 }, Line::default())?,
+            ranges: try_vec(if int8 { rows } else { 0 }, [0.0; 2])?,
+            panel: try_vec(self.panel.div_ceil(16), Line::default())?,
         })
     }
 

@@ -70,7 +70,7 @@ impl Cast {
 
 /// Refinement of the probe.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ladder {
+pub(super) struct AdaptiveProbe {
     /// Number of rays along each side of the finest probe.
     finest: usize,
     /// Largest accepted error of a frame's time, as a share of this time.
@@ -124,7 +124,8 @@ impl Session {
             (side, _) => side,
         };
         let asked = self.asked_probe.filter(|_| self.predictor.any_probe_side());
-        self.ladder = asked.and_then(|(finest, tolerance)| Some(Ladder { finest, tolerance: tolerance? }));
+        self.adaptive_probe =
+            asked.and_then(|(finest, tolerance)| Some(AdaptiveProbe { finest, tolerance: tolerance? }));
         if side != self.features.probe_side {
             self.features = FrameFeatures::with_probe_side(side);
         }
@@ -137,8 +138,8 @@ impl Session {
 
     /// Measures a frame with the finest probe.
     pub(super) fn measure(&mut self, frame: &Frame) -> Result<()> {
-        if let Some(ladder) = self.ladder {
-            self.features.set_probe_side(ladder.finest);
+        if let Some(adaptive_probe) = self.adaptive_probe {
+            self.features.set_probe_side(adaptive_probe.finest);
         }
         self.cast(frame)
     }
@@ -146,11 +147,11 @@ impl Session {
     /// Measures a frame with as few rays as its plan needs.
     pub(super) fn measure_for(&mut self, frame: &Frame, target: f32) -> Result<()> {
         // Recorded frames are measured with the finest probe.
-        let Some(ladder) = self.ladder.filter(|_| self.recording.is_none()) else {
+        let Some(adaptive_probe) = self.adaptive_probe.filter(|_| self.recording.is_none()) else {
             return self.measure(frame);
         };
         let view = Cast::of(frame);
-        let serves = self.cast_for.is_some_and(|cast| cast.serves(&view, ladder.tolerance));
+        let serves = self.cast_for.is_some_and(|cast| cast.serves(&view, adaptive_probe.tolerance));
         let serves = serves && !self.changes_for(frame).any();
         let turned = match &self.volume {
             Some(volume) if serves => self.features.turn(volume, frame)?,
@@ -158,15 +159,15 @@ impl Session {
         };
         // After the finest probe, no check is needed.
         if turned
-            && (self.features.probe_side >= ladder.finest
-                || self.suffices(frame, target, ladder.tolerance)?)
+            && (self.features.probe_side >= adaptive_probe.finest
+                || self.suffices(frame, target, adaptive_probe.tolerance)?)
         {
             return Ok(());
         }
-        for side in SIDES.into_iter().filter(|&side| side < ladder.finest) {
+        for side in SIDES.into_iter().filter(|&side| side < adaptive_probe.finest) {
             self.features.set_probe_side(side);
             self.cast(frame)?;
-            if self.suffices(frame, target, ladder.tolerance)? {
+            if self.suffices(frame, target, adaptive_probe.tolerance)? {
                 return Ok(());
             }
         }
@@ -176,7 +177,7 @@ impl Session {
     /// Number of rays along each side of the finest probe, which measures recorded frames.
     #[cfg(feature = "calibrate")]
     pub(super) fn finest_probe_side(&self) -> usize {
-        self.ladder.map_or(self.features.probe_side, |ladder| ladder.finest)
+        self.adaptive_probe.map_or(self.features.probe_side, |adaptive_probe| adaptive_probe.finest)
     }
 
     /// True if the probe's error is within the tolerance, or is unlikely to change the plan.

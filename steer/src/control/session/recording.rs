@@ -7,7 +7,7 @@ use crate::predict::{COSTS, store_probe_side};
 use alloc::boxed::Box;
 use entire_core::Result;
 use entire_core::bail;
-use entire_core::memory::filled;
+use entire_core::memory::try_vec;
 use entire_core::model::ModelFile;
 
 /// Record of a plan until its frame's time is known.
@@ -19,7 +19,7 @@ struct Planned {
     shown: Shown,
 }
 
-/// A calibration filled by a session.
+/// A calibration try_vec by a session.
 pub(super) struct Recording {
     calibration: Calibration,
     planned: Box<[Planned]>,
@@ -97,7 +97,7 @@ impl Session {
         let calibration = Calibration::new(prior, frames)?;
         let nothing = Planned { id: 0, work: [0.0; COSTS], shown: Shown::default() };
         self.recording = Some(Recording {
-            planned: filled(PENDING_PLANS, nothing)?.into_boxed_slice(),
+            planned: try_vec(PENDING_PLANS, nothing)?.into_boxed_slice(),
             shown: Shown {
                 volume: self.volume.as_ref().map_or(0, VolumeSummary::fingerprint),
                 transfer: self.transfer.as_ref().map_or(0, TransferSummary::fingerprint),
@@ -318,9 +318,9 @@ mod tests {
         let mut session = Session::default().with_probe(24, Some(0.2)).unwrap();
         let network = load(&unit_factor(5).to_model().unwrap()).unwrap();
         session.set_predictor(network, HybridOptions::default()).unwrap();
-        assert_eq!((session.features.probe_side, session.ladder.is_some()), (5, false));
+        assert_eq!((session.features.probe_side, session.adaptive_probe.is_some()), (5, false));
         session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
-        assert_eq!((session.features.probe_side, session.ladder.is_some()), (24, true));
+        assert_eq!((session.features.probe_side, session.adaptive_probe.is_some()), (24, true));
     }
 
     #[test]

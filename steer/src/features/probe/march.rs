@@ -48,7 +48,7 @@ pub(super) const LANES_LOG2: usize = 3;
 pub(super) const TINY: f32 = 1.0e-9;
 
 /// Number of chords that are binned at a time.
-pub(super) const KEPT: usize = 256;
+pub(super) const BINNED_CHORDS: usize = 256;
 
 /// Exponent field of an `f32` in the first bin of chords, which begins at 2⁻⁴ reference steps.
 const FIRST_BIN_EXPONENT: u32 = 127 - 4;
@@ -68,7 +68,7 @@ impl ChordCounts {
     pub(super) const UNIT: f32 = 1048576.0;
 
     /// Length to which longer chords are clamped, in reference steps.
-    pub(super) const LONGEST: f32 = 2040.0;
+    pub(super) const MAX_CHORD: f32 = 2040.0;
 
     #[inline(always)]
     fn bin(length: f32) -> u32 {
@@ -79,7 +79,7 @@ impl ChordCounts {
     /// Converts a length in reference steps to integer units, [`Self::UNIT`] per reference step.
     #[inline(always)]
     fn units(length: f32) -> u32 {
-        let length = if length < Self::LONGEST { length } else { Self::LONGEST };
+        let length = if length < Self::MAX_CHORD { length } else { Self::MAX_CHORD };
         (length * Self::UNIT) as i32 as u32
     }
 
@@ -92,7 +92,12 @@ impl ChordCounts {
 
     /// Adds the first `count` chords; `units` holds their lengths in the integer units of [`Self::UNIT`].
     #[inline(always)]
-    pub(super) fn add_all(&mut self, lengths: &[f32; KEPT], units: &[u32; KEPT], count: usize) {
+    pub(super) fn add_all(
+        &mut self,
+        lengths: &[f32; BINNED_CHORDS],
+        units: &[u32; BINNED_CHORDS],
+        count: usize,
+    ) {
         /// One chord in a packed sum, which holds the count in bits 40 to 63 and the length in bits 0 to 39.
         const ONE: u64 = 1 << 40;
         let bins = lengths.map(Self::bin);

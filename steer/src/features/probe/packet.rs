@@ -3,8 +3,8 @@
 //! similar numbers of cells are put into the same packet.
 
 use super::march::{
-    BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, LANES_LOG2, March, OCCUPIED, RUNS, SEGMENTS,
-    SHADOW, SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
+    BINNED_CHORDS, BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, LANES_LOG2, March, OCCUPIED, RUNS,
+    SEGMENTS, SHADOW, SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
 };
 use super::{MAX_RAYS, SHADOW_DIRECTION};
 use crate::features::transfer::packed;
@@ -27,18 +27,18 @@ impl Kernel for Packets<'_, '_, '_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let mut packet = Packet { simd, march: self.march, kept: [0.0; KEPT], kept_count: 0 };
+        let mut packet = Packet { simd, march: self.march, kept: [0.0; BINNED_CHORDS], kept_count: 0 };
         let mut order = Order::NONE;
         packet.sort(self.rays, self.count, &mut order);
-        let mut lit = Lit { rays: [0; MAX_RAYS + 16], count: 0 };
+        let mut sources = ShadowSources { rays: [0; MAX_RAYS + 16], count: 0 };
         let mut at = 0;
         while at < order.len {
-            packet.march(self.rays, &order.rays[at..], order.len - at, &mut lit);
+            packet.march(self.rays, &order.rays[at..], order.len - at, &mut sources);
             at += S::LANES;
         }
         packet.add_kept();
-        if lit.count > 0 {
-            packet.sort_shadows(self.rays, &lit, &mut order);
+        if sources.count > 0 {
+            packet.sort_shadows(self.rays, &sources, &mut order);
             let mut at = 0;
             while at < order.len {
                 packet.march_shadows(self.rays, &order.rays[at..], order.len - at);
@@ -48,9 +48,11 @@ impl Kernel for Packets<'_, '_, '_> {
     }
 }
 
-/// Primary rays from which a shadow ray starts. The x, y and z of its origin are stored in the primary ray's
-/// fields [`SHADOW`], [`SHADOW_ALL`] and [`SHADOW_SKIPS`].
-struct Lit {
+/// Fields of a primary ray that hold x, y and z of its shadow ray's origin until the shadow ray is marched.
+const SHADOW_ORIGIN: [usize; 3] = [SHADOW, SHADOW_ALL, SHADOW_SKIPS];
+
+/// Primary rays from which a shadow ray starts, at the point in [`SHADOW_ORIGIN`].
+struct ShadowSources {
     rays: [i32; MAX_RAYS + 16],
     count: usize,
 }
@@ -127,7 +129,7 @@ struct Packet<'a, 'm, S> {
     simd: S,
     march: &'a mut March<'m>,
     /// Lengths, not binned yet, of chords through empty cells.
-    kept: [f32; KEPT],
+    kept: [f32; BINNED_CHORDS],
     kept_count: usize,
 }
 
@@ -323,21 +325,21 @@ impl<S: Simd> Packet<'_, '_, S> {
 
     /// Sorts the shadow rays by the number of cells up to the border of the box.
     #[inline(always)]
-    fn sort_shadows(&self, rays: &[&mut [f32]; FIELDS], lit: &Lit, order: &mut Order) {
+    fn sort_shadows(&self, rays: &[&mut [f32]; FIELDS], sources: &ShadowSources, order: &mut Order) {
         let simd = self.simd;
         *order = Order::NONE;
         let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
         let pace = simd.splat((direction * self.march.scale).element_sum());
         let mut lanes = [0i32; 16];
         let mut at = 0;
-        while at < lit.count {
-            let (_, t_exit) = self.shadow_ends(self.origins(rays, &lit.rays[at..]));
+        while at < sources.count {
+            let (_, t_exit) = self.shadow_ends(self.origins(rays, &sources.rays[at..]));
             let all = simd.le(simd.splat(0.0), simd.splat(0.0));
             simd.write_i(self.group(simd.mul(simd.max(t_exit, simd.splat(0.0)), pace), all), &mut lanes);
-            order.note(at, &lanes[..S::LANES.min(lit.count - at)]);
+            order.note(at, &lanes[..S::LANES.min(sources.count - at)]);
             at += S::LANES;
         }
-        order.sort(lit.count, |i| lit.rays[i]);
+        order.sort(sources.count, |i| sources.rays[i]);
     }
 
     /// Origins of the rays' shadow rays.
@@ -345,7 +347,7 @@ impl<S: Simd> Packet<'_, '_, S> {
     fn origins(&self, rays: &[&mut [f32]; FIELDS], order: &[i32]) -> Three<S> {
         let simd = self.simd;
         let own = simd.read_i(order);
-        let [x, y, z] = [&*rays[SHADOW], &*rays[SHADOW_ALL], &*rays[SHADOW_SKIPS]];
+        let [x, y, z] = SHADOW_ORIGIN.map(|field| &*rays[field]);
         [self.of_rays(x, own), self.of_rays(y, own), self.of_rays(z, own)]
     }
 
@@ -353,11 +355,11 @@ impl<S: Simd> Packet<'_, '_, S> {
     #[inline(always)]
     fn add_kept(&mut self) {
         let simd = self.simd;
-        let mut units = [0u32; KEPT];
+        let mut units = [0u32; BINNED_CHORDS];
         for (lengths, units) in self.kept.chunks_exact(16).zip(chunks_mut::<16, _>(&mut units).0) {
             let mut at = 0;
             while at < 16 {
-                let length = simd.min(simd.read(&lengths[at..]), simd.splat(ChordCounts::LONGEST));
+                let length = simd.min(simd.read(&lengths[at..]), simd.splat(ChordCounts::MAX_CHORD));
                 let mut lanes = [0i32; 16];
                 simd.write_i(simd.trunc(simd.mul(length, simd.splat(ChordCounts::UNIT))), &mut lanes);
                 units[at..at + S::LANES].copy_from_slice(bytemuck::cast_slice(&lanes[..S::LANES]));
@@ -381,7 +383,13 @@ impl<S: Simd> Packet<'_, '_, S> {
     /// Marches the first `LANES` rays of `order`, or all `count` rays if these are fewer; collects those that
     /// start a shadow ray.
     #[inline(always)]
-    fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize, lit_rays: &mut Lit) {
+    fn march(
+        &mut self,
+        rays: &mut [&mut [f32]; FIELDS],
+        order: &[i32],
+        count: usize,
+        sources: &mut ShadowSources,
+    ) {
         let simd = self.simd;
         let zero = simd.splat(0.0);
         let own = simd.read_i(order);
@@ -442,7 +450,7 @@ impl<S: Simd> Packet<'_, '_, S> {
                 empty = simd.select(hollow, simd.add(empty, length), empty);
                 if split.is_none() {
                     kept_count += simd.compress(hollow, length, &mut self.kept[kept_count..]);
-                    if kept_count > KEPT - 16 {
+                    if kept_count > BINNED_CHORDS - 16 {
                         self.kept_count = kept_count;
                         self.add_kept();
                         kept_count = 0;
@@ -537,11 +545,11 @@ impl<S: Simd> Packet<'_, '_, S> {
             while lanes != 0 {
                 let lane = lanes.trailing_zeros() as usize % 16;
                 let ray = order[lane];
-                for (field, from) in [SHADOW, SHADOW_ALL, SHADOW_SKIPS].into_iter().zip(&from) {
+                for (field, from) in SHADOW_ORIGIN.into_iter().zip(&from) {
                     rays[field][ray as usize] = from[lane];
                 }
-                lit_rays.rays[lit_rays.count] = ray;
-                lit_rays.count += 1;
+                sources.rays[sources.count] = ray;
+                sources.count += 1;
                 lanes &= lanes - 1;
             }
         }

@@ -5,7 +5,7 @@ use super::scan::{Bounds, Found, Grid, nothing};
 use super::{LARGEST_INDEX, VolumeSummary};
 use entire_core::Result;
 use entire_core::kernels::Executor;
-use entire_core::memory::{filled, reserve};
+use entire_core::memory::{reserve, try_vec};
 use entire_core::scene::VolumeView;
 
 /// Scans a volume and fills its empty summary.
@@ -96,8 +96,8 @@ pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
         end += places.of(cell).iter().map(ExactSizeIterator::len).product::<usize>();
         summary.first_block.push(end as u32);
     }
-    summary.block_low = filled(end, 255)?;
-    summary.block_high = filled(end, 0)?;
+    summary.block_low = try_vec(end, 255)?;
+    summary.block_high = try_vec(end, 0)?;
     Ok(())
 }
 

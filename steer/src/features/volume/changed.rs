@@ -8,7 +8,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
-use entire_core::memory::{chunks, collected, filled, reserve, room};
+use entire_core::memory::{chunks, collected, reserve, room, try_vec};
 
 /// One bit per cell of a row along x; a row has at most 128 cells.
 pub(super) type Mask = u128;
@@ -46,10 +46,10 @@ impl Cells {
         let mut tallies = room(ny * nz)?;
         tallies.resize_with(ny * nz, Vec::new);
         Ok(Self {
-            sums: filled(nx * ny * nz, [0; 2])?,
+            sums: try_vec(nx * ny * nz, [0; 2])?,
             tallies,
-            changed: filled(ny * nz, full(nx))?,
-            fresh: filled(ny * nz, 0)?,
+            changed: try_vec(ny * nz, full(nx))?,
+            fresh: try_vec(ny * nz, 0)?,
             counts: [0; 256],
             non_finite: 0,
         })
@@ -127,10 +127,10 @@ pub(super) fn look<T: Voxel>(
             non_finite: [0; 2],
             scratch: Scratch::new(grid, source.volume)?,
             words: [
-                filled(words(grid.dims[0] * size_of::<T>()), 0)?,
-                filled(words(grid.dims[0] * size_of::<T>()), 0)?,
+                try_vec(words(grid.dims[0] * size_of::<T>()), 0)?,
+                try_vec(words(grid.dims[0] * size_of::<T>()), 0)?,
             ],
-            infinite: filled(if T::IS_FLOAT { nx } else { 0 }, 0)?,
+            infinite: try_vec(if T::IS_FLOAT { nx } else { 0 }, 0)?,
             row: Vec::new(),
             outcome: Ok(()),
         });

@@ -14,7 +14,7 @@ use super::classify::Blocks;
 use alloc::vec::Vec;
 use entire_core::bail;
 use entire_core::kernels::Executor;
-use entire_core::memory::{collected, filled};
+use entire_core::memory::{collected, try_vec};
 use entire_core::scene::{ScalarType, Scalars, Shape, VolumeView};
 use entire_core::{Error, ErrorKind, Result};
 use scan::Grid;
@@ -241,9 +241,9 @@ impl VolumeSummary {
             block,
             most_blocks: (0..3).map(per_cell).product(),
             uniform: (0..3).all(|a| dims[a].div_ceil(block[a]) == cells[a] * per_cell(a)),
-            low: filled(n, 255)?,
-            high: filled(n, 0)?,
-            quantiles: filled(n, [0; QUANTILES + 1])?,
+            low: try_vec(n, 255)?,
+            high: try_vec(n, 0)?,
+            quantiles: try_vec(n, [0; QUANTILES + 1])?,
             block_low: Vec::new(),
             block_high: Vec::new(),
             first_block: Vec::new(),

@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 use core::ops::Range;
 use entire_core::Result;
 use entire_core::kernels::{Executor, Kernel, Level, Simd};
-use entire_core::memory::{chunks, filled, room};
+use entire_core::memory::{chunks, room, try_vec};
 use entire_core::scene::VolumeView;
 
 /// Sizes of a volume, its cells and its blocks, each along x, y, z.
@@ -70,7 +70,7 @@ impl<T: Voxel> Found<T> {
         executor: Executor<'_>,
     ) -> Result<Self> {
         let mut out = Self {
-            bounds: filled(grid.blocks().iter().product(), nothing())?,
+            bounds: try_vec(grid.blocks().iter().product(), nothing())?,
             counts: [0; 256],
             non_finite: 0,
         };
@@ -94,7 +94,7 @@ impl<T: Voxel> Found<T> {
                 layers: own,
                 quantiles: q,
                 bounds: b,
-                back: filled(plane, nothing())?,
+                back: try_vec(plane, nothing())?,
                 scratch: Scratch::new(grid, volume)?,
                 counts: [0; 256],
                 non_finite: 0,
@@ -222,9 +222,9 @@ impl<T: Voxel> Scratch<T> {
         let joined = || Joined::new(dims[0]);
         Ok(Self {
             joined: [joined()?, joined()?, joined()?, joined()?],
-            row: filled(if volume.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
-            line: filled(if T::IS_ENTRY { 0 } else { dims[0] }, 0)?,
-            cells: filled(grid.cells[0] * grid.room(), 0)?,
+            row: try_vec(if volume.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
+            line: try_vec(if T::IS_ENTRY { 0 } else { dims[0] }, 0)?,
+            cells: try_vec(grid.cells[0] * grid.room(), 0)?,
             counts: [[0; 256]; 4],
         })
     }
@@ -431,9 +431,9 @@ pub(super) struct Joined<T> {
 impl<T: Voxel> Joined<T> {
     fn new(len: usize) -> Result<Self> {
         Ok(Self {
-            low: filled(len, T::HIGHEST)?,
-            high: filled(len, T::LOWEST)?,
-            other: filled(len, T::LOWEST)?,
+            low: try_vec(len, T::HIGHEST)?,
+            high: try_vec(len, T::LOWEST)?,
+            other: try_vec(len, T::LOWEST)?,
         })
     }
 

@@ -10,7 +10,7 @@ use core::ops::Range;
 use entire_core::Result;
 use entire_core::bail;
 use entire_core::kernels::Executor;
-use entire_core::memory::filled;
+use entire_core::memory::try_vec;
 use entire_core::scene::{Scalars, VolumeView};
 
 /// Keeps the [`VolumeSummary`] of a volume that changes: at each time step only the changed cells are
@@ -81,10 +81,10 @@ impl SummarySeries {
         lay_out(&mut summary, &grid)?;
         let blocks = grid.blocks().iter().product();
         let blocks = match like.scalars() {
-            Scalars::U8(_) => Kind::U8(filled(blocks, [nothing(); 2])?),
-            Scalars::U16(_) => Kind::U16(filled(blocks, [nothing(); 2])?),
-            Scalars::I16(_) => Kind::I16(filled(blocks, [nothing(); 2])?),
-            Scalars::F32(_) => Kind::F32(filled(blocks, [nothing(); 2])?),
+            Scalars::U8(_) => Kind::U8(try_vec(blocks, [nothing(); 2])?),
+            Scalars::U16(_) => Kind::U16(try_vec(blocks, [nothing(); 2])?),
+            Scalars::I16(_) => Kind::I16(try_vec(blocks, [nothing(); 2])?),
+            Scalars::F32(_) => Kind::F32(try_vec(blocks, [nothing(); 2])?),
         };
         let (map, cells) = (Map::new(like), Cells::new(&grid)?);
         Ok(Self { summary, grid, map, cells, blocks, search: false })
