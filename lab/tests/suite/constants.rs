@@ -6,21 +6,21 @@ use std::path::Path;
 
 #[test]
 fn the_book_lists_every_constant_with_its_value() {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/src/steering.md");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/src/constants.md");
     let page = std::fs::read_to_string(page).unwrap();
     let mut hybrid = HybridConstants::default();
     let mut correction = CorrectionConstants::default();
     let mut rows = 0;
     for (name, value) in hybrid.values().into_iter().chain(correction.values()) {
         let row = page.lines().find(|l| l.starts_with(&format!("| `{name}` |")));
-        let row = row.unwrap_or_else(|| panic!("docs/src/steering.md lacks a row for {name}"));
+        let row = row.unwrap_or_else(|| panic!("docs/src/constants.md lacks a row for {name}"));
         let stated = row.split('|').nth(2).and_then(|v| v.trim().parse::<f64>().ok());
-        assert_eq!(stated, Some(*value), "docs/src/steering.md: {row}");
+        assert_eq!(stated, Some(*value), "docs/src/constants.md: {row}");
         assert!(row.contains(" ± "), "{row}");
         rows += 1;
     }
     let listed = page.lines().filter(|l| l.contains(" ± ")).count();
-    assert_eq!(listed, rows, "docs/src/steering.md lists constants that are not searched");
+    assert_eq!(listed, rows, "docs/src/constants.md lists constants that are not searched");
 }
 
 /// The adaptive probe assumes that a motion of the camera changes ln(time) by at most turn / 0.4 + approach /
