@@ -13,6 +13,7 @@ whose receiver has no visible type is followed if only one type has a method of 
 """
 import re
 import sys
+import tempfile
 from collections import defaultdict
 from pathlib import Path
 
@@ -458,8 +459,42 @@ def receiver_start(body, dot):
     return 0
 
 
+# A small source whose walk is known: from a.rs to b.rs, which gets a structure with a part of the value, to d.rs, which gets
+# this part, and to f.rs, which defines the type of a field. The walk does not lead to c.rs, which gets the result of a call,
+# nor to e.rs, which gets a field of the structure that holds no part.
+KNOWN = {
+    "a.rs": """use crate::f::Other;
+        pub struct Options { pub size: usize, pub other: Other }
+        pub fn run(options: &Options) {
+            let settings = Settings { size: options.size, fixed: 1 };
+            crate::b::draw(&settings);
+            crate::c::draw(own(options.size));
+            options.other.check();
+        }
+        fn own(size: usize) -> usize { size + 1 }""",
+    "b.rs": "pub fn draw(settings: &Settings) { crate::d::draw(settings.size); crate::e::draw(settings.fixed); }",
+    "c.rs": "pub fn draw(size: usize) {}",
+    "d.rs": "pub fn draw(size: usize) {}",
+    "e.rs": "pub fn draw(fixed: usize) {}",
+    "f.rs": "pub struct Other; impl Other { pub fn check(&self) {} }",
+}
+
+
+def check():
+    """Ends the program if the walk of the known source is wrong."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "core/src"
+        place.mkdir(parents=True)
+        for name, text in KNOWN.items():
+            (place / name).write_text(text, encoding="utf-8")
+        files = Walk(Source(Path(folder)), "core/src/a.rs", "run", "options").files
+    if files != [f"core/src/{name}.rs" for name in "abdf"]:
+        raise SystemExit(f"walks: the walk of the known source is {files}")
+
+
 def all_walks():
     """Returns the files of each walk in WALKS, in the order of the visits."""
+    check()
     source = Source(ROOT)
     return {name: Walk(source, *walk).files for name, walk in WALKS.items()}
 
