@@ -4,6 +4,8 @@ mod commands;
 mod constants;
 mod farm;
 mod paper;
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+mod plans;
 mod reference;
 mod replay;
 mod study;
