@@ -30,6 +30,7 @@
 //! fastest. Voxel spacings are used; positions and directions in space are not.
 
 mod element;
+#[cfg(feature = "fuzzing")]
 pub mod hostile;
 mod metaimage;
 mod nifti;
