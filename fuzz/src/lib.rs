@@ -2,11 +2,8 @@
 
 #![allow(dead_code, unused_imports, reason = "parts of modules that no target calls")]
 
+pub use entire_farm as farm;
 pub use entire_io::{dataset, path, volume};
-
-// Only the task lists of entire-farm are built here, since the whole crate depends on entire-report.
-#[path = "../../farm/src/list/mod.rs"]
-pub mod farm;
 
 #[path = "../../lab/src/trace/format.rs"]
 pub mod trace;
