@@ -27,10 +27,10 @@ const TARGET: f32 = 0.015;
 
 fn session(kind: &str) -> Session {
     if kind == CHECKSUMS[0].0 {
-        return Session::untrained();
+        return Session::default();
     }
     let model = open_model(&repository().join("models/unshaded-selected.safetensors")).unwrap();
-    let mut session = Session::new(load(&model).unwrap(), HybridOptions::default());
+    let mut session = Session::new(load(&model).unwrap(), HybridOptions::default()).unwrap();
     if kind == CHECKSUMS[2].0 {
         session.set_max_image_sample_distance(4.0, 1.0).unwrap();
     }
