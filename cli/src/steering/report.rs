@@ -226,7 +226,7 @@ fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
 /// Returns the indices of the controllers that charts and pictures show: all, but of the three rules that
 /// convert recent frame times by G only OLP if it was played. Their curves would hide each other.
 fn shown(names: &[String]) -> Vec<usize> {
-    use ControllerKind::{Last, LargerOfTwo, Olp};
+    use ControllerKind::{LargerOfTwo, Last, Olp};
     let is = |name: &String, kinds: &[ControllerKind]| kinds.iter().any(|k| k.name() == name);
     let olp = names.iter().any(|name| is(name, &[Olp]));
     (0..names.len()).filter(|c| !olp || !is(&names[*c], &[Last, LargerOfTwo])).collect()
@@ -439,7 +439,7 @@ mod tests {
             let names: Vec<String> = kinds.iter().map(|k| k.name().to_owned()).collect();
             shown(&names).into_iter().map(|c| kinds[c]).collect::<Vec<_>>()
         };
-        use ControllerKind::{Algorithm1, Fixed, Hybrid, Last, LargerOfTwo, Olp, Pid};
+        use ControllerKind::{Algorithm1, Fixed, Hybrid, LargerOfTwo, Last, Olp, Pid};
         assert_eq!(shown_of(&ControllerKind::USUAL), [Fixed, Olp, Pid, Algorithm1, Hybrid]);
         assert_eq!(shown_of(&[LargerOfTwo, Last, Hybrid]), [LargerOfTwo, Last, Hybrid]);
     }

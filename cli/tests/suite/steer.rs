@@ -48,7 +48,7 @@ fn steer_plays_a_path_and_writes_a_report_that_stands_alone() {
     let line = format!("{steer} --generate switches --frames 12 --save-path path.json --out out");
     let text = succeeds(dir.path(), &words(&line));
     assert!(text.contains("Algorithm 1") && text.contains("report.html"), "{text}");
-    check_report(&dir.path().join("out"), 5, 12);
+    check_report(&dir.path().join("out"), 7, 12);
 
     // The saved path plays again, under other controllers.
     let line = format!("{steer} --path path.json --controllers vtk-gpu,unreal,hybrid --out again");
@@ -105,7 +105,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
 fn a_demo_that_nobody_reads_writes_its_report() {
     let dir = setting();
     unread(dir.path(), "demo ball.nrrd --out out --frames 16 --scenes 4 --size 40x40 --device cpu");
-    check_report(&dir.path().join("out"), 5, 16);
+    check_report(&dir.path().join("out"), 7, 16);
 }
 
 /// Checks that the machine's model is calibrated with the volumes in data/, but not with the played volume.
@@ -135,7 +135,7 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     ] {
         assert!(text.contains(word), "{word}: {text}");
     }
-    check_report(&out, 5, 16);
+    check_report(&out, 7, 16);
 
     let line = "steer ball.nrrd --enlarge 2 --path out/path.json --model out/model.safetensors --target 500fps \
                 --device cpu --size 40x40 --scenes 4 --out played";

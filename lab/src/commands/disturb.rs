@@ -88,7 +88,8 @@ fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
 /// Pause between two signals to a process that runs at half the speed.
 const TURN: Duration = Duration::from_millis(1);
 
-/// Records in a child process, which is stopped every second millisecond in the middle half of its second part.
+/// Records in a child process, which is stopped every second millisecond in the middle half of its second
+/// part.
 fn run_at_half_speed(options: &Options) -> Result<()> {
     let mut command = Command::new(std::env::current_exe()?);
     command.arg("disturb").arg(&options.volume).args(["--neighbor", "none", "--device"]);

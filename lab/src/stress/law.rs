@@ -457,8 +457,9 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     judge(27, method, &seen, Limits { missed: 0.05, run: 3, quality: 0.8, inside: 0.0 }, broken)
 }
 
-/// Scene 28: frames of two passes, one for each eye, and 6 ms of other work. One controller plans both passes.
-/// Methods other than entire's give each pass the whole target, since they know nothing of other passes.
+/// Scene 28: frames of two passes, one for each eye, and 6 ms of other work. One controller plans both
+/// passes. Methods other than entire's give each pass the whole target, since they know nothing of other
+/// passes.
 fn two_eyes(method: ControllerKind) -> Verdict {
     const TARGET: f64 = 40e-3;
     const REST: f64 = 6e-3;

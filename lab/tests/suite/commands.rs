@@ -160,17 +160,17 @@ fn whatever_else_runs_fewer_frames_are_late_than_under_olp() {
     };
     // Upper limits: late frames divided by OLP's, and OLP's quality minus entire's.
     for (file, late, lost) in [
-        (recorded("none"), 0.75, 0.03),
-        (recorded("bursts"), 0.8, 0.06),
-        (recorded("steady"), 0.9, 0.05),
-        (halved.to_str().unwrap().to_owned(), 0.9, 0.06),
+        (recorded("none"), 0.85, 0.03),
+        (recorded("bursts"), 0.92, 0.05),
+        (recorded("steady"), 0.97, 0.04),
+        (halved.to_str().unwrap().to_owned(), 0.92, 0.04),
     ] {
         let [olp, ours] = scores_under(&file, &[]);
         let ratio = |group: &str, name: &str| number(&ours, group, name) / number(&olp, group, name);
         let place = format!("{file}: {olp} {ours}");
         assert!(ratio("all", "missed") <= late, "{place}");
         assert!(number(&olp, "all", "quality") - number(&ours, "all", "quality") <= lost, "{place}");
-        assert!(ratio("", "first_frame_deviation") <= 0.75, "{place}");
+        assert!(ratio("", "first_frame_deviation") <= 0.85, "{place}");
         assert!(ratio("", "worst") <= 0.75, "{place}");
     }
     // A session that ignores the load draws better pictures, and more of its frames are late than OLP's.
