@@ -503,6 +503,15 @@ def test_calibration_serves_the_first_frame(voxels, tmp_path):
         entire.vtk.calibrate(view.renderer, volume, frames=10)
 
 
+@pytest.mark.parametrize(("kind", "law"), [("gpu", (8.5, 1.22, 0.78, 0.15)), ("fixed", (5.9, 0.97, 1.54, 0.33))])
+def test_without_a_model_steering_goes_by_the_mappers_built_in_law(voxels, kind, law):
+    view, volume = one_volume(voxels, kind)
+    steering = entire.vtk.hold(view.renderer, volume, 1e-6, clock="cpu")
+    view.draw(3)
+    assert steering._leaf._session.quality == pytest.approx(law)
+    assert steering.image_sample_distance > 1
+
+
 @pytest.mark.parametrize("kind", ["gpu", "fixed"])
 def test_calibration_compares_pictures_and_steering_goes_by_them(voxels, kind):
     view, volume = one_volume(voxels, kind)
