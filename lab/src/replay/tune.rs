@@ -127,14 +127,13 @@ impl Constants for Gains {
 }
 
 /// Name of a constant, and the value at which it has no effect, or the least effect in its valid range.
-const WITHOUT: [(&str, f64); 10] = [
+const WITHOUT: [(&str, f64); 9] = [
     ("full", 0.0),
     ("damping", 10.0),
     ("slope_sd", 0.0),
     ("far", 1e-3),
     ("margin_start", 1.0),
     ("unit_cost_sd", 0.0),
-    ("scene_sd", 0.0),
     ("spread_start", 0.0),
     ("gain", 0.0),
     ("clip_below", 3.0),

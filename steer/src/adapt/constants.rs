@@ -27,16 +27,13 @@ macro_rules! constants {
 pub(crate) use constants;
 
 constants! {
-    /// Constants of the online correction: its priors for an unmeasured machine and for scenes, its learning
-    /// rate and its clipping limit. The defaults come from a search over recorded paths (`entire-lab tune`);
-    /// callers need not set any.
+    /// Constants of the online correction: its priors for an unmeasured machine, its learning rate and its
+    /// clipping limit. The defaults come from a search over recorded paths (`entire-lab tune`); callers need
+    /// not set any.
     CorrectionConstants {
         /// Prior standard deviation of ln of each unit cost, apart from their common factor, on an unmeasured
         /// machine.
         unit_cost_sd = 1.0,
-        /// Prior standard deviation of the prediction errors of scenes, in ln(time), on an unmeasured
-        /// machine.
-        scene_sd = 0.2,
         /// Initial standard deviation of the prediction errors of calm frames, in ln(time).
         spread_start = 0.07,
         /// Share of a calm frame's error that is added to the scene's own factor.

@@ -131,8 +131,9 @@ const OPEN: f64 = 9.0;
 /// Upper bound of every variance in the filter, slightly above the prior variance of an unknown machine
 /// ([`OPEN`] plus that of a unit cost).
 const MAX_VARIANCE: f64 = 12.0;
-/// Assumed standard deviation of ln(measured / predicted) if [`Prior`] states a value that is not finite.
-const FITTED_SD: f64 = 0.3;
+/// Assumed standard deviation of ln(measured / predicted) among scenes, on an unmeasured machine and if
+/// [`Prior`] states a value that is not finite.
+const ASSUMED_SD: f64 = 0.3;
 /// Range to which the standard deviation stated by [`Prior`] is clamped, from 1 % to a factor of e.
 const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// Number of frames after which a scene's own factor is settled: at the default `gain`, a fifth of the first
@@ -173,12 +174,12 @@ impl Correction {
     pub(crate) fn new(prior: Prior, constants: CorrectionConstants) -> Self {
         let c = constants;
         let (common, single, change) = match prior {
-            Prior::Unknown => (OPEN, c.unit_cost_sd * c.unit_cost_sd, c.scene_sd * c.scene_sd),
+            Prior::Unknown => (OPEN, c.unit_cost_sd * c.unit_cost_sd, ASSUMED_SD * ASSUMED_SD),
             Prior::Converted { log_sd } | Prior::Fitted { log_sd } => {
                 let sd = if log_sd.is_finite() {
                     f64::from(log_sd).clamp(FITTED_SD_RANGE.0, FITTED_SD_RANGE.1)
                 } else {
-                    FITTED_SD
+                    ASSUMED_SD
                 };
                 // A model fitted on this machine has the right speed; its errors are those of single scenes.
                 let single = FITTED_SHARE * sd * sd;
