@@ -62,11 +62,11 @@ impl Paths {
 /// Every trace (see `entire-lab record`) is replayed under every controller with every target that an allowed
 /// step meets exactly in at least half of the frames, and with a series of these targets. A trace without
 /// such a target gets its own target: the geometric mean of its median frame times at the finest and at the
-/// coarsest step. If this target is met in fewer than half of the frames, the trace is not played, and the
-/// command fails after it has written the results of the other traces. The predictor is fitted to a timing
-/// table of other volumes. Rules that act on image resolution get the times of smaller images at the
-/// reference step; if a trace has no smaller images, these rules act on the ray step for all traces, and the
-/// report says so. DIR gets report.html, scores.json and frames.csv.
+/// coarsest step. If allowed steps meet this target exactly in fewer than half of the frames, the trace is
+/// not played, and the command fails after it has written the results of the other traces. The predictor is
+/// fitted to a timing table of other volumes. Rules that act on image resolution get the times of smaller
+/// images at the reference step; if a trace has no smaller images, these rules act on the ray step for all
+/// traces, and the report says so. DIR gets report.html, scores.json and frames.csv.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab replay data/steer/traces/*.json.gz \\

@@ -142,8 +142,8 @@ pub(crate) struct Pid {
     last: Option<f32>,
 }
 
-/// Proportional, integral and differential gain of [`Pid`], by a search over recorded paths
-/// (`entire-lab tune`); the paper has 0.3, 0.05 and 0.1.
+/// Proportional, integral and differential gain of [`Pid`], as in the paper. `entire-lab tune` searches for
+/// better gains.
 pub const PID_GAINS: [f32; 3] = [0.3, 0.05, 0.1];
 
 impl Pid {
