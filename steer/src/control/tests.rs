@@ -122,6 +122,24 @@ fn a_step_without_a_prediction_does_not_fit() {
 }
 
 #[test]
+fn a_step_without_a_bound_follows_from_lateness_and_quality_and_not_from_the_coarsest_step() {
+    let cost = |step: f32| CostTerms::whole(0.03 / step, 0.0, Source::Analytic);
+    let step = |log_sd: f32, coarsest: f32| {
+        let (plan, _) = planned(&mut fitted(log_sd), (0.02, coarsest), starts(true), cost);
+        assert_eq!(plan.reason, Reason::Fits);
+        assert!(plan.upper > 0.022, "{plan:?}");
+        plan.step
+    };
+    // Step 1.5 is expected to meet the target. With a standard deviation of 0.66 in ln(time), the normal
+    // density at (ln(step / 1.5) + ln 1.1) / 0.66 equals 0.375 * 0.66 at step 2.6.
+    for coarsest in [3.0, 4.5] {
+        assert!((2.5..2.7).contains(&step(0.6, coarsest)), "{}", step(0.6, coarsest));
+    }
+    // The less is known, the less a coarser step avoids late frames.
+    assert!((1.5..2.5).contains(&step(1.0, 4.5)), "{}", step(1.0, 4.5));
+}
+
+#[test]
 fn an_impossible_target_is_said_and_leaves_nothing_behind() {
     let mut hybrid = fitted(0.2);
     let cost = |step: f32| CostTerms::whole(0.016 / step, 0.0, Source::Analytic);
