@@ -188,7 +188,7 @@ fn replay_fails_if_a_path_cannot_be_played() {
     // No step changes these times, so half of the frames meet no target that the others miss.
     for (i, frame) in trace["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
         for point in frame.as_array_mut().unwrap() {
-            point["seconds"] = serde_json::json!([if i % 2 == 0 { 1.0 } else { 100.0 }; 2]);
+            point["seconds"] = serde_json::json!(vec![if i % 2 == 0 { 1.0 } else { 100.0 }; 2]);
         }
     }
     let alternating = dir.path().join("alternating.json");
