@@ -156,6 +156,12 @@ pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
     then.iter().zip(now).find_map(|(a, b)| a.difference(b))
 }
 
+/// True if `known` has every file of a volume, by size and content: names and modification times of copies
+/// differ.
+pub fn contained(files: &[Identity], known: &[Identity]) -> bool {
+    files.iter().all(|f| known.iter().any(|k| (k.bytes, &k.hash) == (f.bytes, &f.hash)))
+}
+
 /// Returns the difference between a volume's files and earlier identities, which may come from another
 /// machine; `None` for the same files. Files are read only if a size or a modification time differs.
 ///
@@ -246,7 +252,11 @@ mod tests {
             .set_modified(UNIX_EPOCH + std::time::Duration::from_secs(9))
             .unwrap();
         assert_eq!(difference(&was, &of_volume(&a).unwrap()), None);
+        let copy = dir.path().join("copy.nrrd");
+        std::fs::copy(&a, &copy).unwrap();
+        assert!(contained(&of_volume(&copy).unwrap(), &was) && !contained(&was, &[]));
         std::fs::write(&a, format!("{HEADER}\nabcdefgX")).unwrap();
+        assert!(!contained(&of_volume(&a).unwrap(), &was));
         assert!(difference(&was, &of_volume(&a).unwrap()).unwrap().contains("content of a.nrrd"));
         assert!(changed(&a, &was).unwrap().is_some());
         std::fs::write(&a, format!("{HEADER}\nabcdefghi")).unwrap();

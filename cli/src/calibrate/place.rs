@@ -7,7 +7,9 @@ use entire_core::scene::Shading;
 use entire_io::dataset::Clock;
 use entire_io::device::names_software;
 use entire_io::files::{note, read_model_file};
-use entire_io::identity::is_volume;
+use entire_io::identity::{self, Identity, is_volume};
+use serde::Deserialize as _;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The user's data folder: `XDG_DATA_HOME` where it is an absolute path; else `LOCALAPPDATA` on Windows and
@@ -29,6 +31,23 @@ pub(crate) fn shading_of(model: &Model) -> Option<Shading> {
     let stated = model.metadata.get(Key::Provenance.name())?;
     let origin: serde_json::Value = serde_json::from_str(stated).ok()?;
     origin["shading"].as_str()?.parse().ok()
+}
+
+/// True if a model with these metadata was calibrated on the volume; `None` if the metadata name no volumes,
+/// as those of shipped models and of models that a session made.
+///
+/// # Errors
+/// When the volume's files cannot be read.
+pub(crate) fn calibrated_on(metadata: &BTreeMap<String, String>, volume: &Path) -> Result<Option<bool>> {
+    let stated = metadata.get(Key::Provenance.name()).and_then(|text| serde_json::from_str(text).ok());
+    let files =
+        stated.map(|origin: serde_json::Value| Vec::<Identity>::deserialize(&origin["calibration"]["files"]));
+    match files {
+        Some(Ok(files)) if !files.is_empty() => {
+            Ok(Some(identity::contained(&identity::of_volume(volume)?, &files)))
+        }
+        _ => Ok(None),
+    }
 }
 
 /// The file of the machine's model for a shading mode.

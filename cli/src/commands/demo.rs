@@ -1,6 +1,6 @@
 //! `entire demo`: calibrate, play a path under several controllers, and report.
 
-use crate::calibrate::place::{DATA_FOLDER, volumes_in};
+use crate::calibrate::place::{DATA_FOLDER, calibrated_on, volumes_in};
 use crate::calibrate::pool::SMALL_VOLUME;
 use crate::calibrate::{Calibrated, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
@@ -25,7 +25,7 @@ use entire_io::options::{DrawSettings, RenderArgs, parse_distance, parse_size, t
 use entire_io::path::Generated;
 use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
-use entire_io::{device, interrupt};
+use entire_io::{device, identity, interrupt};
 use entire_train::fit::typical_costs;
 use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
@@ -43,11 +43,12 @@ const SMALLEST_SIDE: u32 = 96;
 /// Calibrate a model of this machine, play a path of cameras and transfer functions under several
 /// controllers, and write a report.
 ///
-/// If this machine has no model, the command calibrates one with the other volumes in data/; without other
-/// volumes, it uses the shipped model. It then plays 120 frames of a volume that no model was trained on,
-/// with three abrupt switches of the transfer function, under seven controllers (fixed step, OLP, the last
-/// frame time, the larger of the last two frame times, PID, Algorithm 1, entire's). It prints the distance
-/// of each controller's frame times from the target, and writes a report.
+/// If this machine has no model, or its model was calibrated on the given volume, the command calibrates one
+/// with the other volumes in data/. Without other volumes, it uses the machine's model, else the shipped one;
+/// the report says if the model was calibrated on the volume. The command then plays 120 frames of the
+/// volume, with three abrupt switches of the transfer function, under seven controllers (fixed step, OLP, the
+/// last frame time, the larger of the last two frame times, PID, Algorithm 1, entire's). It prints the
+/// distance of each controller's frame times from the target, and writes a report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire demo
@@ -65,7 +66,7 @@ pub(crate) struct Options {
     /// Frames of the path.
     #[arg(long, default_value_t = 120, value_name = "N")]
     pub(crate) frames: u32,
-    /// Wall seconds for the calibration, if the machine has no model.
+    /// Wall seconds for the calibration.
     #[arg(long, default_value_t = 25.0, value_name = "SECONDS", value_parser = parse_seconds)]
     pub(crate) seconds: f64,
     /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
@@ -95,9 +96,9 @@ pub(crate) struct Options {
     pub(crate) seed: u64,
 }
 
-/// Calibrates a model of this machine with the volumes in data/, but without the played volume and with only
-/// the training members of ensembles. Returns the model and its description; `None` if there are no such
-/// volumes.
+/// Calibrates a model of this machine with the volumes in data/, but without the played volume and its
+/// copies, and with only the training members of ensembles. Returns the model and its description; `None` if
+/// there are no such volumes.
 fn calibrated(
     options: &Options,
     draw: &DrawSettings,
@@ -106,9 +107,11 @@ fn calibrated(
     stop: &dyn Fn() -> bool,
 ) -> Result<Option<(String, ModelFile)>> {
     let data = Path::new(DATA_FOLDER);
-    let mut volumes = if data.is_dir() { volumes_in(data)? } else { Vec::new() };
-    let same = |path: &Path| path.canonicalize().ok();
-    volumes.retain(|path| same(path) != same(played));
+    let volumes = if data.is_dir() { volumes_in(data)? } else { Vec::new() };
+    let files = identity::of_volume(played)?;
+    let same = |path: &PathBuf| anyhow::Ok(identity::contained(&files, &identity::of_volume(path)?));
+    let others = volumes.into_iter().map(|path| anyhow::Ok((!same(&path)?).then_some(path)));
+    let volumes: Vec<PathBuf> = others.filter_map(Result::transpose).collect::<Result<_>>()?;
     if volumes.is_empty() {
         return Ok(None);
     }
@@ -242,15 +245,20 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         if shrunk { ", made smaller so that the demo ends in time" } else { "" }
     ))?;
     let seed_name = volume.name().to_owned();
+    let seen = |(_, model): &(String, ModelFile)| calibrated_on(&model.metadata, &file);
+    let seen = machines.as_ref().map(seen).transpose()?.flatten() == Some(true);
     let machines = match machines {
-        None => calibrated(options, &draw, &file, renderer.as_mut(), &stop).context("cannot calibrate")?,
-        some => some,
+        Some(unseen) if !seen => Some(unseen),
+        machines => calibrated(options, &draw, &file, renderer.as_mut(), &stop)
+            .context("cannot calibrate")?
+            .or(machines),
     };
     ensure!(!stop(), INTERRUPTED);
     let made = machines.as_ref().map(|(_, file)| file.to_bytes()).transpose()?;
     let (steers, log_sd) = steering_model(None, machines, draw.shading, &view)?;
     let race = Race {
         volume: &view,
+        file: &file,
         series: &[],
         course: Course::steady(options.max_image_sample_distance),
         seed_name: &seed_name,

@@ -227,6 +227,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let (steers, log_sd) = steering_model(named.zip(model), machines, draw.shading, &view)?;
     let race = Race {
         volume: &view,
+        file: &options.volumes[0],
         series: &series,
         course: Course {
             hold,

@@ -1,6 +1,7 @@
 //! The model that steering predicts with, and its errors on the played volume.
 
 use super::calibrate::{Quality, Sample};
+use crate::calibrate::place::calibrated_on;
 use anyhow::{Context, Result};
 use entire_core::model::Model;
 use entire_core::scene::VolumeView;
@@ -8,6 +9,7 @@ use entire_steer::features::Changes;
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_train::inputs::volume_features;
 use serde::Serialize;
+use std::path::Path;
 use std::sync::Arc;
 
 /// A model from which any number of contenders can get a predictor.
@@ -46,6 +48,11 @@ impl SteeringModel {
         Ok(load(&self.model)?)
     }
 
+    /// True if the model was calibrated on the volume; `None` if its file does not name its volumes.
+    pub(crate) fn calibrated_on(&self, volume: &Path) -> Result<Option<bool>> {
+        calibrated_on(&self.model.metadata, volume)
+    }
+
     /// Name of the model in printed output.
     pub fn title(&self) -> &str {
         &self.title
@@ -56,7 +63,7 @@ impl SteeringModel {
         self.volume_features.as_deref()
     }
 
-    /// The model's errors on samples that it was not fitted to. Models without the ray step as input are
+    /// The model's errors on samples. Models without the ray step as input are
     /// evaluated at the reference step only.
     ///
     /// # Errors
@@ -95,16 +102,23 @@ impl SteeringModel {
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Steers {
     pub(crate) title: String,
-    /// Errors of the predictor on random frames of the played volume, to which it was not fitted.
+    /// Errors of the predictor on random frames of the played volume.
     pub(crate) on_this_volume: Quality,
+    /// True if the model was calibrated on the played volume; `None` if its file does not name its volumes.
+    pub(crate) calibrated_on_this_volume: Option<bool>,
 }
 
 impl Steers {
     pub(crate) fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
+        let seen = match self.calibrated_on_this_volume {
+            Some(true) => ", on which the model was calibrated: the error on other volumes is larger",
+            Some(false) => ", to which the model was not fitted",
+            None => "; the model's file does not name the volumes that it was fitted to",
+        };
         format!(
             "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this \
-             volume, to which the model was not fitted",
+             volume{seen}",
             self.title,
             100.0 * median_error,
             100.0 * p95_error

@@ -19,10 +19,13 @@ use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
 use entire_steer::features::VolumeSummary;
 use entire_vk_raycaster::Renderer;
+use std::path::Path;
 
 #[derive(Clone, Debug)]
 pub(crate) struct Race<'a> {
     pub(crate) volume: &'a VolumeView<'a>,
+    /// The file of `volume`.
+    pub(crate) file: &'a Path,
     /// Volumes of a series after the first one. Random scenes are of the first volume only.
     pub(crate) series: &'a [VolumeView<'a>],
     pub(crate) course: Course<'a>,
@@ -181,6 +184,7 @@ pub(crate) fn prepare(
             .model
             .quality(&samples)
             .context("the model cannot predict frames of the volume")?,
+        calibrated_on_this_volume: race.model.calibrated_on(race.file)?,
     };
     let at_reference = samples.iter().filter(|s| s.setting.step == 1.0).map(|s| s.seconds);
     let full_quality = median(&mut at_reference.collect::<Vec<_>>()).context("no scene was timed")?;

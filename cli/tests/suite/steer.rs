@@ -114,16 +114,34 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     let dir = setting();
     let out = dir.path().join("out");
     std::fs::create_dir(dir.path().join("data")).unwrap();
-    for name in ["a.nrrd", "b.nrrd", "c.nrrd"] {
-        ball::write(&dir.path().join("data").join(name));
+    let ball = std::fs::read(dir.path().join("ball.nrrd")).unwrap();
+    for (last, name) in ["a.nrrd", "b.nrrd", "c.nrrd"].iter().enumerate() {
+        // These volumes differ in one voxel.
+        let other = [&ball[..ball.len() - 1], &[last as u8 + 1]].concat();
+        std::fs::write(dir.path().join("data").join(name), other).unwrap();
     }
-    // A copy of the volume counts as another volume; a link to the volume does not.
+    // A copy of the played volume and a link to it are the played volume.
+    std::fs::write(dir.path().join("data/copy.nrrd"), ball).unwrap();
     std::os::unix::fs::symlink(dir.path().join("ball.nrrd"), dir.path().join("data/same.nrrd")).unwrap();
-    let home = [("XDG_DATA_HOME", dir.path().to_str().unwrap())];
+    let run = |line: &str| {
+        let home = [("XDG_DATA_HOME", dir.path().to_str().unwrap())];
+        let output = entire_in(dir.path(), &home, &words(line));
+        assert!(output.status.success(), "{}", stderr(&output));
+        stdout(&output)
+    };
+    // The machine's model was calibrated on the played volume: steering uses it, the demo does not.
+    run("calibrate ball.nrrd --seconds 5 --frames 24 --max-size 64 --device cpu");
+    let line = "steer ball.nrrd --generate orbit --frames 8 --target 500fps --device cpu --size 40x40 \
+                --scenes 4 --out seen";
+    let text = run(line);
+    assert!(text.contains("on which the model was calibrated"), "{text}");
+    let seen = dir.path().join("seen");
+    assert_eq!(json(&seen.join("summary.json"))["predictor"]["calibrated_on_this_volume"], true);
+    let page = std::fs::read_to_string(seen.join("report.html")).unwrap();
+    assert!(page.contains("on which the model was calibrated") && !page.contains("was not fitted"));
+
     let line = "demo ball.nrrd --out out --frames 16 --scenes 4 --seconds 12 --size 40x40 --device cpu";
-    let output = entire_in(dir.path(), &home, &words(line));
-    let text = stdout(&output);
-    assert!(output.status.success(), "{}", stderr(&output));
+    let text = run(line);
     for word in [
         "enlarged trilinearly x2",
         "target",
@@ -136,12 +154,16 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
         assert!(text.contains(word), "{word}: {text}");
     }
     check_report(&out, 7, 16);
-
-    let line = "steer ball.nrrd --enlarge 2 --path out/path.json --model out/model.safetensors --target 500fps \
-                --device cpu --size 40x40 --scenes 4 --out played";
-    succeeds(dir.path(), &words(line));
+    let steer = "steer ball.nrrd --enlarge 2 --path out/path.json --model out/model.safetensors --target \
+                500fps --device cpu --size 40x40 --scenes 4 --out played";
+    succeeds(dir.path(), &words(steer));
     let summary = std::fs::read_to_string(dir.path().join("played/summary.json")).unwrap();
     assert!(summary.contains("model.safetensors"), "{summary}");
+
+    // Without other volumes, the demo has the machine's model alone.
+    std::fs::remove_dir_all(dir.path().join("data")).unwrap();
+    let text = run(&line.replace("--out out", "--out alone"));
+    assert!(text.contains("on which the model was calibrated"), "{text}");
 }
 
 #[test]
