@@ -201,6 +201,7 @@ impl<'a> Measuring<'a> {
         for (i, repeats) in seen.drain(..) {
             self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
         }
+        self.others.frames = self.visits.values().filter(|v| v.iter().all(|v| v.disturbed)).count();
     }
 
     fn show(&mut self, volume: usize, factor: usize) -> Result<()> {

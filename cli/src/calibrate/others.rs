@@ -90,6 +90,8 @@ pub struct BackgroundLoad {
     pub disturbed: f64,
     /// Mean number of processors that other programs used; `None` where the system does not report it.
     pub mean: Option<f64>,
+    /// Number of frames that have only disturbed repeats.
+    pub frames: usize,
 }
 
 impl BackgroundLoad {
@@ -102,6 +104,19 @@ impl BackgroundLoad {
         self.mean = Some((before + others * wall) / self.seconds.max(1e-9));
         if others > DISTURBED {
             self.disturbed += wall;
+        }
+    }
+
+    /// The share of disturbed time, and the number of frames, of `frames`, that have only disturbed repeats.
+    pub(crate) fn text(&self, frames: usize) -> String {
+        match self.mean {
+            Some(_) => format!(
+                "disturbed the measurement in {:.0} % of its time; {} of {frames} frames have only disturbed \
+                 repeats",
+                100.0 * self.disturbed / self.seconds.max(1e-9),
+                self.frames
+            ),
+            None => "this system does not report the processor time of other programs".into(),
         }
     }
 
@@ -147,8 +162,11 @@ mod tests {
         assert!(!others.busy() && (others.mean.unwrap() - 0.22).abs() < 1e-12);
         others.add(1.0, Some(1.0));
         assert!(others.busy());
+        others.frames = 3;
+        let said = others.text(40);
+        assert!(said.contains("27 % of its time; 3 of 40 frames"), "{said}");
         let mut blind = BackgroundLoad::default();
         blind.add(5.0, None);
-        assert!(!blind.busy() && blind.mean.is_none());
+        assert!(!blind.busy() && blind.mean.is_none() && blind.text(1).contains("does not report"));
     }
 }

@@ -177,6 +177,7 @@ impl Report {
         let mut out = String::new();
         for (name, value) in [
             ("measured", Some(measured)),
+            ("others", (self.rounds > 0).then(|| self.others.text(self.frames))),
             ("noise", self.noise.map(|noise| noise.describe())),
             ("prior", Some(prior)),
             ("to expect", Some(expected)),
