@@ -45,6 +45,7 @@ RENAMED = {
     "arrows_between_the_rooms_of_core_never_point_back": "arrows_between_the_rooms_of_a_crate_never_point_back",
     "arrows_between_the_rooms_of_command_and_laboratory_never_point_back":
         "arrows_between_the_rooms_of_a_crate_never_point_back the_product_knows_nothing_of_the_laboratory",
+    "the_analytic_model_is_one_layer_with_costs_that_are_not_negative": "unit_costs_are_one_layer_and_not_negative",
     "demo_goes_from_a_volume_to_a_report_and_its_model_steers": "demo_calibrates_on_other_volumes_and_its_model_steers",
     "calibration_recovers_the_factor_of_another_machine": "three_frames_set_the_speed_alone",
     "few_or_broken_frames_change_nothing_and_factors_are_bounded": "broken_measurements_are_left_out_and_all_broken_is_an_error",

@@ -256,7 +256,8 @@ pub fn calibrate_to_frames(
     Ok(fit_to_frames(context, frames, priors)?.0.file)
 }
 
-/// Fits a model to frames that a renderer logged; nothing is drawn. If a table has no stored scene features,
+/// Fits a model to frames that a renderer logged; nothing is drawn. The model gets the quality law of
+/// `pictures`, if given. If a table has no stored scene features,
 /// its volumes are opened.
 ///
 /// # Errors
@@ -266,6 +267,7 @@ pub fn calibrate_to_tables(
     tables: &[Table],
     (shading, clock): (Shading, Clock),
     priors: &[NamedPrior],
+    pictures: Option<Pictures>,
     threads: &rayon::ThreadPool,
 ) -> Result<(ModelFile, Report)> {
     ensure_fixed(clock)?;
@@ -291,7 +293,14 @@ pub fn calibrate_to_tables(
     let (chosen, observed) = fit_to_frames(&context, Timed { frames: &frames, seconds: &seconds }, &files)?;
     let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
     let seconds = start.elapsed().as_secs_f64();
+    if pictures.is_some() && manifests.is_empty() {
+        note(
+            "the frames have no manifest, so the model does not name the renderer of the compared pictures; \
+             a session that names its renderer ignores the model's quality law",
+        );
+    }
     let report = Report {
+        pictures,
         files: manifests.iter().flat_map(|m| m.files.clone()).collect(),
         ..Report::new((shading, clock), names, &observed, &chosen, |_| true, noise, seconds)?
     };

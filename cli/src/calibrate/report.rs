@@ -64,7 +64,7 @@ pub struct Report {
 /// Fit of the quality law to compared pictures.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Pictures {
-    /// Error measure between a picture and the picture at full quality: always `rmse`, for readers of the file.
+    /// Error measure between a picture and the picture at full quality: `rmse`, or `given` by a table.
     pub error: &'static str,
     /// The law, and the picture error of the steps and image sizes that it chooses.
     #[serde(flatten)]
@@ -169,7 +169,7 @@ impl Report {
             self.judged
         );
         let pictures = match &self.pictures {
-            Some(pictures) => Some(law_text(&pictures.fitted, "root mean squared difference")),
+            Some(pictures) => Some(law_text(pictures)),
             None => (self.rounds > 0).then(|| {
                 "too few were compared within the time limit, so the model has no quality law".to_owned()
             }),
@@ -234,9 +234,9 @@ impl Report {
     }
 }
 
-/// Returns one line of text about the quality law and its fit to the errors of pictures; `error` names the
-/// measure of these errors.
-pub(crate) fn law_text(fitted: &FittedQuality, error: &str) -> String {
+/// Returns one line of text about the quality law and its fit to the errors of pictures.
+fn law_text(Pictures { error, fitted }: &Pictures) -> String {
+    let error = if *error == "rmse" { "root mean squared difference" } else { "in the table's unit" };
     let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
     format!(
         "{} scenes at {} ray steps and image sizes. The picture error ({error}) rises with \

@@ -1,7 +1,7 @@
 //! `entire calibrate`: fit a model to this machine in a minute and a half.
 
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
-use crate::calibrate::report::Report;
+use crate::calibrate::report::{Pictures, Report};
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
 use crate::collection::{ensure_utf8, manifest_of};
 use crate::program::print_line;
@@ -9,7 +9,7 @@ use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use entire_core::scene::{Shading, Skipping};
-use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables, shaded};
+use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables, read_pictures, shaded};
 use entire_io::device::{self, Device};
 use entire_io::files::{
     check_model_out, ensure_distinct, ensure_not_input, make_folder_of, note, open_model, read_model_file,
@@ -19,7 +19,8 @@ use entire_io::interrupt;
 use entire_io::options::{check_termination, shades, skip_parser, thread_pool};
 use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
-use entire_steer::predict::UnitCosts;
+use entire_steer::calibrate::fit_quality;
+use entire_steer::predict::{Quality, UnitCosts};
 use entire_train::fit::{typical_costs, typical_costs_of};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -43,7 +44,10 @@ use std::path::{Path, PathBuf};
         each takes a minute and a half
   entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors
   entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
-        fits the model to frames that your own renderer logged; renders nothing")]
+        fits the model to frames that your own renderer logged; renders nothing
+  entire calibrate --data log.csv --pictures compared.csv --clock wall \\
+      --out both.safetensors
+        frame times, and picture errors of coarser steps and smaller images")]
 pub(crate) struct Options {
     /// Volume files; default: all volumes in data/, but of ensembles only the training members.
     #[arg(value_name = "VOLUME")]
@@ -59,6 +63,13 @@ pub(crate) struct Options {
             "max_size", "steps", "device", "seed", "array", "fill", "range"]
     )]
     pub(crate) data: Vec<PathBuf>,
+    /// Table of compared pictures of the renderer of --data: a quality law (picture error over ray step and
+    /// image size) is fitted to it and stored in the model file, for steering that coarsens both.
+    ///
+    /// Columns: scene, step (multiple of the finest step), image_sample_distance (pixels), seconds, error (0
+    /// for equal pictures). Each scene is drawn at the same settings, full quality among them.
+    #[arg(long, value_name = "CSV", requires = "data")]
+    pub(crate) pictures: Option<PathBuf>,
     /// Shading of each sample; `all` calibrates none, local and scatter, one after another.
     #[arg(long, value_parser = shades_or_all(), default_value = "none")]
     pub(crate) shade: String,
@@ -73,7 +84,7 @@ pub(crate) struct Options {
     /// Also write the measured frames, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) table: Option<PathBuf>,
-    /// Prior model, of kind analytic; default: the shipped models of the shading mode. On a GPU, and for a
+    /// Prior model of unit costs; default: the shipped models of the shading mode. On a GPU, and for a
     /// mode without a shipped model, the default is typical costs of this kind of renderer.
     #[arg(long, value_name = "SAFETENSORS")]
     pub(crate) prior: Option<PathBuf>,
@@ -265,6 +276,9 @@ fn from_tables(options: &Options) -> Result<()> {
     let modes = options.modes()?;
     let outs = outs_of(options, &modes)?;
     let tables = open_tables(&options.data, options.root.as_deref())?;
+    let renderer = tables.iter().find_map(|table| table.manifest.as_ref()).map(|m| m.renderer.as_str());
+    let built_in = renderer.and_then(Quality::built_in);
+    let pictures = options.pictures.as_deref().map(|path| compared(path, built_in)).transpose()?;
     let threads = thread_pool(options.threads)?;
     // Device timestamps of a software renderer are no better than wall time, so `auto` means wall time, as in
     // a calibration that renders frames.
@@ -283,11 +297,17 @@ fn from_tables(options: &Options) -> Result<()> {
             note(&text);
         }
         let priors = priors_of(options, shading, &typical_costs_of(&tables))?;
-        let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, &threads)?;
+        let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, pictures, &threads)?;
         write_whole(out, &file.to_bytes()?)?;
         say(&report, out)?;
     }
     Ok(())
+}
+
+/// The quality law of a table of compared pictures; `built_in` is the built-in law of the renderer.
+fn compared(path: &Path, built_in: Option<Quality>) -> Result<Pictures> {
+    let fitted = fit_quality(&read_pictures(path)?, built_in).with_context(|| path.display().to_string())?;
+    Ok(Pictures { error: "given", fitted })
 }
 
 /// Prints the report of a calibration whose model was written to `out`.

@@ -1,11 +1,10 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
-use crate::calibrate::{can_be_prior, report::law_text};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, manifests_of, mixed, noise_floor, open_tables,
-    read_pictures, shaded, timed,
+    shaded, timed,
 };
 use entire_io::device::names_software;
 use entire_io::files::{check_model_out, ensure_not_input, note, open_model, write_whole};
@@ -13,8 +12,7 @@ use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_io::{interrupt, machine};
-use entire_steer::calibrate::fit_quality;
-use entire_steer::predict::{Quality, UPPER_LEVEL, UpperBound};
+use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, FittedModel, Kind, Recipe, predict_rows};
 use entire_train::inputs::Layout;
@@ -39,25 +37,13 @@ Examples:
         the paper's configuration
   entire train --data new-machine.csv --out tuned.safetensors \\
       --fine-tune model.safetensors --learning-rate 1e-4
-  entire train --data frames.csv --out costs.safetensors --model-kind analytic
-        unit costs: a few frames are enough
   entire train --data frames.csv --out residual.safetensors \\
       --model-kind residual --layers 32
-        the analytic model times a learned factor
-  entire train --data frames.csv --pictures pictures.csv \\
-      --out both.safetensors --model-kind analytic
-        frame times, and picture errors of coarser steps and smaller images")]
+        unit costs times a learned factor")]
 pub(crate) struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub(crate) data: Vec<PathBuf>,
-    /// Table of compared pictures: a quality law (picture error over ray step and image size) is fitted to it
-    /// and stored in the model file, for steering that coarsens both.
-    ///
-    /// Columns: scene, step (multiple of the finest step), image_sample_distance (pixels), seconds, error (0
-    /// for equal pictures). Each scene is drawn at the same settings, full quality among them.
-    #[arg(long, value_name = "CSV")]
-    pub(crate) pictures: Option<PathBuf>,
     /// Model file to write; its model card is written beside it as Markdown.
     #[arg(long, value_name = "SAFETENSORS")]
     pub(crate) out: PathBuf,
@@ -146,13 +132,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
     }
     let part = |p: Part| parts.get(&p).map_or(&[][..], Vec::as_slice);
-    // Test frames may be of another renderer.
-    let described = manifests_of(&tables, part(Part::Training)).into_iter().next();
-    let prior = described.as_ref().and_then(|manifest| Quality::built_in(&manifest.renderer));
-    let law = |path: &PathBuf| {
-        fit_quality(&read_pictures(path)?, prior).with_context(|| path.display().to_string())
-    };
-    let pictures = options.pictures.as_ref().map(law).transpose()?;
     note(&format!(
         "{} frames, split by {}: {} for training, {} for validation, {} for testing",
         refs.len(),
@@ -168,14 +147,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                  data",
                 split.by.name()
             ),
-            false => format!(
-                "no --validation-groups: {}the upper bound is fitted to the training frames. More than 5 % of \
-                 other frames may exceed this bound",
-                match recipe.kind {
-                    Kind::Analytic => "",
-                    _ => "the training frames decide when training stops, and ",
-                }
-            ),
+            false => "no --validation-groups: the training frames decide when training stops, and the upper \
+                      bound is fitted to them. More than 5 % of other frames may exceed this bound"
+                .to_owned(),
         });
     }
     let mut earlier = base.as_ref().map_or(Vec::new(), |(_, model)| Split::all_of(model));
@@ -218,10 +192,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let part_seconds =
         |p: Part| -> Vec<f64> { part(p).iter().map(|f| seconds[&(f.table, f.number)]).collect() };
 
-    // Ctrl-C stops the training of networks, which keep what they learned. Before this training, and for an
-    // analytic model, there is nothing to keep: Ctrl-C ends the program at once, and no file is written.
-    let trains = recipe.kind != Kind::Analytic;
-    let stop = || trains && interrupt::flag().is_ok_and(|flag| interrupt::requested(&flag));
+    // Ctrl-C stops the training of networks, which keep what they learned. Before this training, there is
+    // nothing to keep: Ctrl-C ends the program at once, and no file is written.
+    let stop = || interrupt::flag().is_ok_and(|flag| interrupt::requested(&flag));
     let bar = templated_bar("epoch {msg} [{bar:30}] {eta} left");
     let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &stop };
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
@@ -286,7 +259,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor), "coverage": covered,
         },
         "noise_floor": noise,
-        "pictures": pictures,
         "trained_on": machine::machine(),
         "program": format!("entire {}", machine::version()),
         "date": machine::now(),
@@ -297,18 +269,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     for key in [Key::Quality, Key::Renderer, Key::Device, Key::StepReference] {
         fitted.file.metadata.remove(key.name());
     }
-    if let Some(law) = &pictures {
-        law.quality.store(&mut fitted.file)?;
-    }
-    if let Some(manifest) = described {
+    // Test frames may be of another renderer.
+    if let Some(manifest) = manifests_of(&tables, part(Part::Training)).first() {
         fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
         fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
         fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
-    } else if pictures.is_some() {
-        note(
-            "the frames have no manifest, so the model does not name the renderer of --pictures; a session \
-             that names its renderer ignores the model's quality law",
-        );
     }
     write_whole(&options.out, &fitted.file.to_bytes()?)?;
     let held = covered.get(Part::Test.name()).copied().flatten();
@@ -338,9 +303,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(n) = noise {
         println!("noise floor: {}", n.describe());
     }
-    if let Some(law) = &pictures {
-        println!("pictures: {}", law_text(law, "error"));
-    }
     println!(
         "{}; wrote {} in {:.1} s",
         fitted.outcome,
@@ -364,35 +326,11 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
     entire_io::clock::for_training(asked, base, shaded(tables, options.shade))
 }
 
-/// Refuses options without effect: options of networks for models of kind analytic, --target for residual
-/// networks, and options of input groups that the model does not take.
+/// Refuses options without effect: --target for residual networks, and options of input groups that the
+/// model does not take.
 fn check_used(recipe: &Recipe) -> Result<()> {
-    let usual = Recipe::default();
-    let options = [
-        ("--layers", recipe.layers != usual.layers),
-        ("--preset", recipe.preset.is_some()),
-        ("--inputs", recipe.inputs != usual.inputs),
-        ("--scene-features", !recipe.scene_features.is_empty()),
-        ("--sorted-lobes", recipe.sorted_lobes),
-        ("--ensemble", recipe.ensemble != usual.ensemble),
-        ("--target", recipe.target != usual.target),
-        ("--loss", recipe.loss != usual.loss),
-        ("--epochs", recipe.epochs != usual.epochs),
-        ("--batch", recipe.batch != usual.batch),
-        ("--learning-rate", recipe.learning_rate.is_some()),
-        ("--patience", recipe.patience != usual.patience),
-        ("--volumenet", recipe.volumenet.is_some()),
-        ("--dtype", recipe.dtype != usual.dtype),
-    ];
-    let given: Vec<&str> = options.into_iter().filter(|o| o.1).map(|o| o.0).collect();
     ensure!(
-        recipe.kind != Kind::Analytic || given.is_empty(),
-        "{0} is for networks, but --model-kind analytic has no network; leave {0} out, or choose another \
-         --model-kind",
-        given.join(", ")
-    );
-    ensure!(
-        recipe.kind != Kind::Residual || recipe.target == usual.target,
+        recipe.kind != Kind::Residual || recipe.target == Recipe::default().target,
         "--target is only for --model-kind prednet, since a residual network learns ratios of times; leave \
          --target out"
     );
@@ -430,11 +368,6 @@ fn card(
 ) -> String {
     let lines = |list: Vec<String>| list.join("\n");
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
-    let shade = options.shade.map_or(String::new(), |s| format!(" --shade {s}"));
-    let (verb, adapt) = match can_be_prior(&fitted.file) {
-        true => ("calibrate", format!("calibrate --data FRAMES.csv{shade} --prior")),
-        false => ("fine-tune", "train --data FRAMES.csv --fine-tune".to_owned()),
-    };
     let input = |&(group, size): &(GroupKind, usize)| {
         format!("- `{group}`, {size} number{}", if size == 1 { "" } else { "s" })
     };
@@ -444,9 +377,11 @@ fn card(
         "## Use".to_owned(),
         format!(
             "Predicts how many seconds a volume-rendered frame will take on the machine and with the renderer \
-             of the training frames. On another machine, {verb} the model first:"
+             of the training frames. On another machine, fine-tune the model first:"
         ),
-        format!("```\nentire {adapt} {name}.safetensors --out tuned.safetensors\n```"),
+        format!(
+            "```\nentire train --data FRAMES.csv --fine-tune {name}.safetensors --out tuned.safetensors\n```"
+        ),
         format!("Evaluate it: `entire evaluate --model {name}.safetensors --data FRAMES.csv`"),
         "## Inputs".to_owned(),
         lines(layout.groups.iter().map(input).collect()),
@@ -531,8 +466,8 @@ fn card(
     md.push("## Limits".to_owned());
     md.push(format!(
         "The times are those of one renderer on one machine. On another machine, driver or renderer, \
-         {verb} the model first. Predictions for scenes unlike the training data (other modalities, sizes, shading \
-         modes, steps) may have large errors. The out-of-range score is above 0 if a value lies outside the range \
+         fine-tune the model first. Predictions for scenes unlike the training data (other modalities, sizes, \
+         shading modes, steps) may have large errors. The out-of-range score is above 0 if a value lies outside the range \
          of the training data. {tested}"
     ));
     md.join("\n\n") + "\n"

@@ -41,7 +41,9 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let made = run(at, &format!("calibrate --clock cpu --table frames.csv {QUICK}"));
     assert!(made.status.success(), "{}", stderr(&made));
     let said = stdout(&made);
-    for part in ["to expect", "median error", "RMSE/SD", "clock cpu", "3 volumes"] {
+    for part in
+        ["to expect", "median error", "RMSE/SD", "clock cpu", "3 volumes", "frames have only disturbed"]
+    {
         assert!(said.contains(part), "{part}: {said}");
     }
     // Image sides of at most 64 pixels are too short for comparing pictures.
@@ -194,7 +196,7 @@ fn all_makes_of_machine_are_started_from() {
             let mut few = tables.clone();
             few[0].frames.retain(|f| f.number % 10 == tenth);
             let (_, report) =
-                calibrate_to_tables(&few, (Shading::None, Clock::Cpu), priors, &threads).unwrap();
+                calibrate_to_tables(&few, (Shading::None, Clock::Cpu), priors, None, &threads).unwrap();
             assert_eq!(report.prior.is_some(), !priors.is_empty());
             report.median_error.ln()
         };

@@ -220,17 +220,15 @@ fn the_paper_configuration_writes_encoder_and_network_into_one_file() {
 }
 
 #[test]
-fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
+fn unit_costs_are_one_layer_and_not_negative() {
     let data = data(20);
-    let text = works(&data, "train --quiet --data t.csv --out costs.safetensors --model-kind analytic");
-    assert!(text.contains("fitted to"), "{text}");
+    let text = works(&data, "calibrate --quiet --data t.csv --out costs.safetensors");
+    assert!(text.contains("160 frames of 8 volumes"), "{text}");
     let m = model(&data, "costs.safetensors");
     let net = m.prednet.as_ref().unwrap();
     assert_eq!((net.layers.len(), net.layers[0].outputs), (1, 1));
     assert!(net.layers[0].weight.iter().chain(&net.layers[0].bias).all(|c| *c >= 0.0));
-    // Unit costs are not trained by gradient descent; the card and the error name the command that fits them.
-    let adapt = "entire calibrate --data FRAMES.csv --prior costs.safetensors";
-    assert!(text_of(&data, "costs.md").contains(adapt), "{}", text_of(&data, "costs.md"));
+    // Unit costs are not trained by gradient descent; the error names the command that fits them.
     let tune = "train --quiet --data t.csv --out tuned.safetensors --fine-tune costs.safetensors";
     fails(&data, tune, 1, "--prior costs.safetensors");
     // A learned factor on unit costs is trained further, like any network.
@@ -250,7 +248,7 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
 fn frames_of_a_gpu_teach_the_time_of_the_device() {
     let folder = tempfile::tempdir().unwrap();
     let table = concat!(env!("CARGO_MANIFEST_DIR"), "/../data/timings/none-h100-members.csv.gz");
-    let train = ["train", "--data", table, "--out", "here.safetensors", "--model-kind", "analytic"];
+    let train = ["train", "--data", table, "--out", "here.safetensors", "--layers", "4", "--epochs", "1"];
     succeeds(folder.path(), &train);
     assert_eq!(model(&folder, "here.safetensors").metadata[Key::Clock.name()], "device");
 }
@@ -271,9 +269,9 @@ fn compared_pictures_put_their_law_into_the_model() {
         }
     }
     std::fs::write(&pictures, &text).unwrap();
-    let line = "train --data t.csv --out both.safetensors --model-kind analytic --pictures pictures.csv";
+    let line = "calibrate --data t.csv --out both.safetensors --pictures pictures.csv";
     let said = works(&data, line);
-    assert!(said.contains("pictures: 3 scenes at 20 ray steps and image sizes"), "{said}");
+    assert!(said.contains("pictures   3 scenes at 20 ray steps and image sizes"), "{said}");
     let found = load(&model(&data, "both.safetensors")).unwrap().quality("").unwrap();
     for (own, wanted) in [
         (found.image_weight, truth.image_weight),
@@ -297,7 +295,7 @@ fn compared_pictures_put_their_law_into_the_model() {
 #[test]
 fn kept_features_stand_in_for_volumes_that_are_gone() {
     let data = data(6);
-    let train = "train --data t.csv --out m.safetensors --model-kind analytic";
+    let train = "train --data t.csv --out m.safetensors --layers 4 --epochs 1";
     works(&data, "features --quiet --data t.csv");
     works(&data, &format!("{train} --quiet"));
     let evaluate = "evaluate --model m.safetensors --data t.csv --out evaluation";
@@ -367,7 +365,7 @@ fn what_cannot_be_done_is_said() {
         ("--model-kind residual --inputs scene_features,camera", 1, "takes scene_features alone"),
         // Options that would have no effect are refused.
         ("--model-kind residual --preset 4C64", 1, "--preset is for --model-kind prednet"),
-        ("--model-kind analytic --epochs 9", 1, "--epochs is for networks, but --model-kind analytic"),
+        ("--model-kind analytic", 2, "--model-kind"),
         ("--sorted-lobes --fine-tune m.safetensors", 2, "--sorted-lobes"),
         ("--model-kind residual --fine-tune m.safetensors", 2, "--model-kind"),
         ("--sorted-lobes", 1, "--sorted-lobes has no effect without the input group transfer_function"),

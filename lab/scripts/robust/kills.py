@@ -76,7 +76,7 @@ class Commands:
                 "r.png",
                 png,
             ),
-            "train": ([entire, *train, "--model-kind", "analytic", "--out", folder / "m.safetensors"], "m.safetensors", model),
+            "train": ([entire, *train, "--epochs", "5", "--out", folder / "m.safetensors"], "m.safetensors", model),
             "calibrate": (
                 [entire, "calibrate", *VOLUMES, "--frames", str(FRAMES), "--seconds", "10", "--device", "cpu", "--out",
                  folder / "k.safetensors"],

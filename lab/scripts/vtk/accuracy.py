@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Errors of predictors per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
-and an analytic model are trained, and `entire calibrate` fits a model to a twentieth of the training frames. All models
-are tested on RENDERER-test. Needs no renderer. bars.py calls this; bars of a missing table are short.
+is trained, and `entire calibrate` fits unit costs to all and to a twentieth of the training frames. All models are
+tested on RENDERER-test. Needs no renderer. bars.py calls this; bars of a missing table are short.
 
 ENTIRE_DATA  folder to which the volume names in the tables are relative (default ../shared/data)
 """
@@ -25,7 +25,6 @@ MORE = """log_pixels log_samples_per_pixel log_shadow_per_pixel log_segments_per
 terminated_share log_divergence occupied_share log_visible_share log_mean_extinction log_mean_chord log_step log_voxels
 log_runs log_skips log_remapped_samples log_far_x log_far_y log_far_z""".split()
 FACTOR = [*HOW, "--layers", "32,16", "--ensemble", "8", "--scene-features", ",".join(MORE)]
-ANALYTIC = "--model-kind analytic".split()
 SHARE = 0.05
 ASKED = {name: limit for r in RENDERERS for name, limit in ((f"{r}-rmse-over-sd-on-unseen-volumes", 0.15),
                                                             (f"{r}-transferred-over-fully-trained", 1.2))}
@@ -89,7 +88,7 @@ def run(options, bars):
         cut(learn, few, part)
         tuned = f"calibrated with {few}"
         models = {"factor": train([learn], f"{renderer}-factor", *FACTOR),
-                  "analytic": train([learn], f"{renderer}-analytic", *ANALYTIC),
+                  "unit costs": calibrated(learn, f"{renderer}-costs"),
                   tuned: calibrated(part, f"{renderer}-calibrated-{few}")}
         folder = os.path.join(out, f"evaluation-{renderer}")
         entire("evaluate", "--model", *models.values(), "--data", test, "--clock", "cpu", "--quiet", "--out", folder)

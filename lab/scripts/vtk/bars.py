@@ -70,7 +70,7 @@ def comparison_folder(options):
 
 
 def calibrate(options, out, mapper):
-    """Trains a model of this mapper on 60 random frames and on pictures, both of volumes that the comparison does not
+    """Fits a model of this mapper to 60 random frames and to pictures, both of volumes that the comparison does not
     draw; returns its file."""
     import vtk_scene
     from timing_table import write_nrrd
@@ -95,8 +95,8 @@ def calibrate(options, out, mapper):
         # The manifest, which names the mapper, is renamed with its table.
         os.replace(part.replace(".csv", ".manifest.json"), table.replace(".csv", ".manifest.json"))
         os.replace(part, table)
-    logged(os.path.join(out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
-           "--pictures", pictures, "--model-kind", "analytic", "--quiet", "--out", model)
+    logged(os.path.join(out, f"calibrate-{mapper}.log"), options.entire, "calibrate", "--data", table, "--clock", "cpu",
+           "--pictures", pictures, "--quiet", "--out", model)
     return model
 
 

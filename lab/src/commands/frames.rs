@@ -182,7 +182,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                     let file = calibrate_to_frames(&files, &context, few.timed())?;
                     (file, None)
                 } else {
-                    let (file, report) = calibrate_to_tables(&few, (shading, options.clock), &others, &pool)?;
+                    let (file, report) =
+                        calibrate_to_tables(&few, (shading, options.clock), &others, None, &pool)?;
                     (file, Some(report.median_error))
                 };
                 let judged = TimedFrames::of(&tables[1].frames, options.clock);

@@ -2,7 +2,7 @@
 """Writes timing tables of ParaView's volume rendering, in the format of `entire collect`.
 
     xvfb-run -a pvbatch collect_paraview.py --out paraview.csv --max-size 256 VOLUME.nrrd...
-    entire train --data paraview.csv --clock cpu --out paraview.safetensors
+    entire calibrate --data paraview.csv --clock cpu --out paraview.safetensors
 
 The times are those of whole still renders. ParaView sets the ray step itself, to about half the mean spacing; the table
 contains that step.

@@ -37,7 +37,7 @@
  *
  * No model file is needed. Without one, an analytic model (unit costs times estimated work) starts from rough
  * unit costs and learns the speed of the mapper and the device from the first frames. With a model file (see
- * `entire train`), the first frame is predicted too.
+ * `entire calibrate --data`), the first frame is predicted too.
  *
  * The prediction ignores clipping planes, geometry in front of the volume, gradient opacity, 2D transfer
  * functions, masks, cropping other than to a box, all independent components except the first, and all volumes
@@ -223,7 +223,7 @@ public:
 
   ///@{
   /**
-   * A model file from `entire train`, or nullptr for none. If the file cannot be used, frames are not steered, and
+   * A model file from `entire calibrate --data`, or nullptr for none. If the file cannot be used, frames are not steered, and
    * Status gives the reason; a file that is not a model is read again only after a change of the name, Reset() or
    * Attach(). A change of the name discards the learned state. If the model predicts times of another clock than
    * Clock, a warning says that the model's scale is learned from the first frames; the warning is raised once for each

@@ -161,7 +161,7 @@ void vtkEntireSteering::vtkInternals::NoteClocks(const entire::session& session)
   {
     const std::string model = NameOf(clocks.model), own = NameOf(clocks.own);
     text = "the model predicts seconds of the " + model + " clock, but frames are timed by the " + own +
-      " clock: the model's scale is learned from the first frames; \"entire train --clock " + own +
+      " clock: the model's scale is learned from the first frames; \"entire calibrate --data TABLE --clock " + own +
       "\" makes a model of the " + own + " clock";
     if (text != this->ClocksSaid)
     {

@@ -445,7 +445,7 @@ void SaysItsClocks(Kind kind)
   };
   const std::string first = said();
   for (const char* words : { "predicts seconds of the cpu clock", "timed by the wall clock",
-         "learned from the first frames", "entire train --clock wall" })
+         "learned from the first frames", "entire calibrate --data TABLE --clock wall" })
   {
     CHECK(Says(first.c_str(), words) && first.find(words) == first.rfind(words));
   }

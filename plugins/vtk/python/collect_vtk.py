@@ -2,11 +2,12 @@
 """Writes timing tables of VTK's volume mappers, in the format of `entire collect`.
 
     xvfb-run -a python3 collect_vtk.py --mapper fixed --out fixed.csv --max-size 256 VOLUME.nrrd...
-    entire train --data fixed.csv --clock cpu --out fixed.safetensors
+    entire calibrate --data fixed.csv --clock cpu --out fixed.safetensors
 
 With --pictures FILE, some scenes of each volume are then drawn with several pairs of sample distance and image sample
-distance and compared with full quality (root mean square difference of 8-bit colors). `entire train --pictures FILE`
-fits the mapper's quality law to this table and stores it in the model, where vtkEntireSteering finds it.
+distance and compared with full quality (root mean square difference of 8-bit colors). `entire calibrate --data
+fixed.csv --pictures FILE` fits the mapper's quality law to this table and stores it in the model, where
+vtkEntireSteering finds it.
 
 The times are those of the mapper's work, from its VolumeMapperRenderStartEvent to its VolumeMapperRenderEndEvent, which
 vtkEntireSteering predicts. `seconds_cpu` is processor time of the process, including llvmpipe's threads.

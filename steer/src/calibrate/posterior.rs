@@ -111,8 +111,7 @@ impl PriorModel {
                 bail!(
                     Unsupported,
                     "a calibration starts from the unit costs of an analytic model; this model is of \
-                     another kind. Give a model that `entire calibrate` or `entire train --model-kind \
-                     analytic` made, or none"
+                     another kind. Give a model that `entire calibrate` made, or none"
                 );
             };
             let own = model.costs();

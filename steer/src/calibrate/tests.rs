@@ -203,7 +203,7 @@ fn several_machines_make_one_prior() {
     let ratio = prior.costs.seconds[2] / UnitCosts::SOFTWARE.seconds[2];
     assert!((0.1..1.0).contains(&ratio), "{ratio}");
     let error = PriorModel::new(&[unit_factor(5)], &UnitCosts::SOFTWARE).err().unwrap().to_string();
-    assert!(error.contains("--model-kind analytic"), "{error}");
+    assert!(error.contains("`entire calibrate` made"), "{error}");
 }
 
 /// Returns the simulated seconds of a renderer with two unit costs: per frame and per pixel.

@@ -30,9 +30,11 @@ pub enum Kind {
     /// A network, by gradient descent.
     #[default]
     Prednet,
-    /// Unit costs of estimated work, by robust regression with a prior; stored as one dense layer.
+    /// Unit costs of estimated work, by robust regression with a prior; stored as one dense layer. Not an
+    /// option of `entire train`: `entire calibrate` fits unit costs.
+    #[value(skip)]
     Analytic,
-    /// The analytic model times a factor from a small network, which is trained on ln(measured / analytic).
+    /// Unit costs times a factor from a small network, which is trained on ln(measured / expected).
     Residual,
 }
 

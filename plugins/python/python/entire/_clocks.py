@@ -31,7 +31,7 @@ def difference(session: Session) -> str:
         return ""
     return (
         f"the model predicts seconds of the {model} clock, but frames are timed by the {own} clock: the model's scale "
-        f'is learned from the first frames; "entire train --clock {own}" makes a model of the {own} clock'
+        f'is learned from the first frames; "entire calibrate --data TABLE --clock {own}" makes a model of the {own} clock'
     )
 
 

@@ -328,7 +328,7 @@ mod tests {
         let mut session = Session::default();
         let refused = session.record(Some(&unit_factor(5)), 100).unwrap_err();
         assert_eq!(refused.kind(), ErrorKind::Unsupported);
-        assert!(refused.to_string().contains("--model-kind analytic"), "{refused}");
+        assert!(refused.to_string().contains("`entire calibrate` made"), "{refused}");
         assert_eq!(session.recorded(), None);
     }
 

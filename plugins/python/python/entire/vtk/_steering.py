@@ -614,9 +614,9 @@ def hold(
         Target time of a whole frame of the window, including everything else that it draws. Default: 1
         / the window's ``DesiredUpdateRate``.
     model : Model, str, os.PathLike or bytes, optional
-        Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one, steering learns from
-        about three frames. If the model's clock (``entire.clock`` in its metadata) differs, a warning says that the
-        model's scale is learned from the first frames.
+        Predictor of the first frames, from :func:`calibrate` or ``entire calibrate --data``. Without one, steering
+        learns from about three frames. If the model's clock (``entire.clock`` in its metadata) differs, a warning
+        says that the model's scale is learned from the first frames.
     coarsest, finest : float, optional
         Coarsest and finest sample distance along rays, in smallest voxel spacings. Default 8, and the
         mapper's own.
