@@ -15,7 +15,7 @@ FRAMES_LOCAL := $(call frames,local local-xeon,local local-xeon)
 FRAMES_SCATTER := $(call frames,scatter scatter-xeon,scatter scatter-xeon)
 
 .PHONY: study-frames
-study-frames: ## Compute the calibration error by the number of calibration frames, from models of other types of machine: out/frames/frames.svg
+study-frames: ## Compute the calibration error by the number of calibration frames, from models of other makes of machine: out/frames/frames.svg
 	$(LAB) frames $(FRAMES_OPTIONS) --clock cpu --out out/frames
 	$(LAB) frames $(FRAMES_LOCAL) --clock cpu --out out/frames-local > out/frames/local.txt
 	$(LAB) frames $(FRAMES_SCATTER) --clock cpu --out out/frames-scatter > out/frames/scatter.txt

@@ -1,10 +1,10 @@
 //! `entire-lab frames`: error of models calibrated to few and many frames of one type of machine, with priors
-//! of other types of machine.
+//! of other makes of machine.
 
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
 use entire_cli::calibrate::{NamedPrior, calibrate_to_frames, calibrate_to_tables};
-use entire_io::dataset::{Clock, Table as TimingTable, read_tables};
+use entire_io::dataset::{Clock, Manifest, Table as TimingTable, read_tables};
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::interrupt;
 use entire_io::metrics::Metrics;
@@ -18,7 +18,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Maximum number of volumes of a calibration: the number of volumes in `data/`.
 const VOLUMES: usize = 9;
@@ -33,10 +33,11 @@ const FRAMES: [usize; 6] = [3, 10, 20, 40, 160, 500];
 /// over draws and types of machine).
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
-/// Measure the error of calibrations to few and many frames, with priors of other types of machine.
+/// Measure the error of calibrations to few and many frames, with priors of other makes of machine.
 ///
 /// Each table and each prior is of one type of machine. A model is calibrated to frames of one type, with the
-/// models of the other types as priors. A draw takes one member of each ensemble, at most nine of their
+/// models of all types of another make as priors. The make is the first word of the processor's name in the
+/// table's manifest, such as AMD. A draw takes one member of each ensemble, at most nine of their
 /// volumes, and 3, 10, 20, 40, 160 or 500 frames, spread over the volumes; the model is tested on a table of
 /// members that no prior was trained on. Prints the geometric mean and the largest error over the draws, and
 /// a goal (bar) for each number of frames except 40; writes frames.csv and frames.svg into DIR.
@@ -103,6 +104,16 @@ fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Vec<usize> {
     calibrated
 }
 
+/// Returns the make of the machine on which a table was measured: the first word of the machine's description
+/// in the manifest.
+fn make_of(table: &Path) -> Result<String> {
+    let manifest = Manifest::read(table)?;
+    let make = manifest.as_ref().and_then(|m| m.machine.split([' ', '(']).next()).filter(|m| !m.is_empty());
+    Ok(make
+        .with_context(|| format!("{} has no manifest that names its machine", table.display()))?
+        .to_owned())
+}
+
 /// Result of one draw of calibration frames.
 struct Found {
     frames: usize,
@@ -147,6 +158,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         .iter()
         .map(|p| Ok((p.display().to_string(), read_model_file(p)?.0)))
         .collect::<Result<_>>()?;
+    let makes: Vec<String> = options.data.iter().map(|path| make_of(path)).collect::<Result<_>>()?;
     let bar = templated_bar("frames [{bar:30}] {pos}/{len} {msg}");
     bar.set_length((options.data.len() * FRAMES.len()) as u64 * DRAWS);
     let stop = interrupt::flag()?;
@@ -160,8 +172,13 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let name = name.split('.').next().unwrap_or_default().to_owned();
         let first = tables[0].frames.first().with_context(|| format!("{} holds no frame", path.display()))?;
         let shading = first.scene.shading;
-        let others: Vec<NamedPrior> =
-            priors.iter().enumerate().filter(|(i, _)| *i != own).map(|(_, p)| p.clone()).collect();
+        let others: Vec<NamedPrior> = priors
+            .iter()
+            .zip(&makes)
+            .filter(|(_, make)| **make != makes[own])
+            .map(|(p, _)| p.clone())
+            .collect();
+        ensure!(!others.is_empty(), "all machines are made by {}; give tables of another make", makes[own]);
         let of_frames: Vec<(&str, String)> = tables[0]
             .frames
             .iter()
@@ -215,7 +232,7 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
          #expected median error, %",
     );
     let mut chart = Chart::new(
-        "Frames that a calibration needs, from models of other types of machine",
+        "Frames that a calibration needs, from models of other makes of machine",
         Axis::log("frames"),
         Axis::linear("median error on other members, %").from(0.0),
     );
@@ -266,6 +283,14 @@ mod tests {
         assert_eq!(found(Some(0.5)).row("xeon", 2), "xeon,3,2,0.12500,0.25000,0.50000\n");
         assert_eq!(expected_percent(&[&found(None), &found(None)]), None);
         assert_eq!(expected_percent(&[&found(Some(0.1)), &found(Some(0.1))]).as_deref(), Some("10.0"));
+    }
+
+    #[test]
+    fn the_make_is_that_of_the_processor() {
+        let table = |name: &str| Path::new("../data/timings").join(name);
+        let makes = ["none-train.csv.gz", "none-epyc-train.csv.gz", "none-xeon-train.csv.gz"];
+        assert_eq!(makes.map(|name| make_of(&table(name)).unwrap()), ["AMD", "AMD", "Intel"]);
+        assert!(make_of(&table("gone.csv")).unwrap_err().to_string().contains("no manifest"));
     }
 
     #[test]
