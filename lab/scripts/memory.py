@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-TRAINING = ["none-train", "none-epyc-train", "none-xeon-train", "local-train", "scatter-train"]
+TRAINING = """none-train none-epyc-train none-xeon-train local-train local-xeon-train scatter-train
+scatter-xeon-train""".split()
 NEAR = """pixels rays skips samples lane_samples runs segments local_samples scatter_samples shadow_samples
 lane_shadow_samples""".split()
 FAR = "far_skips far_samples far_segments far_local_samples far_shadow_samples far_x far_y far_z".split()
@@ -48,8 +49,13 @@ def read(path, by_volume):
 def work(f, law):
     """Returns the amounts of work of each frame, one column per unit cost. `law` gets the number of voxels and the
     number of unshared reads (reads of memory that neighboring rays do not share). It returns the share of these reads
-    that wait for memory, and the number of voxels that cost time (None: no voxels do). If `law` is None, no read waits."""
+    that wait for memory, and the number of voxels that cost time (None: no voxels do). If `law` is None, no read waits.
+    If `law` is a number of pixels, the formula of the shipped models is used, and a further unit cost is that of the
+    share of pixels that do not fit in a cache of this number of pixels."""
     columns = [np.ones_like(f["pixels"]), *(f[name] for name in NEAR)]
+    if isinstance(law, float):
+        columns.append(f["pixels"] ** 2 / (f["pixels"] + law))
+        law = touched()
     if law:
         square = f["ray_spacing"] ** 2
         near = square / (square + 4.0)
@@ -81,10 +87,14 @@ def held_out(x, seconds, group):
     return np.median(np.abs(predicted / seconds - 1)), np.sqrt(np.mean((predicted - seconds) ** 2)) / seconds.std()
 
 
-def touched(cached=CACHED, read=READ, counted=True):
+def touched(cached=CACHED, read=READ, counted=True, second=None):
+    """The share w / (w + cached) of the touched voxels w; with `second`, the mean of the shares of two caches (or of a
+    cache and a TLB)."""
+
     def law(n, reads):
         w = 1 / (1 / n + 1 / (read * np.maximum(reads, 1e-3)))
-        return w / (w + cached), w if counted else None
+        share = w / (w + cached)
+        return share if second is None else (share + w / (w + second)) / 2, w if counted else None
 
     return law
 
@@ -99,6 +109,12 @@ LAWS = {
     "... w / (w + 16 million)": touched(cached=16.0e6),
     "... 32 voxels per read": touched(read=32.0),
     "... 128 voxels per read": touched(read=128.0),
+    "... and a second cache: 0.25 million": touched(second=0.25e6),
+    "... and a second cache: 1 million": touched(second=1.0e6),
+    "... and a second cache: 64 million": touched(second=64.0e6),
+    "... a cache of 16 thousand pixels": 16.0e3,
+    "... a cache of 64 thousand pixels": 64.0e3,
+    "... a cache of 256 thousand pixels": 256.0e3,
 }
 
 
