@@ -36,7 +36,8 @@ MODES = ("none", "local", "scatter")
 # Frames per volume; a frame with scattering takes several times as long.
 FRAMES = {"none": 6, "local": 6, "scatter": 4}
 # Limits of median error and RMSE/SD on members, then on scans.
-LIMITS = {"none": (0.055, 0.06, 0.08, 0.10), "local": (0.05, 0.06, 0.08, 0.10), "scatter": (0.07, 0.08, None, None)}
+LIMITS = {"none": (0.055, 0.05, 0.065, 0.08), "local": (0.05, 0.05, 0.065, 0.08), "scatter": (0.07, 0.07, 0.065, 0.08)}
+SPLITS = ("members", "scans")
 CALIBRATION_SECONDS = 90.0
 FEW_FRAMES = 20
 FEW_LIMIT = 0.10
@@ -73,6 +74,8 @@ def neighbors(*seeds, pause=4):
 # The test frames are measured before the calibration and after it.
 WHEN = ("before", "after")
 INVALID_LIMIT = 0
+# Inputs of the counted predictions: frames of the tables, and random inputs, most of them far outside of any scene's.
+INPUTS = ("frames", "random-inputs")
 
 
 def merge(halves, out):
@@ -161,13 +164,12 @@ class Machine:
     def steps(self):
         steps = {}
         for mode in MODES:
-            splits = ["members"] + (["scans"] if LIMITS[mode][2] is not None else [])
             for when in WHEN:
                 if when == WHEN[1]:
                     steps[f"calibrate-{mode}"] = (f"model-{mode}.json", lambda m=mode: self.calibrate(f"model-{m}", m))
                     if mode == "none":
                         steps["calibrate-few"] = ("few.json", lambda: self.calibrate("few", "none", "--frames", FEW_FRAMES))
-                for split in splits:
+                for split in SPLITS:
                     name = f"{split}-{mode}-{when}"
                     steps[name] = (f"{name}.done", lambda s=split, m=mode, w=when: self.table(s, m, w))
         steps["calibrate-busy"] = ("busy.json", self.calibrate_busy)
@@ -178,12 +180,11 @@ def asked():
     """Returns the limit of every bar by name, in the order of `found`."""
     out = {f"{mode}/calibrate-seconds": CALIBRATION_SECONDS for mode in MODES}
     for mode in MODES:
-        for split, (error, rmse) in (("members", LIMITS[mode][:2]), ("scans", LIMITS[mode][2:])):
-            if error is not None:
-                out |= {f"{mode}/{split}/mdape": error, f"{mode}/{split}/rmse-over-sd": rmse}
+        for split, (error, rmse) in zip(SPLITS, (LIMITS[mode][:2], LIMITS[mode][2:])):
+            out |= {f"{mode}/{split}/mdape": error, f"{mode}/{split}/rmse-over-sd": rmse}
     out[f"none/members/mdape-after-{FEW_FRAMES}-frames"] = FEW_LIMIT
     out[f"none/members/mdape-calibrated-busy-{OBSERVED}-observed"] = BUSY_LIMIT
-    return out | {"shipped/predictions-not-positive": INVALID_LIMIT}
+    return out | {f"shipped/predictions-not-positive-of-{inputs}": INVALID_LIMIT for inputs in INPUTS}
 
 
 def found(machine, test):
@@ -202,7 +203,7 @@ def found(machine, test):
     for mode in MODES:
         yield f"{mode}/calibrate-seconds", read(f"model-{mode}").get("seconds"), None
     for mode in MODES:
-        for split in ("members", "scans") if LIMITS[mode][2] is not None else ("members",):
+        for split in SPLITS:
             found = machine.evaluate(f"model-{mode}-cpu", split, mode)
             yield f"{mode}/{split}/mdape", metrics(found).get("mdape"), between(found, "mdape")
             yield f"{mode}/{split}/rmse-over-sd", metrics(found).get("rmse_over_sd"), between(found, "rmse_over_sd")
@@ -211,7 +212,8 @@ def found(machine, test):
     found = machine.evaluate("busy-cpu", "members", "none")
     in_session = next(iter(found["in_session"].values()), {}) if found else {}
     yield f"none/members/mdape-calibrated-busy-{OBSERVED}-observed", in_session.get("mdape"), None
-    yield "shipped/predictions-not-positive", invalid(machine, test), None
+    for inputs, count in zip(INPUTS, invalid(machine, test)):
+        yield f"shipped/predictions-not-positive-of-{inputs}", count, None
 
 
 def noise(machine, split, mode):
@@ -232,25 +234,26 @@ def noise(machine, split, mode):
 
 
 def invalid(machine, test):
-    """Returns the number of predictions that are not positive, over all shipped models, tables and random inputs. A
-    test counts them, and the count is kept until models or code change. None if the test gives no count, or if
-    `test` is false and there is no kept count."""
-    kept = machine.out / "predictions.txt"
+    """Returns the numbers of predictions that are not positive, over all shipped models: of the tables' frames, and of
+    random inputs. A test counts them, and the counts are kept until models or code change. Two None if the test gives
+    no counts, or if `test` is false and there are no kept counts."""
+    kept = machine.out / "predictions.json"
     counted = [*ROOT.glob("models/*.safetensors"), *ROOT.glob("core/src/**/*.rs"), *ROOT.glob("steer/src/**/*.rs"), *ROOT.glob("cli/tests/**/predictions.rs")]
     if not kept.exists() or kept.stat().st_mtime < max(f.stat().st_mtime for f in counted):
         if not test:
-            return None
+            return None, None
         cargo = os.environ.get("CARGO", "cargo")
-        # The test is selected by its name; if no test has this name, the count is missing.
+        # The test is selected by its name; if no test has this name, the counts are missing.
         test = ["--test", "*", "no_more_predictions_than_are_known_had_to_be_made_positive", "--", "--nocapture"]
         done = subprocess.run([cargo, "test", "--quiet", "--package", "entire-cli", *test], cwd=ROOT, stdout=subprocess.PIPE,
                               text=True)
-        counts = [int(line.split()[-1]) for line in done.stdout.splitlines() if "predictions not positive:" in line]
-        # If the test fails with a count of zero, it ended before it counted all predictions.
+        lines = [line.split(":")[1].split() for line in done.stdout.splitlines() if "predictions not positive:" in line]
+        counts = [int(number) for number in lines[0]] if lines else []
+        # If the test fails with counts of zero, it ended before it counted all predictions.
         if not counts or done.returncode and not any(counts):
-            return None
-        kept.write_text(str(max(counts)))
-    return int(kept.read_text())
+            return None, None
+        kept.write_text(json.dumps(counts))
+    return json.loads(kept.read_text())
 
 
 def main():
