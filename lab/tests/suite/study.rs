@@ -2,7 +2,7 @@
 
 use crate::{files, lab, lab_in, printed, read_json, repository};
 use entire_io::dataset::feature_table::FeatureTable;
-use entire_io::dataset::{Manifest, Table, Writer};
+use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Table, Writer};
 use std::path::Path;
 use std::process::Output;
 
@@ -116,7 +116,8 @@ fn a_table_without_frames_is_named_and_no_result_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let (empty, out) = (folder.path().join("empty.csv"), folder.path().join("out"));
     drop(Writer::create(&empty).unwrap());
-    Manifest { machine: "AMD EPYC".into(), ..Manifest::default() }.write(&empty).unwrap();
+    let (format, machine) = (MANIFEST_FORMAT.into(), "AMD EPYC".into());
+    Manifest { format, machine, ..Manifest::default() }.write(&empty).unwrap();
     let (empty, out) = (empty.to_str().unwrap(), out.to_str().unwrap());
     let (judged, prior) = ("data/timings/none-members.csv.gz", "models/unshaded-selected.safetensors");
     let other = "data/timings/none-xeon-train.csv.gz";
