@@ -17,13 +17,13 @@ cd "$data"
 for name in "$@"; do
     if [[ ! -e $out/$name.csv.gz ]]; then
         resume=() warm_up=(--warm-up-repeats 1)
-        [[ $name == *-64 ]] && warm_up=()
+        [[ $name == *-@(64|24|18) ]] && warm_up=()
         [[ -e $out/$name.csv ]] && resume=(--resume)
         echo "==> $name"
         "$entire" collect --like "$root/data/timings/$name.csv.gz" --out "$out/$name.csv" "${warm_up[@]}" "${resume[@]}"
         gzip -9n "$out/$name.csv"
     fi
     # Low-resolution proxies are timed and never predicted.
-    [[ $name == *-64 ]] || "$entire" features --data "$out/$name.csv.gz" --probe-sides 4,7 \
+    [[ $name == *-@(64|24|18) ]] || "$entire" features --data "$out/$name.csv.gz" --probe-sides 4,7 \
         --volumenet "$root/models/volumenet-128f2.safetensors"
 done
