@@ -8,7 +8,7 @@ mod response;
 #[cfg(test)]
 mod tests;
 
+pub use algorithm1::PID_GAINS;
 pub(crate) use algorithm1::{Algorithm1, Fixed, Olp, Pid, Recent};
 pub(crate) use reactive::{Filament, Reactive, Rule, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
-pub use algorithm1::PID_GAINS;
 pub use response::StepResponse;
