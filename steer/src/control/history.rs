@@ -14,6 +14,10 @@ const SPREAD: f64 = 0.1;
 /// Ratio of the standard deviation of a normal error to its mean absolute value, sqrt(π / 2).
 const SD_OF_MEAN: f64 = 1.25;
 
+/// Share of a frame's time that does not depend on the step: a guess, since this share differs between
+/// renderers.
+const FIXED_SHARE: f64 = 0.1;
+
 /// The last three frames, and the mean error of the forecast from such frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct History {
@@ -43,13 +47,13 @@ impl History {
     }
 
     /// Returns the expected seconds of a frame at `step`, extrapolated from the last three frames, and an
-    /// upper bound that is `margin` standard deviations higher in ln(time). The time is assumed to be
-    /// proportional to 1/step.
+    /// upper bound that is `margin` standard deviations higher in ln(time). A fixed share of the time is
+    /// assumed not to depend on the step, and the remaining share to be proportional to 1/step.
     pub(super) fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
         let step = f64::from(step);
         let mut sum = 0.0;
         for &(s, t) in &self.frames[..self.len] {
-            sum += t * s / step;
+            sum += t * (FIXED_SHARE + (1.0 - FIXED_SHARE) * s / step);
         }
         let seconds = sum / self.len.max(1) as f64;
         (seconds, seconds * libm::exp(margin * self.spread))
