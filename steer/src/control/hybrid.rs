@@ -91,8 +91,9 @@ impl HybridOptions {
     ///   frame plus 0.375 · ln(step). The plan's reason is [`Reason::Fits`] in this case, too.
     /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
     /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
-    ///   replaces the prediction if the prediction is missing, or is out of range at the step that it would
-    ///   choose. If neither is available, the coarsest step is chosen.
+    ///   replaces the prediction if the prediction is missing, is out of range at the step that it would
+    ///   choose, or was recently clearly worse than the forecast. If neither is available, the coarsest
+    ///   step is chosen.
     ///
     /// The controller clamps the miss rate, and checks no other option;
     /// [`Session::new`](super::Session::new) checks them.
@@ -477,8 +478,8 @@ impl Controller for Hybrid {
         let known = coarsest.seconds().is_finite() && coarsest.seconds() > 0.0;
         // Frames before a change of scene do not predict the frame after it.
         let recent = self.history.len > 0 && !(changes.any() && self.scene.first);
-        let mut by_history = recent && !known;
-        if !known && !recent {
+        let mut by_history = recent && (!known || self.history.leads);
+        if !known && !by_history {
             self.last = Some(Last { step: limits.coarsest, target: request.target, terms: coarsest });
             return Decision {
                 step: limits.coarsest,
@@ -519,10 +520,12 @@ impl Controller for Hybrid {
             before.correction.observe(&observed.terms, seconds, standing, trust);
         }
         let standing = standing(observed.scene, self.scene);
+        let corrected = self.correction.apply(&observed.terms).seconds;
         let error = self.correction.observe(&observed.terms, seconds, standing, trust);
         let changed = observed.changes.any() && observed.scene.first;
         if !observed.changes.first && standing != Standing::Past {
-            self.history.compare(observed.step, seconds, changed);
+            let own = libm::fabs(libm::log(seconds / corrected));
+            self.history.compare(observed.step, seconds, own, changed);
             match standing {
                 Standing::First => self.changed.observe(error),
                 _ => self.calm.observe(error),
