@@ -63,7 +63,7 @@ RENAMED = {
     "the_counter_counts": "an_allocation_aborts_the_process",
     "a_recording_and_its_predictor_keep_to_one_probe": "a_recording_starts_from_unit_costs_alone",
     "every_prediction_is_a_positive_number_of_seconds": "no_more_predictions_than_are_known_had_to_be_made_positive",
-    "rules_can_fail": "every_scene_but_one_fails_for_a_rival",
+    "rules_can_fail": "every_scene_fails_for_a_rival",
     "a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest": "a_calibration_finds_another_machines_unit_costs",
     "ten_frames_set_the_speed_and_no_model_but_a_residual_one_is_a_prior": "three_frames_set_the_speed_alone",
     "the_model_of_the_nearest_machine_is_started_from": "all_makes_of_machine_are_started_from",

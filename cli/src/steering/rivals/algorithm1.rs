@@ -142,7 +142,7 @@ pub(crate) struct Pid {
     last: Option<f32>,
 }
 
-/// Proportional, integral and differential gain of [`Pid`]: the best on the recorded training paths, by
+/// Proportional, integral and differential gain of PID: the best on the recorded training paths, by
 /// `entire-lab tune`. The paper has 0.3, 0.05 and 0.1.
 pub const PID_GAINS: [f32; 3] = [1.18, 0.78, 0.012];
 
