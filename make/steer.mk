@@ -38,7 +38,7 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 # target, seconds and step.
 LATE_AT_COARSEST = NR > 1 { late = $$6 > 1.1 * $$5; if ($$9 < 15.99) { finer[$$3]++; rest[$$3] += late } else coarse[$$3] += late } \
 	END { for (c in finer) printf "%s: %.0f %% of late frames are at the coarsest step; of frames at finer steps, %.0f %% are late\n", \
-	c, 100 * coarse[c] / (coarse[c] + rest[c]), 100 * rest[c] / finer[c] }
+	c, 100 * coarse[c] / (coarse[c] + rest[c] + 1e-9), 100 * rest[c] / finer[c] }
 
 # Every recorded load, without and with `--ignore-load`.
 .PHONY: steer-loads
@@ -48,7 +48,7 @@ steer-loads: steer-build ## Replay training paths beside recorded loads of other
 		"$(TARGET_DIR)/release/entire-lab" replay data/steer/training/train-*.json.gz \
 			--calibration data/steer/training/calibration.csv.gz --controllers olp,last,larger-of-two,hybrid \
 			--rounds 5 --disturbance "data/steer/disturbances/$$load.csv" $$more --out "$(STEER_OUT)/loads" || exit 1; \
-		awk -F, '$(LATE_AT_COARSEST)' "$(STEER_OUT)/loads/frames.csv"; \
+		awk -F, '$(LATE_AT_COARSEST)' "$(STEER_OUT)/loads/frames.csv" || exit 1; \
 	done; done
 
 .PHONY: stress

@@ -13,6 +13,7 @@ version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 mapfile -t crates < <("$cargo" metadata --no-deps --format-version 1 | "${PYTHON:-python3}" -c '
 import json, sys
 print("\n".join(p["name"] for p in json.load(sys.stdin)["packages"] if p["publish"] != []))')
+((${#crates[@]})) || { echo "publish.sh: cargo metadata names no crate to publish" >&2; exit 1; }
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 for ((try = 1; ; try++)); do

@@ -21,6 +21,8 @@ version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 release=stable
 packages=ca-certificates,gcc,libc6-dev,pkg-config,python3,python3-venv
 out=$PWD/out/reach
+# The folder of the toolchain, with its programs in bin: rustup may be a package of the system, without ~/.cargo/bin.
+rust=$(rustc --print sysroot)
 mkdir -p "$out"
 
 mirror=${MATRIX_MIRROR:-$(mirror)}
@@ -58,10 +60,9 @@ user() {
     for command; do
         number=$((number + 1))
         echo "\$ $command" >>"$out/$name.log"
-        in_debian "$place" "${RUSTUP_HOME:-$HOME/.rustup}=/root/.rustup" "${CARGO_HOME:-$HOME/.cargo}/bin=/usr/local/rust" \
-            "$scratch/registry=/registry" "$folder=/staged" "$PWD/examples/c=/examples" -- \
+        in_debian "$place" "$rust=/usr/local/rust" "$scratch/registry=/registry" "$folder=/staged" "$PWD/examples/c=/examples" -- \
             env -u CARGO_HOME -u RUSTUP_HOME -u CARGO_TARGET_DIR HOME=/root LANG=C.UTF-8 \
-            PATH=/root/.cargo/bin:/usr/local/rust:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
+            PATH=/root/.cargo/bin:/usr/local/rust/bin:/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
             bash -c "cd /root && $command" >>"$out/$name.log" 2>&1 </dev/null || {
             echo "release-users: $name: failed: $command"
             tail -n 15 "$out/$name.log"

@@ -6,8 +6,8 @@
 #
 # FOLDER then has the crates, wheel and sdist, the C library's archive, an SBOM, the release notes, and checksums of all files.
 # At the end, scripts/release-users.sh tries the files as users do. Minutes and users go to `make bars-reach`.
-# RELEASE_DIRTY=1 packs a checkout with local changes. Once the crates are downloaded, only pip (twine, NumPy) and the users'
-# Debian need the network.
+# RELEASE_DIRTY=1 packs a checkout with local changes. Once the crates are downloaded, only pip (twine, py-rattler-build,
+# NumPy) and the users' Debian need the network.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/lib.sh

@@ -74,7 +74,7 @@ def neighbors(*seeds, pause=4):
 # The test frames are measured before the calibration and after it.
 WHEN = ("before", "after")
 INVALID_LIMIT = 0
-# Inputs of the counted predictions: frames of the tables, and random inputs, most of them far outside of any scene's.
+# Inputs of the counted predictions: frames of the tables, and random inputs, half of them far outside of any scene's.
 INPUTS = ("frames", "random-inputs")
 
 

@@ -24,8 +24,8 @@ fn the_book_lists_every_constant_with_its_value() {
 }
 
 /// The adaptive probe assumes that a motion of the camera changes ln(time) by at most turn / 0.4 + approach /
-/// 0.15 (`TURN` and `APPROACH` in `steer/src/control/session/adaptive_probe.rs`). Here, turn is the angle between
-/// both positions of the eye, seen from the volume's center, in radians; approach is the change of
+/// 0.15 (`TURN` and `APPROACH` in `steer/src/control/session/adaptive_probe.rs`). Here, turn is the angle
+/// between both positions of the eye, seen from the volume's center, in radians; approach is the change of
 /// ln(distance from the center). The test checks this for frames of the recorded training paths that are four
 /// frames apart.
 #[test]

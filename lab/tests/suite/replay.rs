@@ -142,7 +142,7 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
         let n = recorded.path.frames.len();
         let errors = |seed: u64| {
             let mut who = Contender {
-                name: "untrained".into(),
+                name: "without a model".into(),
                 session: Session::default(),
                 chooses_image_sample_distance: false,
                 acts_on: ActsOn::RayStep,

@@ -134,9 +134,8 @@ fn session_of(method: ControllerKind, model: AnalyticModel) -> Session {
     contender(method, 2.0, Box::new(model), &response, Some(0.2)).session
 }
 
-/// Plays a scene of real geometry. On a real machine the limits are wider, since the noise is
-/// unpredictable. The share of frames over 1.1 times the target may be 5 percentage points higher, with two
-/// more in a row; quality may be 0.1 lower; 80 % of first frames within their bound suffice.
+/// Plays a scene of real geometry. On a real machine the limits are wider, since the noise is unpredictable.
+/// The share of frames over 1.1 times the target may be 5 percentage points higher, with two more in a row; quality may be 0.1 lower; 80 % of first frames within their bound suffice.
 pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     let Some(mut world) = scene(number) else {
         bail!("there is no stress scene {number}; they are numbered 1 to {}", super::SCENES.len())
