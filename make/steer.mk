@@ -60,5 +60,5 @@ stress: steer-build ## Play the scenes in which frame-time methods fail, among t
 WALL_OUT ?= out/bars-wall
 
 .PHONY: bars-wall
-bars-wall: build ## Compare controllers by wall time, on a quiet machine and beside another program: make bars-wall DATA=FOLDER-WITH-scans
+bars-wall: build ## Compare controllers by wall time, on a quiet machine, beside another program, and at half the speed: make bars-wall DATA=FOLDER-WITH-scans
 	@python3 lab/scripts/bars_wall.py --data "$(DATA)" --out "$(WALL_OUT)" --bin "$(TARGET_DIR)/release/entire"
