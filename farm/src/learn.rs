@@ -51,8 +51,8 @@ const HUBER: f64 = 4.0;
 const MAX_DRAWN_RESIDUALS: usize = 1024;
 
 /// Returns the upper limit of a task's expected time, in seconds, which is the upper limit of any prediction.
-/// Without this limit, a task list whose times have a wrong unit could give infinite expected times, which JSON
-/// cannot hold.
+/// Without this limit, a task list whose times have a wrong unit could give infinite expected times, which
+/// JSON cannot hold.
 fn longest() -> f64 {
     f64::from(*PREDICTED_SECONDS.end())
 }

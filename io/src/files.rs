@@ -27,7 +27,7 @@ pub fn read_model_bytes(path: &Path) -> Result<Vec<u8>> {
     let shown = path.display();
     ensure!(
         path.exists(),
-        "cannot read {shown}: no such file; check the path, or make a model with `entire train`"
+        "cannot read {shown}: no such file; check the path, or make a model with `entire calibrate`"
     );
     Stream::open(path, None)?.all(MAX_MODEL_BYTES).with_context(|| format!("{shown}"))
 }

@@ -132,9 +132,10 @@ print(f"vtk=={vtkVersion.GetVTKVersion()}\npython=={platform.python_version()}")
 run_pytest() {
     local name=$1 status=0
     shift
-    (cd $here && PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$@" -rs --durations 5) | tee -a "$out/$name-pytest.log" || status=$?
+    (cd $here && PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$@" -rs --durations 5) | tee "$out/$name-last.log" || status=$?
+    cat "$out/$name-last.log" >>"$out/$name-pytest.log"
     if [[ ${ENTIRE_SKIPPED:-} ]]; then
-        sed -n "s/^SKIPPED \[[0-9]*\] \([^:]*\):[0-9]*: \(.*\)/test-python, $name: \1: \2/p" "$out/$name-pytest.log" >>"$ENTIRE_SKIPPED"
+        sed -n "s/^SKIPPED \[[0-9]*\] \([^:]*\):[0-9]*: \(.*\)/test-python, $name: \1: \2/p" "$out/$name-last.log" >>"$ENTIRE_SKIPPED"
     fi
     return $status
 }

@@ -104,7 +104,7 @@ impl Layout {
         self.layout.probe_side
     }
 
-    /// As [`InputLayout::widen`].
+    /// Widens the range of the training data ([`InputLayout::widen`]).
     pub(crate) fn widen(&mut self, rows: &[f32], width: usize) {
         self.layout.widen(rows, width);
     }

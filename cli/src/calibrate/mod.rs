@@ -257,8 +257,7 @@ pub fn calibrate_to_frames(
 }
 
 /// Fits a model to frames that a renderer logged; nothing is drawn. The model gets the quality law of
-/// `pictures`, if given. If a table has no stored scene features,
-/// its volumes are opened.
+/// `pictures`, if given. If a table has no stored scene features, its volumes are opened.
 ///
 /// # Errors
 /// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, the clock is [`Clock::Auto`], or inputs

@@ -33,8 +33,8 @@ pub(crate) fn shading_of(model: &Model) -> Option<Shading> {
     origin["shading"].as_str()?.parse().ok()
 }
 
-/// True if a model with these metadata was calibrated on the volume; `None` if the metadata name no volumes,
-/// as those of shipped models and of models that a session made.
+/// True if a model with these metadata was calibrated on the volume; `None` if the metadata lack the hashes
+/// of the model's volumes, like those of shipped models, of networks and of models that a session made.
 ///
 /// # Errors
 /// When the volume's files cannot be read.

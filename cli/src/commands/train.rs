@@ -466,9 +466,9 @@ fn card(
     md.push("## Limits".to_owned());
     md.push(format!(
         "The times are those of one renderer on one machine. On another machine, driver or renderer, \
-         fine-tune the model first. Predictions for scenes unlike the training data (other modalities, sizes, \
-         shading modes, steps) may have large errors. The out-of-range score is above 0 if a value lies outside the range \
-         of the training data. {tested}"
+         fine-tune the model first. Predictions for scenes unlike the training data (other modalities, \
+         sizes, shading modes, steps) may have large errors. The out-of-range score is above 0 if a value \
+         lies outside the range of the training data. {tested}"
     ));
     md.join("\n\n") + "\n"
 }

@@ -110,8 +110,8 @@ impl ControllerKind {
 }
 
 /// Returns a new controller. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is the curve
-/// of frame time over step (the paper's G); `log_sd` is the predictor's error on this
-/// machine ([`HybridOptions::log_sd`]).
+/// of frame time over step (the paper's G); `log_sd` is the predictor's error on this machine
+/// ([`HybridOptions::log_sd`]).
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,

@@ -48,7 +48,7 @@ impl SteeringModel {
         Ok(load(&self.model)?)
     }
 
-    /// True if the model was calibrated on the volume; `None` if its file does not name its volumes.
+    /// True if the model was calibrated on the volume; `None` if its file lacks the hashes of its volumes.
     pub(crate) fn calibrated_on(&self, volume: &Path) -> Result<Option<bool>> {
         calibrated_on(&self.model.metadata, volume)
     }
@@ -104,7 +104,8 @@ pub(crate) struct Steers {
     pub(crate) title: String,
     /// Errors of the predictor on random frames of the played volume.
     pub(crate) on_this_volume: Quality,
-    /// True if the model was calibrated on the played volume; `None` if its file does not name its volumes.
+    /// True if the model was calibrated on the played volume; `None` if its file lacks the hashes of its
+    /// volumes.
     pub(crate) calibrated_on_this_volume: Option<bool>,
 }
 
@@ -112,9 +113,9 @@ impl Steers {
     pub(crate) fn sentence(&self) -> String {
         let Quality { frames, median_error, p95_error, .. } = self.on_this_volume;
         let seen = match self.calibrated_on_this_volume {
-            Some(true) => ", on which the model was calibrated: the error on other volumes is larger",
+            Some(true) => ", on which the model was calibrated: the error on other volumes may be larger",
             Some(false) => ", to which the model was not fitted",
-            None => "; the model's file does not name the volumes that it was fitted to",
+            None => "; it is unknown if the model was fitted to this volume",
         };
         format!(
             "{}: median error {:.1} %, 95 % of errors below {:.1} %, on {frames} random frames of this \

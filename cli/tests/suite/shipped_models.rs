@@ -110,7 +110,7 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
 
 /// A single epoch is enough, since the range of a model's inputs depends on the training frames alone.
 #[test]
-fn scans_are_told_from_simulations_by_the_out_of_range_score() {
+fn scans_lie_outside_the_range_of_simulations() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let names = ["scatter-train", "scatter-members", "scatter-scans"];
     let read = |(i, name)| Table::read(&root.join(format!("data/timings/{name}.csv.gz")), i).unwrap();
@@ -123,7 +123,7 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     let model = recipe.make(&context, train.timed(), held_out.timed()).unwrap().file.to_model().unwrap();
     let layout = Layout::of_model(&model).unwrap();
     let trained = model.prednet.as_ref().and_then(|net| net.input.as_ref()).unwrap();
-    // The score is above 0 if an input is over 2.5 standard deviations from its mean in training.
+    // The out-of-range score is above 0 if an input is over 2.5 standard deviations from its mean in training.
     let ends = || trained.mean.iter().zip(&trained.std);
     let is_out = |row: &&[f32]| row.iter().zip(ends()).any(|(x, (mean, std))| (x - mean).abs() / std > 2.5);
     let share_out = |table: usize, volumes: &str| {

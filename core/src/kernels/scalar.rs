@@ -176,7 +176,8 @@ impl Simd for Scalar {
 pub(crate) fn f16_to_f32(bits: u16) -> f32 {
     let sign = u32::from(bits & 0x8000) << 16;
     let rest = u32::from(bits & 0x7fff);
-    // A multiplication adjusts the exponent and normalizes subnormals; infinity and NaN get the largest exponent.
+    // A multiplication adjusts the exponent and normalizes subnormals; infinity and NaN get the largest
+    // exponent.
     let scaled = f32::from_bits(rest << 13) * f32::from_bits(0x7780_0000);
     let magnitude = if rest >= 0x7c00 { rest << 13 | 0x7f80_0000 } else { scaled.to_bits() };
     f32::from_bits(sign | magnitude)

@@ -27,7 +27,7 @@ impl Loaded {
         let Some(net) = &self.net else {
             return Err(ModelError::new_err(
                 "the model has no prediction network; use a model such as \"unshaded-selected\", or a file \
-                 from `entire train`",
+                 from `entire calibrate` or `entire train`",
             ));
         };
         load_with(net, &self.file).map_err(raise)

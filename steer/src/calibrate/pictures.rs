@@ -22,8 +22,8 @@ use serde::Serialize;
 /// Smallest number of scenes for a fit.
 const FEWEST_SCENES: usize = 3;
 
-/// Number of scenes that the prior law counts as: the number of scenes that each built-in law of VTK's mappers
-/// was fitted to.
+/// Number of scenes that the prior law counts as: the number of scenes that each built-in law of VTK's
+/// mappers was fitted to.
 const PRIOR_SCENES: f64 = 18.0;
 
 /// Largest number of groups of scenes that are held out in turn; up to this number of scenes, each scene is a
@@ -144,8 +144,9 @@ impl Grid {
         self.points().filter(coarse).map(|(s, d, _, error)| (s, d, error))
     }
 
-    /// Replaces the means over `scenes` scenes by the means over these scenes and [`PRIOR_SCENES`] scenes that
-    /// follow the prior law, with the factor and the exponent between law and measured errors that fit best.
+    /// Replaces the means over `scenes` scenes by the means over these scenes and [`PRIOR_SCENES`] scenes
+    /// that follow the prior law, with the factor and the exponent between law and measured errors that fit
+    /// best.
     fn add_prior(&mut self, prior: &Quality, scenes: usize) {
         let (model, measured): (Vec<f64>, Vec<f64>) =
             self.coarse().map(|(s, d, error)| (libm::log(prior.error(s, d)), error)).unzip();
@@ -265,9 +266,10 @@ fn shares() -> Vec<f64> {
     (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect()
 }
 
-/// Returns the mean, over [`shares`], of ln of an error ratio: the error of the first setting of `path` within
-/// the share, divided by the smallest error `best` of all settings within the share. `path` holds ln(time) and
-/// ln(error) of settings, in the order in which a law tries them. `None` if `path` reaches no share.
+/// Returns the mean, over [`shares`], of ln of an error ratio: the error of the first setting of `path`
+/// within the share, divided by the smallest error `best` of all settings within the share. `path` holds
+/// ln(time) and ln(error) of settings, in the order in which a law tries them. `None` if `path` reaches no
+/// share.
 fn over_best(path: &[(f64, f64)], best: &[f64]) -> Option<f64> {
     let own = at_shares(path, &shares(), true);
     let both = own.iter().zip(best).filter(|(own, best)| own.is_finite() && best.is_finite());
@@ -301,8 +303,8 @@ pub fn fit_quality(pictures: &[Picture], prior: Option<Quality>) -> Result<Fitte
     if counted < 4 {
         bail!(
             InvalidArgument,
-            "{counted} pictures of every scene take at most {LONGEST} times as long as full quality, but at least 4 are \
-             needed; draw coarser steps and smaller images"
+            "{counted} pictures of every scene take at most {LONGEST} times as long as full quality, but at \
+             least 4 are needed; draw coarser steps and smaller images"
         );
     }
     let over_prior = prior.map(|prior| drawn.over_prior(&prior));
@@ -387,8 +389,8 @@ impl Drawn {
         if scenes.len() < FEWEST_SCENES || distinct(|k| k.0) < 2 || distinct(|k| k.1) < 2 {
             bail!(
                 InvalidArgument,
-                "{} scenes were drawn at the same {} settings; at least {FEWEST_SCENES} scenes, two steps and two \
-                 image sample distances are needed",
+                "{} scenes were drawn at the same {} settings; at least {FEWEST_SCENES} scenes, two steps \
+                 and two image sample distances are needed",
                 scenes.len(),
                 wanted.len()
             );

@@ -86,9 +86,10 @@ impl HybridOptions {
     ///   plan covers disturbed frames too.
     /// * A new scene: nothing is damped, the logarithm of the earlier scene's correction is multiplied by
     ///   1 − novelty, and the margin is that of new scenes.
-    /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the tolerance,
-    ///   the step with the least expected cost of these steps is chosen. The cost is the probability of a late
-    ///   frame plus 0.375 · ln(step). The plan's reason is [`Reason::Fits`] in this case, too.
+    /// * Wide bounds: if some steps are expected to meet the target but no step has a bound within the
+    ///   tolerance, the step with the least expected cost of these steps is chosen. The cost is the
+    ///   probability that the frame takes longer than (1 + tolerance) × target, plus 0.375 · ln(step). The
+    ///   plan's reason is [`Reason::Fits`] in this case, too.
     /// * Limits: there is no integral term, so no windup; the plan states which limit was reached.
     /// * Fallback: a forecast from the last three frames alone (scaled to the same step by a simple rule)
     ///   replaces the prediction if the prediction is missing, is out of range at the step that it would
@@ -404,8 +405,8 @@ impl Hybrid {
         let bounded = Self::finest(limits, last, excess);
         let mut step = match bounded {
             Some(step) => step,
-            // No step has a bound that fits. If some steps are expected to fit, the cheapest of these steps is
-            // chosen.
+            // No step has a bound that fits. If some steps are expected to fit, the cheapest of these steps
+            // is chosen.
             None => match Self::finest(limits, last, |step| libm::log(judge(step).choice / target)) {
                 Some(finest) => Self::cheapest(StepLimits { finest, ..limits }, |step| {
                     let Expected { choice, calm_sd, .. } = judge(step);

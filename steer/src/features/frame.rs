@@ -210,7 +210,7 @@ impl FrameFeatures {
         Ok(features)
     }
 
-    /// As the default; frames will be measured with `side`² rays.
+    /// The features of the default; frames will be measured with `side`² rays.
     pub(crate) fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
@@ -226,7 +226,7 @@ impl FrameFeatures {
         }
     }
 
-    /// As [`FrameFeatures::of`], with the number of rays set before.
+    /// Measures a frame like [`FrameFeatures::of`], with the number of rays set before.
     pub(crate) fn measure(
         &mut self,
         volume: &VolumeSummary,

@@ -42,8 +42,9 @@ const BOUNDS: [(&str, f32, f32); 4] = [
     ("share of rays", 0.0, 0.9),
 ];
 
-/// Names of renderers, and the laws of their pictures. `entire calibrate` fitted the raycaster's law to unshaded
-/// pictures of the volumes in data/, and lab/scripts/vtk/tradeoff.py those of the mappers of VTK 9.1.
+/// Names of renderers, and the laws of their pictures. `entire calibrate` fitted the raycaster's law to
+/// unshaded pictures of the volumes in data/, and lab/scripts/vtk/tradeoff.py those of the mappers of VTK
+/// 9.1.
 const BUILT_IN: [(&str, [f32; 4]); 4] = [
     ("vulkan", RAYCASTER),
     ("cpu", RAYCASTER),
@@ -55,8 +56,9 @@ const BUILT_IN: [(&str, [f32; 4]); 4] = [
 const RAYCASTER: [f32; 4] = [0.64, 1.45, 0.56, 0.57];
 
 impl Quality {
-    /// The law of the renderer of this name, the same on every machine: `vulkan` and `cpu` name the raycaster,
-    /// and the other renderers are VTK's mappers, by the names of their classes. `None` for other names.
+    /// The law of the renderer of this name, the same on every machine: `vulkan` and `cpu` name the
+    /// raycaster, and the other renderers are VTK's mappers, by the names of their classes. `None` for other
+    /// names.
     #[must_use]
     pub fn built_in(renderer: &str) -> Option<Self> {
         let (_, numbers) = BUILT_IN.into_iter().find(|(name, _)| *name == renderer)?;

@@ -277,8 +277,8 @@ pub(super) fn write_report(
     );
     page.table(
         more,
-        "Intervals are computed by bootstrap over ensemble members; a volume that belongs to no ensemble counts \
-         as a member.",
+        "Intervals are computed by bootstrap over ensemble members; a volume that belongs to no ensemble \
+         counts as a member.",
     );
     page.heading("Errors");
     let spread = histogram(predictors, measured);

@@ -29,7 +29,8 @@ impl Session {
     /// Sets the picture quality law of this renderer, so that plans coarsen the step or the image, whichever
     /// adds less error. With `None`, the initial value, the law in the model file is used, if the model was
     /// calibrated with the renderer that [`Session::set_timing_source`] named, or if no renderer was named;
-    /// otherwise the law that is built in for the renderer of this name ([`Quality::built_in`]). With a law, `step_alone` of [`Session::set_max_image_sample_distance`] has no effect.
+    /// otherwise the law that is built in for the renderer of this name ([`Quality::built_in`]). With a law,
+    /// `step_alone` of [`Session::set_max_image_sample_distance`] has no effect.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8

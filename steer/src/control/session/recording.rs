@@ -19,7 +19,7 @@ struct Planned {
     shown: Shown,
 }
 
-/// A calibration try_vec by a session.
+/// A calibration that a session fills.
 pub(super) struct Recording {
     calibration: Calibration,
     planned: Box<[Planned]>,
