@@ -65,7 +65,7 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
 }
 
 /// Dot product.
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 

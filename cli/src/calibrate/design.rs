@@ -6,6 +6,7 @@
 //! candidate needs to be rendered for this choice.
 
 use super::pool::{Candidate, Pool};
+use entire_steer::numeric::dot;
 
 /// Exponent e of a frame's expected seconds: frames are ranked by information gain / seconds^e. With e = 0
 /// the seconds are ignored; e = 1 would leave out long frames, which dominate the root mean squared error. If
@@ -92,10 +93,6 @@ impl Design {
         }
         out
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// Returns the random candidates in rounds: each round contains one candidate of each volume and enlargement.
