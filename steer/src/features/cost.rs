@@ -72,7 +72,7 @@ impl UnitCosts {
     pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
 
     /// Unit costs of a software renderer, in seconds of processor time: geometric means of the costs measured
-    /// on three machines with two processors each, as `lab/scripts/typical_costs.py` prints them. The first
+    /// on three machines with two processors each. `lab/scripts/typical_costs.py` prints such means. The first
     /// observed frames of a session set the scale of the costs; from then on, only the ratios of the costs
     /// matter.
     pub const SOFTWARE: Self = Self::new([
@@ -107,7 +107,7 @@ impl UnitCosts {
     /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its
     /// longest ray, plus the work of all rays divided by the throughput (Brent's bound of parallel time: work
     /// over processors, plus the longest chain of dependent operations). Geometric means of the costs
-    /// measured with each shading mode on an NVIDIA H100, as `lab/scripts/typical_costs.py` prints them.
+    /// measured with each shading mode on an NVIDIA H100; `lab/scripts/typical_costs.py` prints such means.
     pub const GPU: Self = Self::new([
         5.1e-6, 9.6e-12, 4.5e-13, 6.2e-12, 1.1e-12, 2.4e-13, 1.2e-12, 2.9e-13, 1.5e-11, 5.7e-13, 7.1e-13,
         3.6e-12, 1.4e-10, 1.4e-12, 6.8e-14, 4.0e-12, 3.4e-12, 2.2e-10, 2.0e-12, 3.1e-12, 4.4e-12, 0.0,
