@@ -38,7 +38,6 @@ SKIPPING = ("change", "nightly")
 NOISE_SECONDS = 20
 # Renamed and divided tests: old name, and the new name, or several new names separated by blanks.
 RENAMED = {
-    "scans_are_told_from_simulations_by_the_out_of_range_score": "scans_lie_outside_the_range_of_simulations",
     "a_ladder_climbs_no_further_than_the_plan_needs": "an_adaptive_probe_is_refined_no_further_than_the_plan_needs",
     "frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_granted":
         "frames_of_the_training_paths_change_no_faster_than_the_adaptive_probe_assumes",

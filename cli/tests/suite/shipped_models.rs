@@ -8,6 +8,7 @@ use entire_core::nn::{VOLUMENET_TOLERANCE, VolumeNet};
 use entire_io::dataset::{Clock, Table};
 use entire_io::metrics::Metrics;
 use entire_io::volume::Volume;
+use entire_steer::predict::out_of_range;
 use entire_train::fit::{FitContext, Kind, Recipe, predict};
 use entire_train::inputs::Layout;
 use entire_train::split::TimedFrames;
@@ -110,7 +111,7 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
 
 /// A single epoch is enough, since the range of a model's inputs depends on the training frames alone.
 #[test]
-fn scans_lie_outside_the_range_of_simulations() {
+fn scans_are_told_from_simulations_by_the_out_of_range_score() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let names = ["scatter-train", "scatter-members", "scatter-scans"];
     let read = |(i, name)| Table::read(&root.join(format!("data/timings/{name}.csv.gz")), i).unwrap();
@@ -122,15 +123,11 @@ fn scans_lie_outside_the_range_of_simulations() {
     let [train, held_out] = [0, 1].map(|i: usize| TimedFrames::of(&tables[i].frames, Clock::Cpu));
     let model = recipe.make(&context, train.timed(), held_out.timed()).unwrap().file.to_model().unwrap();
     let layout = Layout::of_model(&model).unwrap();
-    let trained = model.prednet.as_ref().and_then(|net| net.input.as_ref()).unwrap();
-    // The out-of-range score is above 0 if an input is over 2.5 standard deviations from its mean in training.
-    let ends = || trained.mean.iter().zip(&trained.std);
-    let is_out = |row: &&[f32]| row.iter().zip(ends()).any(|(x, (mean, std))| (x - mean).abs() / std > 2.5);
     let share_out = |table: usize, volumes: &str| {
         let frames: Vec<_> =
             tables[table].frames.iter().filter(|f| f.scene.volume.contains(volumes)).collect();
         let rows = layout.rows(&tables, &frames, &pool, &bar).unwrap();
-        let out = rows.chunks_exact(layout.width()).filter(is_out).count();
+        let out = out_of_range(&model, &rows).unwrap().into_iter().filter(|score| *score > 0.0).count();
         out as f64 / frames.len() as f64
     };
     // Most frames of unseen members are within the training range if their simulation code is in the training

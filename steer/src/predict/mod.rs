@@ -26,7 +26,7 @@ pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::InputLayout;
 #[cfg(feature = "calibrate")]
 pub(crate) use layout::store_probe_side;
-pub use network::{load, load_with};
+pub use network::{load, load_with, out_of_range};
 pub(crate) use quality::DISTANCE_RATIO;
 pub use quality::Quality;
 pub use range::InputRange;

@@ -180,6 +180,16 @@ impl ModelPredictor {
     }
 }
 
+/// Returns the out-of-range score ([`Prediction::out_of_range`]) of each row of inputs of a model's network.
+///
+/// # Errors
+/// As [`load`].
+pub fn out_of_range(model: &Model, rows: &[f32]) -> Result<Vec<f32>> {
+    let predictor = ModelPredictor::new(model)?;
+    let rows = rows.chunks_exact(predictor.layout.width().max(1));
+    Ok(rows.map(|row| predictor.out_of_range(row)).collect())
+}
+
 /// Returns a checksum of everything that determines a model's predictions: weights, input layout and
 /// metadata. The metadata names renderer, device and clock, if they are known.
 fn identity_of(model: &Model) -> u32 {
