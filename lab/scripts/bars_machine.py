@@ -47,9 +47,9 @@ BUSY_LIMIT = 0.08
 # 500 ms, with pauses that are a multiple of the burst.
 NEIGHBORS = 1
 NEIGHBOR = """
-import random, sys, time
-draw, pause = random.Random(int(sys.argv[1])), float(sys.argv[2])
-while True:
+import os, random, sys, time
+draw, pause, parent = random.Random(int(sys.argv[1])), float(sys.argv[2]), os.getppid()
+while os.getppid() == parent:
     burst = draw.uniform(0.05, 0.5)
     end = time.monotonic() + burst
     while time.monotonic() < end:

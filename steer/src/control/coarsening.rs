@@ -15,7 +15,9 @@ const STEP_PER_DISTANCE: f64 = 1.1;
 /// Hysteresis factor: an image sample distance is kept until c = step · distance² lies beyond one of its
 /// thresholds by more than this factor. Successive thresholds differ by a factor of 1.2³ = 1.73, so the
 /// geometric mean of two successive thresholds is a factor of 1.31 from each. The hysteresis factor is the
-/// square root of 1.31.
+/// square root of 1.31. A distance is not increased either while the step after the increase would exceed the
+/// finest step by less than this factor: the distance would soon be decreased again, since the step cannot
+/// become finer than the finest step.
 const DISTANCE_HYSTERESIS: f64 = 1.15;
 
 /// Capacity of the arrays, in levels of the image sample distance. Distance 1 and the powers of
@@ -121,8 +123,10 @@ impl Coarsening {
         let (finest, coarsest) = (f64::from(self.steps.finest), f64::from(self.steps.coarsest));
         let alone = c / finest;
         let last = self.last.min(self.levels);
+        let above = (last + 1).min(self.levels);
+        let increase = self.from[above].max(self.distances[above] * self.distances[above]);
         let kept = alone * DISTANCE_HYSTERESIS >= self.from[last]
-            && (last == self.levels || alone <= self.from[last + 1] * DISTANCE_HYSTERESIS);
+            && (last == self.levels || alone <= increase * DISTANCE_HYSTERESIS);
         let mut level = last;
         if !kept {
             level = self.from[1..=self.levels].iter().take_while(|&&from| alone > from).count();
@@ -203,6 +207,25 @@ mod tests {
             before = distance;
         }
         assert!(changes <= 1, "{changes}");
+    }
+
+    #[test]
+    fn after_an_increase_the_step_can_become_finer_before_the_image_grows_again() {
+        let mut path = judged(Quality { image_weight: 0.002, ..EVEN });
+        let mut before = path.take(1.0).1;
+        let mut increases = 0;
+        for i in 0..200 {
+            let c = 1.0 + 0.05 * i as f32;
+            let (step, distance) = path.take(c);
+            if distance > before {
+                increases += 1;
+                assert!(step >= 1.149 || distance == 4.0, "{c}: {step} {distance}");
+                let mut back = path;
+                assert_eq!(back.take(c / 1.14).1, distance, "{c}");
+            }
+            before = distance;
+        }
+        assert!(increases > 4, "{increases}");
     }
 
     #[test]
