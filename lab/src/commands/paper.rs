@@ -4,8 +4,8 @@ use super::replay;
 use crate::bars;
 use crate::farm::compare;
 use crate::paper::{
-    Paper, Place, Selection, Work, cases, collect, control, description, encode, pictures, places, report,
-    results, train, trials, yt,
+    Paper, Place, Selection, Work, cases, collect, control, description, encode, improved, pictures, places,
+    report, results, train, trials, yt,
 };
 use anyhow::{Result, ensure};
 use clap::{Subcommand, ValueEnum};
@@ -13,9 +13,11 @@ use description::Panel;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_farm::read_tasks;
 use entire_io::device::{self, Device};
-use entire_io::files::note;
+use entire_io::files::{note, open_model};
 use entire_io::interrupt;
 use entire_io::options::thread_pool;
+use entire_train::teacher::Teacher;
+use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -218,7 +220,13 @@ fn found(work: &Work<'_>) -> Result<Vec<Place>> {
 
 fn collect_all(work: &Work<'_>, step: &StepOptions) -> Result<()> {
     let places = found(work)?;
-    let mut renderer = device::open(step.device)?;
+    let mut renderer = match &work.paper.teacher {
+        Some(path) => {
+            let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            Box::new(Teacher::new(&name, &open_model(path)?)?) as Box<dyn Renderer>
+        }
+        None => device::open(step.device)?,
+    };
     collect::collect(work, &places, renderer.as_mut())?;
     places.iter().try_for_each(|p| yt::collect(work, p))
 }
@@ -231,9 +239,16 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
     let wanted = |p: Panel| how.only.is_empty() || how.only.contains(&p);
     train::train(work, &how.only)?;
     trials::run(work, &how.only)?;
+    if how.only.contains(&Panel::Improved) {
+        improved::run(work)?;
+    }
     if wanted(Panel::Pictures) {
         let mut renderer = device::open(step.device)?;
         pictures::draw(work, &found(work)?, renderer.as_mut())?;
+    }
+    if wanted(Panel::Renderings) {
+        let mut renderer = device::open(step.device)?;
+        pictures::draw_renderings(work, &found(work)?, renderer.as_mut())?;
     }
     if wanted(Panel::Balancing) {
         balance(work)?;
@@ -248,6 +263,10 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
 /// of all methods of `entire-lab farm`.
 fn balance(work: &Work<'_>) -> Result<()> {
     cases::balance(work.out, &work.paper.orbit)?;
+    let recorded = Path::new(RECORDED).join("farm.json.gz");
+    if recorded.exists() {
+        cases::balance_recorded(work, &recorded)?;
+    }
     for (set, mode) in work.paper.panels.get(&Panel::Varied).into_iter().flatten() {
         let tasks = cases::tasks_path(work.out, set, mode);
         if tasks.exists() {
@@ -276,6 +295,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
         return Ok(());
     }
     let traces = control::traces_of(&folder, set)?;
+    let tuned = network.as_ref().map(|n| trials::tuned_network(work, n, &calibration)).transpose()?;
     let options = |out: &str, model: Option<PathBuf>, controllers: &[ControllerKind]| replay::Options {
         paths: replay::Paths {
             traces: traces.clone(),
@@ -291,11 +311,11 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
         bars: false,
     };
     let by_network = options("steering", network, ControllerKind::value_variants());
+    let by_tuned = options("steering-tuned", tuned, &[ControllerKind::Algorithm1, ControllerKind::Hybrid]);
     let by_ours = options("steering-ours", None, &[ControllerKind::Hybrid]);
-    replay::run(&by_network)?;
-    replay::run(&by_ours)?;
+    [&by_network, &by_tuned, &by_ours].into_iter().try_for_each(replay::run)?;
     let mut renderer = device::open(step.device)?;
-    let replays = (&*by_network.out, &*by_ours.out);
+    let replays = [&*by_network.out, &*by_tuned.out, &*by_ours.out];
     control::keep(work, (&traces, &calibration), replays, (set, mode), renderer.as_mut())
 }
 

@@ -1,25 +1,44 @@
 //! Bars of the paper's study.
 
-use super::description::{BASE_MODE, DataSet, Panel, Paper, Rule, YT};
+use super::collect::EXPERIMENTS;
+use super::description::{BASE_MODE, DataSet, Panel, Paper, YT};
 use super::encode::{ALL, SHIPPED};
+use super::improved::DISTILLED;
 use super::judge::{NETWORK, OURS};
-use super::results::{Reconstruction, Results};
+use super::results::{LVRP_AS_PAPER, Reconstruction, Results, Row};
 use super::train::FEATURE_VECTOR;
-use super::trials::AS_IT_IS;
+use super::trials::{AS_IT_IS, SETS};
 use super::{cases, control, interval};
 use crate::bars::Bar;
+use anyhow::Result;
+use entire_io::files::read_text;
 
 /// A ratio of errors, and its interval over test volumes.
 type Ratio = (Option<f64>, Option<(f64, f64)>);
 
 /// A bar on a ratio, with its interval as the note.
-fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
-    let bar = Bar::at_most(format!("paper/{name}"), value, limit);
-    match (value, interval) {
+fn with_interval(bar: Bar, interval: Option<(f64, f64)>) -> Bar {
+    match (bar.value, interval) {
         (None, _) => bar,
         (_, Some((low, high))) => bar.with_note(format!("interval: {low:.4} to {high:.4}")),
         (_, None) => bar.with_note("interval: unknown"),
     }
+}
+
+fn at_most(name: String, (value, interval): Ratio, limit: f64) -> Bar {
+    with_interval(Bar::at_most(format!("paper/{name}"), value, limit), interval)
+}
+
+/// A bar on the error without the feature vector divided by the error with it.
+fn at_least(name: String, (value, interval): Ratio, limit: f64) -> Bar {
+    let bar = with_interval(Bar::at_least(format!("paper/{name}"), value, limit), interval);
+    if value.is_none() { bar.with_note("not measured") } else { bar }
+}
+
+/// Adds the text to the note of a bar.
+fn noted(bar: Bar, text: &str) -> Bar {
+    let note = if bar.note.is_empty() { text.to_owned() } else { format!("{}; {text}", bar.note) };
+    bar.with_note(note)
 }
 
 /// Returns the bars; a bar without a value counts as missed. If the study is partial, bars with neither value
@@ -37,8 +56,8 @@ pub(crate) fn bars(
     let mut out = Vec::new();
     if !paper.partial {
         out.push(Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0));
-        // A person compares the paper's sentences with the results; no program does.
-        out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
+        let bar = Bar::at_most("paper/sentences-contradicted", contradicted(paper).ok(), 0.0);
+        out.push(bar.with_note(format!("of {} that a person listed", paper.contradicted.wordings.len())));
     }
     // Only results with at least as many frames as the study's description specifies are used.
     let overall = |set: &str, mode: &str| {
@@ -55,15 +74,12 @@ pub(crate) fn bars(
     };
     for (set, limit) in &limits.over_constant {
         let name = format!("{set}/network-over-constant");
-        let bar = at_most(name, over_constant(set, BASE_MODE), *limit);
-        let note = if bar.value.is_none() {
-            on_fewer_frames(paper, all, set).or_else(|| by_one_network(paper, all, set))
-        } else {
-            None
-        };
-        out.push(match note {
-            Some(note) => bar.with_note(note),
-            None => bar,
+        let bar = at_most(name.clone(), over_constant(set, BASE_MODE), *limit);
+        let one = by_one_network(paper, all, set, AS_IT_IS);
+        out.push(match (bar.value, on_fewer_frames(paper, all, set), one) {
+            (None, Some(note), _) => bar.with_note(note),
+            (None, None, Some((constant, _))) => noted(at_most(name, constant, *limit), ONE_NETWORK),
+            _ => bar,
         });
     }
     for set in limits.over_constant.keys() {
@@ -82,15 +98,26 @@ pub(crate) fn bars(
                 let (here, papers) = (voxels.round(), limits.lvrp_voxels);
                 let note =
                     format!("{over}, but LVRP rendered 1/{here} of the voxels, the paper's LVRP 1/{papers}");
-                at_most(name, (None, None), limits.over_lvrp).with_note(note)
+                at_most(name.clone(), (None, None), limits.over_lvrp).with_note(note)
             }
             Some(((r, row), _)) => {
-                at_most(name, (row.over_lvrp, r.over_lvrp_interval(row)), limits.over_lvrp)
+                at_most(name.clone(), (row.over_lvrp, r.over_lvrp_interval(row)), limits.over_lvrp)
             }
-            None => at_most(name, (None, None), limits.over_lvrp),
+            None => at_most(name.clone(), (None, None), limits.over_lvrp),
         });
+        let one = by_one_network(paper, all, set, AS_IT_IS);
+        if let (Some(bar), Some((_, lvrp))) = (out.last_mut().filter(|b| b.value.is_none()), one) {
+            *bar = noted(at_most(name, lvrp, limits.over_lvrp), ONE_NETWORK);
+        }
     }
-    for d in paper.data_sets.iter().filter(|d| !d.only_tests) {
+    for (set, limit) in &limits.over_constant {
+        let found = by_one_network(paper, all, set, DISTILLED);
+        let (constant, lvrp) = found.unwrap_or(((None, None), (None, None)));
+        out.push(at_most(format!("{set}/distilled-network-over-constant"), constant, *limit));
+        out.push(at_most(format!("{set}/distilled-network-over-lvrp"), lvrp, limits.over_lvrp));
+    }
+    let of_paper = |d: &&DataSet| limits.over_constant.contains_key(&d.name);
+    for d in paper.data_sets.iter().filter(of_paper) {
         for mode in &d.modes {
             let pair = network(&d.name, mode).and_then(|(r, p)| Some((r.row(d.rule.split(), OURS)?, p)));
             let ratio = pair.map(|(o, p)| o.rmse / p.rmse);
@@ -99,14 +126,17 @@ pub(crate) fn bars(
             out.push(at_most(name, (ratio, interval), limits.ours_over_network));
         }
     }
+    // Without variants of different sparsity, volumes hardly differ.
     let (ablation, alone) = limits.feature_vector;
-    for d in paper.data_sets.iter().filter(|d| !d.only_tests) {
-        let name = format!("paper/{}/without-over-with-feature-vector", d.name);
-        out.push(Bar::at_least(name, without_over_with(all, d), ablation));
+    for d in paper.data_sets.iter().filter(of_paper).filter(|d| d.variants) {
+        let name = format!("{}/without-over-with-feature-vector", d.name);
+        out.push(at_least(name.clone(), without_over_with(all, d, Panel::Ablation), ablation));
+        let asked = paper.panels.get(&Panel::Varied);
+        if asked.is_some_and(|p| p.iter().any(|(set, mode)| *set == d.name && mode == BASE_MODE)) {
+            let varied = without_over_with(all, d, Panel::Varied);
+            out.push(at_least(format!("{name}-volume-alone"), varied, alone));
+        }
     }
-    // Not measured: no experiment varies only the volume on a data set that has variants of different
-    // sparsity.
-    out.push(Bar::at_least("paper/without-over-with-feature-vector-volume-alone", None, alone));
     let main = |r: &&Reconstruction| {
         r.encoder.channels.is_empty() && (r.encoder.size, r.encoder.features) == paper.encoders.main
     };
@@ -130,11 +160,15 @@ pub(crate) fn bars(
     for (name, key, limit) in
         [("switches", control::FIRST_FRAMES, switches), ("all", control::ALL_FRAMES, everywhere)]
     {
-        let found = control::algorithm1_over_olp(all, key);
-        out.push(Bar::at_most(format!("paper/algorithm1-over-olp-distance-{name}"), found, limit));
+        for (network, infix) in [("", ""), (control::TUNED, "fine-tuned-")] {
+            let found = control::algorithm1_over_olp(all, key, network);
+            out.push(Bar::at_most(format!("paper/algorithm1-{infix}over-olp-distance-{name}"), found, limit));
+        }
     }
-    let slowest = cases::slowest_node(all, NETWORK);
-    out.push(Bar::at_most("paper/slowest-node-by-network", slowest, limits.slowest_node));
+    for (predictor, name) in [(NETWORK, "network"), (DISTILLED, "distilled-network")] {
+        let slowest = cases::slowest_node(all, predictor);
+        out.push(Bar::at_most(format!("paper/slowest-node-by-{name}"), slowest, limits.slowest_node));
+    }
     out.push(Bar::at_most("paper/report-seconds", Some(seconds), limits.report_seconds));
     if paper.partial {
         out.retain(|b| b.value.is_some() || !b.note.is_empty());
@@ -142,13 +176,31 @@ pub(crate) fn bars(
     out
 }
 
-/// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it, on the paper's
-/// split of a data set. `None` if the volumes have no variants of different sparsity: without them, volumes
-/// hardly differ.
-fn without_over_with(all: &[Results], set: &DataSet) -> Option<f64> {
-    let found = find(all, Panel::Ablation, &set.name, BASE_MODE).filter(|_| set.variants)?;
-    let rmse = |name: &str| Some(found.row(set.rule.split(), name)?.rmse);
-    Some(rmse(&format!("without {FEATURE_VECTOR}"))? / rmse(NETWORK)?)
+/// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it: in the ablation
+/// on the paper's split of a data set, or on frames in which only the volume varies.
+fn without_over_with(all: &[Results], set: &DataSet, panel: Panel) -> Ratio {
+    let split = if panel == Panel::Varied { EXPERIMENTS[0] } else { set.rule.split() };
+    let rows = || {
+        let found = find(all, panel, &set.name, BASE_MODE)?;
+        Some((found.row(split, &format!("without {FEATURE_VECTOR}"))?, found.row(split, NETWORK)?))
+    };
+    rows().map_or((None, None), |(without, with)| ratio_of(without, with))
+}
+
+/// Returns the RMSE of one row divided by that of another on the same frames.
+pub(super) fn ratio_of(over: &Row, under: &Row) -> Ratio {
+    (Some(over.rmse / under.rmse), interval::of_ratio(&over.by_volume, &under.by_volume))
+}
+
+/// Counts the listed wordings that the pages still have.
+pub(super) fn contradicted(paper: &Paper) -> Result<f64> {
+    let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let asked = &paper.contradicted;
+    anyhow::ensure!(!asked.pages.is_empty(), "no page is named");
+    let pages: Vec<String> =
+        asked.pages.iter().map(|p| Ok(one_line(&read_text(p, 16 << 20)?))).collect::<Result<_>>()?;
+    let said = |wording: &&String| pages.iter().any(|page| page.contains(&one_line(wording)));
+    Ok(asked.wordings.iter().filter(said).count() as f64)
 }
 
 /// Returns a note for results on fewer frames than the description specifies: the network's RMSE divided by
@@ -161,15 +213,17 @@ fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> 
     Some(format!("{:.4} {brackets} with {frames} of {expected} frames", row.over_constant?))
 }
 
-/// Returns a note on the network that was trained on all data sets together: its RMSE on the held-out members
-/// of a data set, divided by the RMSE of the constant prediction.
-fn by_one_network(paper: &Paper, all: &[Results], set: &str) -> Option<String> {
-    let of = |r: &&Results| r.panel == Panel::Procedure && r.mode == BASE_MODE;
-    let title = &paper.data_set(set).filter(|d| d.rule == Rule::Members)?.title;
-    let found = all.iter().find(of)?;
-    let row = found.row(title, AS_IT_IS)?;
-    let brackets = interval::in_brackets(found.over_constant_interval(row));
-    Some(format!("{:.4} {brackets} by one network for all data sets", row.over_constant?))
+/// Note on ratios of a network of all data sets.
+const ONE_NETWORK: &str = "one network for all data sets, left-out member";
+
+/// Returns the ratios of a network that was trained on all data sets together, to the constant prediction and
+/// to LVRP with the paper's share of the voxels, on the held-out members of a data set.
+fn by_one_network(paper: &Paper, all: &[Results], set: &str, network: &str) -> Option<(Ratio, Ratio)> {
+    let found = find(all, Panel::Improved, SETS, BASE_MODE)?;
+    let title = &paper.data_set(set)?.title;
+    let row = found.row(title, network)?;
+    let lvrp = found.row(title, LVRP_AS_PAPER).map_or((None, None), |l| ratio_of(row, l));
+    Some(((row.over_constant, found.over_constant_interval(row)), lvrp))
 }
 
 fn find<'a>(all: &'a [Results], panel: Panel, set: &str, mode: &str) -> Option<&'a Results> {
@@ -247,10 +301,18 @@ mod tests {
         ablation.rows.push(row(&format!("without {FEATURE_VECTOR}"), "members", [4.0, 4.0], None));
         let found: Vec<String> =
             bars(&paper, &[fewer, ablation], 0, &[], 1.0).iter().map(ToString::to_string).collect();
-        assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("nyx_cosmology/network-over-constant - 0.2000 short (0.5000"), "{found:?}");
         assert!(found[0].ends_with("with 90 of 100 frames)"), "{found:?}");
-        assert_eq!(found[1], "bar paper/castro_blast/without-over-with-feature-vector 2.0000 1.5000 ok");
+        let line = |name: &str| found.iter().find(|l| l.contains(name)).unwrap().as_str();
+        assert_eq!(
+            line("castro_blast/without-over-with-feature-vector"),
+            "bar paper/castro_blast/without-over-with-feature-vector 2.0000 1.5000 ok \
+             (interval: 2.0000 to 2.0000)"
+        );
+        // A bar that the study asks for is printed even if it was not measured.
+        assert!(
+            line("nyx_cosmology/without-over-with-feature-vector-volume-alone").contains("- 5.0000 short")
+        );
     }
 
     #[test]
@@ -292,6 +354,44 @@ mod tests {
         kept.rows.iter_mut().for_each(|r| r.by_volume.clear());
         let name = "nyx_cosmology/network-over-constant";
         assert_eq!(of(&paper, &[kept], name), "0.1600 0.2000 ok (interval: unknown)");
+    }
+
+    #[test]
+    fn one_network_of_all_data_sets_counts_where_there_is_no_other() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");
+        let paper = super::super::description::read(&file).unwrap();
+        let mut improved = Results::new(Panel::Improved, SETS, BASE_MODE, String::new());
+        improved.rows.push(row(CONSTANT, "Castro", [4.0, 4.0], None));
+        improved.rows.push(row(LVRP_AS_PAPER, "Castro", [1.0, 1.0], None));
+        improved.rows.push(row(AS_IT_IS, "Castro", [0.25, 0.25], Some(0.25)));
+        improved.rows.push(row(DISTILLED, "Castro", [0.01, 0.01], Some(0.05)));
+        let found = bars(&paper, &[improved], 0, &[], 1.0);
+        let of = |name: &str| {
+            let bar = found.iter().find(|b| b.name == format!("paper/castro_blast/{name}")).unwrap();
+            bar.to_string().split_once(&bar.name).unwrap().1.trim().to_owned()
+        };
+        let note = format!("(interval: 0.2500 to 0.2500; {ONE_NETWORK})");
+        assert_eq!(of("network-over-constant"), format!("0.2500 0.2500 ok {note}"));
+        assert!(of("network-over-lvrp").starts_with("0.5000 0.6000 ok"));
+        assert!(of("distilled-network-over-constant").starts_with("0.0500 0.2500 ok"));
+        assert!(of("distilled-network-over-lvrp").starts_with("0.1000 0.6000 ok"));
+    }
+
+    /// The pages of the repository make none of the listed claims, and a claim counts where its lines break
+    /// elsewhere.
+    #[test]
+    fn no_page_says_what_the_results_contradict() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");
+        let mut paper = super::super::description::read(&file).unwrap();
+        assert!(paper.contradicted.wordings.len() >= 10);
+        assert_eq!(contradicted(&paper).unwrap(), 0.0);
+        let page = tempfile::NamedTempFile::new().unwrap();
+        let wording = paper.contradicted.wordings[0].replace(' ', "\n");
+        std::fs::write(page.path(), format!("Some text. {wording}")).unwrap();
+        paper.contradicted.pages.push(page.path().to_owned());
+        assert_eq!(contradicted(&paper).unwrap(), 1.0);
+        paper.contradicted.pages.clear();
+        assert!(contradicted(&paper).is_err());
     }
 
     #[test]

@@ -29,6 +29,8 @@ const DRAWN: [(&str, &str); 4] = [
 
 /// Name of the hybrid controller with the predictor that was fitted to the calibration frames.
 const OURS: &str = "ours";
+/// Last part of the name of a controller with the paper's network, fine-tuned to the calibration frames.
+pub(super) const TUNED: &str = ", fine-tuned";
 
 /// A chart with a value per frame: title, axis, value of the controller for a frame, name of the reference
 /// (the target or the oracle), value of the reference for a frame.
@@ -89,12 +91,12 @@ pub(crate) fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
 
 /// Stores the results of the replay of recorded paths (`traces`): scores; values per frame of one path, with
 /// pictures of three frames; the curve of each scene in the table `calibration`; and the curve G, which is
-/// computed from the curves of the scenes. `network` and `ours` are the folders of the replays with the
-/// paper's network and with our predictor.
+/// computed from the curves of the scenes. `network`, `tuned` and `ours` are the folders of the replays with
+/// the paper's network, with this network fine-tuned to the calibration frames, and with our predictor.
 pub(crate) fn keep(
     work: &Work<'_>,
     (traces, calibration): (&[PathBuf], &Path),
-    (network, ours): (&Path, &Path),
+    [network, tuned, ours]: [&Path; 3],
     (set, mode): (&str, &str),
     renderer: &mut dyn Renderer,
 ) -> Result<()> {
@@ -108,8 +110,9 @@ pub(crate) fn keep(
         Ok((text, found))
     };
     let (text, network) = scores(network)?;
+    let (tuned_text, tuned) = scores(tuned)?;
     let (ours_text, ours) = scores(ours)?;
-    let mark = fnv1a_text((text + &ours_text).as_bytes());
+    let mark = fnv1a_text((text + &tuned_text + &ours_text).as_bytes());
     let mut results = Results::new(Panel::Steering, set, mode, mark);
     let recorded = network["traces"].as_array().cloned().unwrap_or_default();
     let provenance = recorded.first().map(|t| t["provenance"].clone()).unwrap_or_default();
@@ -117,6 +120,7 @@ pub(crate) fn keep(
     results.machine = provenance["machine"].as_str().unwrap_or_default().to_owned();
     results.frames.insert("paths".into(), [0, 0, recorded.len()]);
     results.facts = facts(&network, str::to_owned);
+    results.facts.extend(facts(&tuned, |name| format!("{name}{TUNED}")));
     results.facts.extend(facts(&ours, |_| OURS.into()));
     if let Some(drawn) = one_path(&frames) {
         results.curves = curves(&drawn);
@@ -272,12 +276,11 @@ pub(super) const FIRST_FRAMES: &str = "first_frame_deviation";
 
 /// Returns a score under Algorithm 1 with the paper's network, divided by the same score under OLP; `None` if
 /// one of these controllers was not played. `distance` is the key: [`ALL_FRAMES`] or [`FIRST_FRAMES`].
-pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str) -> Option<f64> {
+/// `network` is empty, or [`TUNED`] for the fine-tuned network.
+pub(super) fn algorithm1_over_olp(all: &[Results], distance: &str, network: &str) -> Option<f64> {
     let played = all.iter().find(|r| r.panel == Panel::Steering)?;
-    let of = |kind: ControllerKind| {
-        played.facts.iter().find(|f| f.name == kind.name())?.values.get(distance).copied()
-    };
-    Some(of(ControllerKind::Algorithm1)? / of(ControllerKind::Olp)?)
+    let of = |name: &str| played.facts.iter().find(|f| f.name == name)?.values.get(distance).copied();
+    Some(of(&format!("{}{network}", ControllerKind::Algorithm1.name()))? / of(ControllerKind::Olp.name())?)
 }
 
 /// Columns of the table of controllers: key of a score, its title, and true if it is a share.
@@ -301,18 +304,19 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         let columns = COLUMNS.map(|(_, title, _)| format!(" | #{title}")).concat();
         let mut table = Table::headed(&format!("controller | acts on{columns}"));
         for f in &r.facts {
-            let kind = ControllerKind::from_name(&f.name);
-            let title = match f.name.as_str() {
+            let (name, tuned) =
+                f.name.strip_suffix(TUNED).map_or((f.name.as_str(), ""), |name| (name, TUNED));
+            let title = match name {
                 OURS => "entire's controller with entire's predictor",
                 name if name == ControllerKind::Hybrid.name() => {
                     "entire's controller with the paper's network"
                 }
                 name if name == ControllerKind::Algorithm1.name() => "Algorithm 1 with the paper's network",
-                name => kind.map_or(name, |k| k.title()),
+                name => ControllerKind::from_name(name).map_or(name, |k| k.title()),
             };
             let on_image = f.values.get(ON_IMAGE) == Some(&1.0);
             let acts_on = if on_image { IMAGE } else { ActsOn::RayStep };
-            let mut cells = vec![title.into(), acts_on.name().into()];
+            let mut cells = vec![format!("{title}{tuned}").into(), acts_on.name().into()];
             cells.extend(COLUMNS.map(|(key, _, share)| {
                 f.values
                     .get(key)

@@ -25,6 +25,10 @@ pub(crate) struct Paper {
     #[serde(default)]
     pub(crate) partial: bool,
     pub(crate) clock: String,
+    /// Model file whose predicted times are the frames' times, in place of a renderer. No proxy is then
+    /// rendered.
+    #[serde(default)]
+    pub(crate) teacher: Option<PathBuf>,
     /// Seed of the scenes.
     pub(crate) seed: u64,
     pub(crate) frames: FrameCounts,
@@ -62,6 +66,31 @@ pub(crate) struct Paper {
     pub(crate) panels: BTreeMap<Panel, Vec<(String, String)>>,
     pub(crate) labels: Vec<Label>,
     pub(crate) limits: Limits,
+    /// Further studies, whose kept results are also on the book's page.
+    #[serde(default)]
+    pub(crate) also: Vec<Also>,
+    #[serde(default)]
+    pub(crate) contradicted: Contradicted,
+}
+
+/// A further study: a description with kept results.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Also {
+    pub(crate) description: PathBuf,
+    pub(crate) kept: PathBuf,
+    /// Command that makes the results.
+    pub(crate) command: String,
+}
+
+/// Claims about the paper or the results that the results contradict. A person found them; a program counts
+/// those that pages still make.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Contradicted {
+    pub(crate) pages: Vec<PathBuf>,
+    /// Wordings of the claims. A wording is on a page even if the page breaks its lines elsewhere.
+    pub(crate) wordings: Vec<String>,
 }
 
 /// Settings of one mode; a setting that is `None` is that of all modes.
@@ -246,7 +275,7 @@ pub(crate) struct Trials {
     pub(crate) runs: usize,
     /// Number of epochs on the measured frames.
     pub(crate) epochs: usize,
-    /// Changes of the recipe, tried one at a time.
+    /// Changes of the recipe, each tried alone. The last one combines those that lower the error.
     pub(crate) changes: Vec<Change>,
 }
 
@@ -257,12 +286,24 @@ pub(crate) struct TrialTables {
     pub(crate) mode: String,
     /// Training and validation frames.
     pub(crate) training: PathBuf,
-    /// The training and validation frames as rendered by the low-resolution proxy.
-    pub(crate) training_low: PathBuf,
     /// Test frames, of ensemble members that are not in the training table.
     pub(crate) test: PathBuf,
-    /// The test frames as rendered by the low-resolution proxy.
-    pub(crate) test_low: PathBuf,
+    /// The frames as rendered by the low-resolution proxy.
+    pub(crate) low: LowTables,
+    /// The frames as rendered by a proxy with at most the paper's share of the voxels.
+    pub(crate) lower: LowTables,
+    /// File of the paper's network that was trained on many labels of a teacher model.
+    pub(crate) distilled: PathBuf,
+    /// File of the teacher model.
+    pub(crate) teacher: PathBuf,
+}
+
+/// Tables of a low-resolution proxy. Their frames are found in the full-resolution tables by their scenes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct LowTables {
+    pub(crate) training: Vec<PathBuf>,
+    pub(crate) test: Vec<PathBuf>,
 }
 
 /// A change of the paper's recipe.
@@ -331,13 +372,18 @@ pub(crate) enum Panel {
     Steering,
     /// Use case 2: load balancing.
     Balancing,
-    /// Renderings of the data sets.
+    /// Pictures of the data sets over time and from several poses, and reconstructions.
     Pictures,
+    /// Renderings of the data sets in the base mode.
+    Renderings,
     /// The paper's recipe on the repository's frames, one change at a time; runs only if --only names it.
     Procedure,
     /// The paper's recipe on different numbers of frame times that a teacher predicted; runs only if --only
     /// names it.
     Frames,
+    /// The paper's network on each data set: by the paper's recipe, with all changes of the recipe that
+    /// lower the error, and distilled; runs only if --only names it.
+    Improved,
 }
 
 impl Panel {
@@ -460,9 +506,13 @@ pub(crate) fn read(path: &Path) -> Result<Paper> {
         place(b);
     });
     place(&mut paper.trials.labels);
+    paper.teacher.iter_mut().for_each(place);
+    paper.also.iter_mut().flat_map(|a| [&mut a.description, &mut a.kept]).for_each(place);
+    paper.contradicted.pages.iter_mut().for_each(place);
     for tables in &mut paper.trials.tables {
-        let all = [&mut tables.training, &mut tables.training_low, &mut tables.test, &mut tables.test_low];
-        all.into_iter().for_each(place);
+        let TrialTables { training, test, low, lower, distilled, teacher, .. } = tables;
+        [training, test, distilled, teacher].into_iter().for_each(place);
+        [low, lower].into_iter().flat_map(|l| l.training.iter_mut().chain(&mut l.test)).for_each(place);
     }
     paper.labels.iter_mut().filter_map(|l| l.picture.as_mut()).for_each(place);
     check(&paper).with_context(|| format!("{}", path.display()))?;
@@ -483,8 +533,8 @@ fn check(paper: &Paper) -> Result<()> {
     );
     let trials = &paper.trials;
     ensure!(
-        !trials.tables.is_empty() && trials.runs.min(trials.label_runs) > 0,
-        "trials: tables is empty or a number of runs is 0"
+        !trials.tables.is_empty() && !trials.changes.is_empty() && trials.runs.min(trials.label_runs) > 0,
+        "trials: tables or changes is empty, or a number of runs is 0"
     );
     ensure!(!paper.encoders.shipped.is_empty(), "encoders: shipped is empty; name at least one file");
     paper.scenes.check()?;

@@ -3,18 +3,20 @@
 
 use super::Work;
 use super::collect::protocol;
-use super::description::{Panel, RAYCASTER_MODES};
+use super::description::{BASE_MODE, Panel, RAYCASTER_MODES};
 use super::encode::Encoder;
 use super::frames::trained;
 use super::results::{Results, kept, write};
 use super::volumes::Place;
 use anyhow::{Context, Result, bail};
+use entire_cli::collection::{Job, Protocol};
 use entire_core::scene::Arcball;
 use entire_io::dataset::{Scene, parse_lobes};
 use entire_io::files::{fnv1a_text, make_folder, write_whole};
 use entire_io::volume::Volume;
 use entire_report::encode_png;
-use entire_vk_raycaster::Renderer;
+use entire_vk_raycaster::{Image, Renderer};
+use std::collections::BTreeMap;
 use std::process::Command;
 
 /// Side of a picture, pixels.
@@ -53,20 +55,9 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
             [0, last / 3, 2 * last / 3, last].map(|k| (of_member[k], "over time", POSES[0])).to_vec();
         shots.dedup();
         shots.extend(POSES.map(|pose| (of_member[last], "pose", pose)));
-        for (n, (j, what, (rx, ry))) in shots.into_iter().enumerate() {
+        for (n, (j, what, pose)) in shots.into_iter().enumerate() {
             let job = &place.jobs[j];
-            let fail = || job.path.display().to_string();
-            let volume = protocol.sized(Volume::open(place.root.join(&job.path))?).with_context(fail)?;
-            renderer.set_volume(&volume.view()).with_context(fail)?;
-            let scene = Scene {
-                camera: Arcball { rx, ry, dz: 2.5 },
-                width: SIDE,
-                height: SIDE,
-                lobes: parse_lobes(LOBES)?,
-                ..protocol.scene(job, volume.dims(), 0)
-            };
-            renderer.set_transfer(&scene.to_table()?).with_context(fail)?;
-            let image = renderer.render(&scene.to_frame()?).with_context(fail)?.image;
+            let image = one(renderer, place, job, &protocol, pose)?;
             let name = format!("{set}-{n}.png");
             write_whole(&folder.join(&name), &encode_png(&image)?)?;
             results.pictures.push((name, format!("{what}: {}", job.path.display())));
@@ -83,6 +74,56 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
         write(work.out, &results)?;
     }
     Ok(())
+}
+
+/// Draws the last time step of each of a data set's members, in the base mode.
+pub(crate) fn draw_renderings(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
+    let folder = work.out.join("pictures");
+    make_folder(&folder)?;
+    for place in places.iter().filter(|p| p.set.members.is_some()) {
+        let set = &place.set.name;
+        let last: BTreeMap<&str, &Job> = place.jobs.iter().map(|j| (j.member.as_str(), j)).collect();
+        let names: Vec<String> = last.values().map(|j| j.name()).collect();
+        let mark = fnv1a_text(format!("{LOBES} {SIDE} {names:?}").as_bytes());
+        if kept(work.out, Panel::Renderings, set, BASE_MODE, &mark)? {
+            continue;
+        }
+        work.go_on()?;
+        let mut results = Results::new(Panel::Renderings, set, BASE_MODE, mark);
+        results.device = renderer.device();
+        results.machine = entire_io::machine::machine();
+        let protocol = protocol(work.paper, BASE_MODE, false)?;
+        for job in last.values() {
+            let image = one(renderer, place, job, &protocol, POSES[1])?;
+            let name = format!("{set}-rendering-{}.png", job.member);
+            write_whole(&folder.join(&name), &encode_png(&image)?)?;
+            results.pictures.push((name, format!("rendering: {}", job.path.display())));
+        }
+        write(work.out, &results)?;
+    }
+    Ok(())
+}
+
+/// Draws a volume with the transfer function of all pictures.
+fn one(
+    renderer: &mut dyn Renderer,
+    place: &Place,
+    job: &Job,
+    protocol: &Protocol,
+    (rx, ry): (f32, f32),
+) -> Result<Image> {
+    let fail = || job.path.display().to_string();
+    let volume = protocol.sized(Volume::open(place.root.join(&job.path))?).with_context(fail)?;
+    renderer.set_volume(&volume.view()).with_context(fail)?;
+    let scene = Scene {
+        camera: Arcball { rx, ry, dz: 2.5 },
+        width: SIDE,
+        height: SIDE,
+        lobes: parse_lobes(LOBES)?,
+        ..protocol.scene(job, volume.dims(), 0)
+    };
+    renderer.set_transfer(&scene.to_table()?).with_context(fail)?;
+    Ok(renderer.render(&scene.to_frame()?).with_context(fail)?.image)
 }
 
 fn reconstruct(work: &Work<'_>, place: &Place, encoder: &Encoder, name: &str) -> Result<()> {

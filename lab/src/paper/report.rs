@@ -6,7 +6,8 @@ use super::description::{Label, Paper};
 use super::interval;
 use super::results::Material;
 use super::section::Section;
-use super::sections::{section, trials};
+use super::sections::section;
+use super::trial_sections::{also, trials};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use base64::Engine as _;
@@ -222,6 +223,10 @@ pub(crate) fn write_book(paper: &Paper, material: &Material, pages: &Path) -> Re
     for ([title, command, stem], section) in trials(paper, material) {
         let _ = write!(out, "\n## {title}\n\nCommand: `{command}`.\n");
         out += &markdown_of(&section, title, stem, &images, &mut told)?;
+    }
+    for (title, command, section) in also(paper)? {
+        let _ = write!(out, "\n## {title}\n\nCommand: `{command}`.\n");
+        out += &markdown_of(&section, &title, "also", &images, &mut told)?;
     }
     if !missing.is_empty() {
         let mut table = Table::headed("label | title | command");

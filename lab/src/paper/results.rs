@@ -22,6 +22,8 @@ use std::path::{Path, PathBuf};
 pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
 /// Name of the low-resolution proxy.
 pub(super) const LVRP: &str = "LVRP";
+/// Name of a low-resolution proxy with at most the paper's share of the voxels.
+pub(super) const LVRP_AS_PAPER: &str = "LVRP with a 512th of the voxels";
 
 /// Errors of a predictor on some frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -262,7 +264,7 @@ fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
     Ok(Some(Reconstruction { encoder, record: Record { provenance, seconds: 0.0 } }))
 }
 
-fn read_material(path: &Path) -> Result<Material> {
+pub(super) fn read_material(path: &Path) -> Result<Material> {
     let bytes = read_decompressed(path).with_context(|| format!("cannot read {}", path.display()))?;
     serde_json::from_slice(&bytes)
         .with_context(|| format!("{} holds no results of this version", path.display()))

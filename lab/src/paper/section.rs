@@ -165,7 +165,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
 
 /// Returns a table with a row for every data set and mode that was tested on the split. `split` returns the
 /// split for the data set's rule. Appends each row's ratios to `parts`.
-fn errors_by_data_set(
+pub(super) fn errors_by_data_set(
     paper: &Paper,
     of: &[&Results],
     split: fn(Rule) -> Rule,

@@ -1,18 +1,12 @@
 //! Our counterpart of each table and figure of the paper.
 
-use super::cases::NODES;
+use super::cases::{NODES, RECORDED};
 use super::control;
 use super::description::{BY_VOLUMES, Label, Panel, Paper};
 use super::encode::{ALL, SHIPPED};
-use super::interval;
-use super::judge::{NETWORK, OURS};
-use super::results::{
-    CONSTANT, Curve, DRAWN_CHART, LVRP, Material, ORBIT_CHART, Results, Row, SORTED, box_of,
-};
-use super::section::{
-    Section, distributions, errors_table, mode_in_words, over, overall, ratio, seconds, title, with_interval,
-};
-use super::trials::{AS_IT_IS, TOGETHER};
+use super::judge::NETWORK;
+use super::results::{CONSTANT, Curve, DRAWN_CHART, LVRP, Material, ORBIT_CHART, Results, SORTED, box_of};
+use super::section::{Section, distributions, errors_table, overall, ratio, seconds, title, with_interval};
 use super::tuning::MACHINES;
 use super::volumes::in_words;
 use entire_report::{Axis, Chart, Mark, Series, Table};
@@ -42,7 +36,7 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
         "fig:control_methods" => control::response_section(&of, &mut s),
         "fig:loadbalancing" => balancing(paper, &of, &mut s),
         "fig:data_evolve" => pictures(&of, "over time", material, &mut s),
-        "fig:dataset" => pictures(&of, "", material, &mut s),
+        "fig:dataset" => pictures(&of, "rendering", material, &mut s),
         "fig:control_poses" => pictures(&of, "pose", material, &mut s),
         "fig:volunenet_reconstruction" => pictures(&of, "reconstruction", material, &mut s),
         _ => {}
@@ -329,6 +323,8 @@ fn codes(of: &[&Results], s: &mut Section) {
 
 fn tuning(of: &[&Results], s: &mut Section) {
     for r in of {
+        let frames = r.frames.get("pre-training").map_or(0, |f| f[0]);
+        let pretrained = format!("{} ({frames} frames).", r.encoder);
         let machine = if r.set == MACHINES {
             format!(" The pre-training frames were measured on: {}.", r.machine)
         } else {
@@ -340,7 +336,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
             let chart =
                 Chart::new(name, Axis::log("frames learned from"), Axis::log("RMSE, s, median of runs"));
             let of = r.curves.iter().filter(|c| c.chart == name && c.x != SORTED);
-            let what = "Fine-tuning starts from the network that was pre-trained on all data sets.";
+            let what = format!("Fine-tuning starts from the pre-trained network. {pretrained}");
             s.charts.push((lines(chart, of), format!("{what}{machine}")));
         }
         let mut table = Table::headed(
@@ -361,7 +357,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
         if !r.facts.is_empty() {
             let what = "The models were pre-trained without any frame of the renderer, device \
                         or data set in the column `target`.";
-            s.tables.push((table, format!("{what}{machine}")));
+            s.tables.push((table, format!("{what} {pretrained}{machine}")));
         }
         let mut few = Table::headed("target | predictor | #training frames | #RMSE, s");
         let points =
@@ -401,14 +397,19 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
 }
 
 fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
-    let methods = ["GT", NETWORK, OURS, "uniform"];
     for r in of {
+        let mut methods: Vec<&str> = Vec::new();
+        for f in &r.facts {
+            if !methods.contains(&f.name.as_str()) {
+                methods.push(&f.name);
+            }
+        }
         let mut chart = Chart::new(
             title(paper, r),
             Axis::categories("nodes", NODES.iter().map(ToString::to_string).collect()),
             Axis::linear("load of a node / load of the slowest node under GT"),
         );
-        let columns = methods.map(|m| format!(" | #{m}")).concat();
+        let columns: String = methods.iter().map(|m| format!(" | #{m}")).collect();
         let mut table = Table::headed(&format!("nodes{columns}"));
         let fact = |name: &str, nodes: usize| {
             r.facts.iter().find(|f| f.name == name && f.values.get("nodes") == Some(&(nodes as f64)))
@@ -437,7 +438,16 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
                     truth), predicted times, or equal times (`uniform`). A node's load is the sum of the \
                     measured times of its tasks. The table has the load of the slowest node, divided by the \
                     load of the slowest node under GT.";
-        s.tables.push((table, what.into()));
+        let which = if r.set == RECORDED {
+            let tasks = r.frames.get("tasks").map_or(0, |f| f[2]);
+            format!(
+                "The {tasks} tasks are the frames of `data/steer/farm.json.gz` at the reference step. \
+                 `{NETWORK}` is the network of use case 1."
+            )
+        } else {
+            what.to_owned()
+        };
+        s.tables.push((table, which));
         s.summary = format!(
             "{}: by the network's times, the slowest node takes at most {:.1} % longer than under GT",
             title(paper, r),
@@ -455,109 +465,4 @@ fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
         }
     }
     s.summary = format!("{} pictures", s.pictures.len());
-}
-
-/// Experiments without a counterpart in the paper, on the causes of the network's error: title, command,
-/// first part of the names of files, and section.
-pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 3], Section)> {
-    let of = |panel: Panel| material.all.iter().filter(move |r| r.panel == panel);
-    let mut procedure = Section::default();
-    for r in of(Panel::Procedure) {
-        let changed =
-            r.rows.iter().filter(|x| x.split == TOGETHER && x.name != CONSTANT && x.name != LVRP).count();
-        if changed > 1 {
-            let what = "The first row has the network that was trained by the paper's recipe on measured \
-                        frames. For each other row, one part of the recipe was changed.";
-            procedure.tables.push(trials_table(r, what, "change"));
-        }
-    }
-    procedure.tables.extend(by_set(paper, &of(Panel::Procedure).collect::<Vec<_>>()));
-    let mut frames = Section::default();
-    for r in of(Panel::Frames) {
-        let what = "Another model, the teacher, predicted the frame times for the training. The network was \
-                    trained by the paper's recipe and tested on measured times.";
-        frames.tables.push(trials_table(r, what, "predicted frames of each volume"));
-        let x = |row: &Row| row.more.get("training frames").copied();
-        let rows = || r.rows.iter().filter(|row| x(row).is_some());
-        let line = rows().filter_map(|row| Some((x(row)?, row.over_constant?))).collect();
-        let band = rows().filter_map(|row| {
-            let (low, high) = r.over_constant_interval(row)?;
-            Some((x(row)?, low, high))
-        });
-        let (x, y) = (Axis::log("frames"), Axis::log("RMSE: network / mean of 15 %"));
-        let chart = Chart::new("Error by the number of frames learned from", x, y)
-            .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
-            .series(Series::new("mean over runs", Mark::Line(line)).color(0));
-        frames.charts.push((chart, "All networks were trained on the same volumes.".into()));
-    }
-    let all = [
-        (["The recipe, one change at a time", "make paper-procedure", "trial-procedure"], procedure),
-        (["Training on predicted frame times", "make paper-frames DATA=FOLDER", "trial-frames"], frames),
-    ];
-    all.into_iter().filter(|(_, section)| section.there()).collect()
-}
-
-/// Table of the errors of all trials of one part and mode, also relative to the first trial.
-fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
-    let mut table = Table::headed(&format!(
-        "{name} | #training frames | #validation frames | #epochs | #epoch of the chosen weights | #RMSE, s \
-         | #SD of the RMSE over runs, s (runs) | #RMSE / SD of the times | #RMSE / that of the mean of 15 % \
-         | #RMSE / that of LVRP | #RMSE / that of the first row"
-    ));
-    let rows = || r.rows.iter().filter(|x| x.split == TOGETHER && x.more.contains_key("epochs"));
-    let first = rows().next();
-    for row in rows() {
-        let more = |k: &str| row.more.get(k).map(|v| format!("{v:.0}"));
-        let over_first = first.map(|f| row.rmse / f.rmse);
-        let interval = first.and_then(|f| interval::of_ratio(&row.by_volume, &f.by_volume));
-        table.row(vec![
-            row.name.as_str().into(),
-            more("training frames").into(),
-            more("validation frames").into(),
-            more("epochs").into(),
-            more("best epoch").into(),
-            seconds(row.rmse).into(),
-            format!("{} ({})", seconds(row.rmse_sd), row.runs).into(),
-            format!("{:.3}", row.rmse / row.sd).into(),
-            with_interval(row.over_constant, r.over_constant_interval(row)).into(),
-            with_interval(row.over_lvrp, r.over_lvrp_interval(row)).into(),
-            over(over_first, interval, first.is_some_and(|f| f.name == row.name)).into(),
-        ]);
-    }
-    let judged = rows().next().map_or(0, |x| x.frames);
-    let volumes = rows().next().map_or(0, |x| x.by_volume.len());
-    let caption = format!(
-        "{what} Shading mode: {}. The {judged} test frames show {volumes} volumes of {TOGETHER}.",
-        mode_in_words(&r.mode)
-    );
-    (table, caption)
-}
-
-/// Table of the errors of the unchanged recipe by mode and data set, relative to baselines that are computed
-/// on the frames of the same data set.
-fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
-    let mut table = Table::headed(
-        "data set, renderer | #test frames | #RMSE / SD of the times | #RMSE / that of the mean of 15 % | \
-         #RMSE / that of LVRP",
-    );
-    let mut any = false;
-    for r in of {
-        let known = |split: &str| split == TOGETHER || paper.data_sets.iter().any(|d| d.title == split);
-        for row in r.rows.iter().filter(|x| x.name == AS_IT_IS && known(&x.split)) {
-            any = true;
-            let set = if row.split == TOGETHER { "all three" } else { row.split.as_str() };
-            table.row(vec![
-                format!("{set}, {}", mode_in_words(&r.mode)).into(),
-                row.frames.to_string().into(),
-                format!("{:.3}", row.rmse / row.sd).into(),
-                with_interval(row.over_constant, r.over_constant_interval(row)).into(),
-                with_interval(row.over_lvrp, r.over_lvrp_interval(row)).into(),
-            ]);
-        }
-    }
-    let caption = format!(
-        "With the unchanged recipe (row `{AS_IT_IS}`), one network was trained on all three data sets and \
-         tested on {TOGETHER} of each."
-    );
-    any.then_some((table, caption))
 }

@@ -108,6 +108,9 @@ impl At<'_> {
             other => bail!("{} is not trained on frames", other.name()),
         }
         results.rows.append(&mut judge.rows);
+        if panel == Panel::Ablation {
+            results.facts.extend(between_volumes(&frames.training));
+        }
         Ok(())
     }
 
@@ -428,6 +431,40 @@ impl At<'_> {
     }
 }
 
+/// Name of the share of the variance of ln(time per pixel) that lies between volumes.
+pub(super) const BETWEEN_VOLUMES: &str = "between volumes";
+
+/// Share of the variance of ln(time per pixel) that lies between volumes. The variance of volume means that the
+/// scatter within volumes causes by chance is subtracted. `None` with fewer than two volumes.
+fn between_volumes(of: &TimedFrames<'_>) -> Option<Fact> {
+    let mut by_volume: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+    for (f, seconds) in of.frames.iter().zip(&of.seconds) {
+        let pixels = f64::from(f.scene.width) * f64::from(f.scene.height);
+        by_volume.entry(&f.scene.volume).or_default().push((seconds / pixels).ln());
+    }
+    let share = share_between(&by_volume.values().map(Vec::as_slice).collect::<Vec<_>>())?;
+    let values = [("share", share), ("volumes", by_volume.len() as f64), ("frames", of.frames.len() as f64)];
+    Some(Fact { name: BETWEEN_VOLUMES.into(), values: values.map(|(k, v)| (k.to_owned(), v)).into() })
+}
+
+/// Estimated share of the variance of all values that lies between groups; it may be below 0 by chance.
+fn share_between(groups: &[&[f64]]) -> Option<f64> {
+    let n: usize = groups.iter().map(|g| g.len()).sum();
+    let k = groups.len();
+    if k < 2 || n <= k {
+        return None;
+    }
+    let mean = |g: &[f64]| g.iter().sum::<f64>() / g.len() as f64;
+    let all = groups.iter().map(|g| g.iter().sum::<f64>()).sum::<f64>() / n as f64;
+    let within: f64 = groups.iter().flat_map(|g| g.iter().map(|v| (v - mean(g)).powi(2))).sum();
+    let between: f64 = groups.iter().map(|g| g.len() as f64 * (mean(g) - all).powi(2)).sum();
+    let (within, between) = (within / (n - k) as f64, between / (k - 1) as f64);
+    let squares: f64 = groups.iter().map(|g| (g.len() as f64).powi(2)).sum();
+    let size = (n as f64 - squares / n as f64) / (k - 1) as f64;
+    let variance = (between - within) / size;
+    Some(variance / (variance + within))
+}
+
 /// Name of an input group in words.
 fn plain(input: &str) -> String {
     match input {
@@ -436,5 +473,21 @@ fn plain(input: &str) -> String {
         "transfer_function" => "transfer function".into(),
         "camera" => "camera pose".into(),
         other => other.replace('_', " "),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variance_between_groups_is_what_their_means_add() {
+        // Two groups with means 0 and 10, and a variance of 2 within each: the means' variance is 50 − 2 / 2.
+        let (a, b) = ([-1.0, 1.0], [9.0, 11.0]);
+        let share = share_between(&[&a, &b]).unwrap();
+        assert!((share - 49.0 / 51.0).abs() < 1e-12, "{share}");
+        // Equal means are closer to each other than chance alone makes them.
+        assert!(share_between(&[&a, &a]).unwrap() < 0.0);
+        assert_eq!(share_between(&[&a]), None);
     }
 }

@@ -3,7 +3,7 @@
 //! stored as soon as it ends.
 
 use super::Work;
-use super::description::{Change, Panel, TrialTables, Validation};
+use super::description::{Change, LowTables, Panel, TrialTables, Validation};
 use super::frames::{low_as_text, main_encoder};
 use super::judge::Judge;
 use super::results::{Results, kept, write};
@@ -11,7 +11,7 @@ use crate::study::{Bounds, Low, Runner, line_of, twins};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::GroupKind;
 use entire_core::nn::Target;
-use entire_io::dataset::{Clock, Table};
+use entire_io::dataset::{Clock, Table, TimedFrame};
 use entire_io::files::{fnv1a_text, make_folder, note, read_text, write_json};
 use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
@@ -23,7 +23,7 @@ use rayon::ThreadPool;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
@@ -32,7 +32,7 @@ pub(super) const AS_IT_IS: &str = "as it is";
 /// Name of the split that holds all test frames. The split of a single data set has the data set's title.
 pub(super) const TOGETHER: &str = "left-out members";
 /// Name under which results list all data sets together.
-const SETS: &str = "all";
+pub(super) const SETS: &str = "all";
 
 /// Version of the results: raised whenever the same frames give other results.
 const MADE_AS: u32 = 1;
@@ -40,11 +40,11 @@ const MADE_AS: u32 = 1;
 /// Number of inputs per Gaussian lobe: center, width, height.
 const PER_LOBE: usize = 3;
 
-struct Trial {
-    change: Change,
+pub(super) struct Trial {
+    pub(super) change: Change,
     epochs: usize,
     width: usize,
-    training: Rows,
+    pub(super) training: Rows,
     validation: Rows,
     /// Inputs of the frames that are predicted.
     test: Vec<f32>,
@@ -52,9 +52,9 @@ struct Trial {
 
 /// Inputs of a network, one row per frame.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Rows {
+pub(super) struct Rows {
     inputs: Vec<f32>,
-    seconds: Vec<f64>,
+    pub(super) seconds: Vec<f64>,
 }
 
 impl Rows {
@@ -64,39 +64,55 @@ impl Rows {
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Done {
+pub(super) struct Done {
     /// Predicted seconds of the test frames.
-    predicted: Vec<f64>,
+    pub(super) predicted: Vec<f64>,
     best_epoch: usize,
     seconds: f64,
 }
 
 /// Measured tables in memory: training, then test.
-struct Measured {
-    tables: Vec<Table>,
-    low: Low,
+pub(super) struct Measured {
+    pub(super) tables: Vec<Table>,
+    pub(super) low: Low,
+    /// The frames as rendered by a proxy with the paper's share of the voxels.
+    pub(super) lower: Low,
     clock: Clock,
 }
 
 impl Measured {
     /// Reads the tables; `None`, with a note, if one is missing.
-    fn read(of: &TrialTables, clock: Clock) -> Result<Option<Self>> {
+    pub(super) fn read(work: &Work<'_>, of: &TrialTables) -> Result<Option<Self>> {
+        let clock = work.paper.clock.parse()?;
         if let Some(path) = [&of.training, &of.test].into_iter().find(|p| !p.exists()) {
             note(&format!("{} does not exist; its trials are left out", path.display()));
             return Ok(None);
         }
         let tables = vec![Table::read(&of.training, 0)?, Table::read(&of.test, 1)?];
-        let mut low = Low::new();
-        for (index, path) in [&of.training_low, &of.test_low].into_iter().enumerate() {
-            if path.exists() {
-                twins((index, &tables[index]), path, clock, &mut low)?;
+        let rendered = |by: &LowTables| -> Result<Low> {
+            let mut low = Low::new();
+            for (index, paths) in [&by.training, &by.test].into_iter().enumerate() {
+                for path in paths.iter().filter(|p| p.exists()) {
+                    twins((index, &tables[index]), path, clock, &mut low)?;
+                }
             }
-        }
-        Ok(Some(Self { tables, low, clock }))
+            Ok(low)
+        };
+        let (low, lower) = (rendered(&of.low)?, rendered(&of.lower)?);
+        Ok(Some(Self { tables, low, lower, clock }))
     }
 
-    fn frames(&self, table: usize) -> TimedFrames<'_> {
+    pub(super) fn frames(&self, table: usize) -> TimedFrames<'_> {
         TimedFrames::of(&self.tables[table].frames, self.clock)
+    }
+
+    /// Hash of a text and of all measured frames.
+    pub(super) fn mark(&self, mut inputs: String) -> String {
+        for table in &self.tables {
+            inputs += &format!(" {:016x}", table.hash);
+        }
+        inputs += &low_as_text(&self.low);
+        fnv1a_text(inputs.as_bytes())
     }
 
     /// The frames of the training table: those of held-out volumes, and all others.
@@ -105,23 +121,18 @@ impl Measured {
     }
 }
 
-/// Runs those of the requested trials whose results are missing.
+/// Runs those of the requested trials of the first mode whose results are missing.
 pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
-    let clock = work.paper.clock.parse()?;
+    let first = work.paper.trials.tables.first().filter(|t| work.selection.has_mode(&t.mode));
+    let Some(tables) = first else { return Ok(()) };
     for panel in [Panel::Procedure, Panel::Frames].into_iter().filter(|p| panels.contains(p)) {
-        for (i, tables) in work.paper.trials.tables.iter().enumerate() {
-            if !work.selection.has_mode(&tables.mode) || (panel == Panel::Frames && i > 0) {
-                continue;
-            }
-            let Some(measured) = Measured::read(tables, clock)? else { continue };
-            let trials = match panel {
-                Panel::Frames => by_number(work, &measured)?,
-                _ => one_change_each(work, &measured, i == 0)?,
-            };
-            if !trials.is_empty() {
-                make(work, panel, &tables.mode, &measured, &trials)?;
-            }
-        }
+        let Some(measured) = Measured::read(work, tables)? else { continue };
+        let trials = if panel == Panel::Frames {
+            by_number(work, &measured)?
+        } else {
+            changed_recipes(work, &measured, &work.paper.trials.changes)?
+        };
+        make(work, panel, &tables.mode, &measured, &trials)?;
     }
     Ok(())
 }
@@ -131,7 +142,7 @@ pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
 /// description names no tables of this mode, or if they are missing.
 pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<PathBuf>> {
     let Some(tables) = work.paper.trials.tables.iter().find(|t| t.mode == mode) else { return Ok(None) };
-    let Some(measured) = Measured::read(tables, work.paper.clock.parse()?)? else { return Ok(None) };
+    let Some(measured) = Measured::read(work, tables)? else { return Ok(None) };
     let (validation, training) = measured.held_out();
     let (shipped, _) = main_encoder(work, None)?;
     let recipe = Recipe { volumenet: Some(shipped), ..work.paper.network.clone() };
@@ -145,12 +156,36 @@ pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<Pat
     Ok(Some(path))
 }
 
-/// Returns trials of the paper's recipe and, if `changed` is true, of every change of the recipe.
-fn one_change_each(work: &Work<'_>, measured: &Measured, changed: bool) -> Result<Vec<Trial>> {
+/// Fine-tunes a network to the frames at the reference step of a calibration table.
+pub(crate) fn tuned_network(work: &Work<'_>, network: &Path, calibration: &Path) -> Result<PathBuf> {
+    let tables = [Table::read(calibration, 0)?];
+    let at_reference = |f: &&TimedFrame| f.scene.step == 1.0;
+    let learned = TimedFrames::of(tables[0].frames.iter().filter(at_reference), work.paper.clock.parse()?);
+    let recipe = Recipe {
+        fine_tune: Some(network.to_owned()),
+        epochs: work.paper.tuning.epochs,
+        preset: None,
+        volumenet: None,
+        ..work.paper.network.clone()
+    };
+    let (hidden, none) = (ProgressBar::hidden(), TimedFrames::default());
+    let stop = || work.stop();
+    let runner = Runner { pool: work.pool, models: work.out.join("models"), bar: &hidden, stop: &stop };
+    let context = FitContext { tables: &tables, pool: work.pool, bar: &hidden, stop: &stop };
+    let parts = (&learned, &none);
+    Ok(runner.made("steering-tuned", &recipe, &context, parts, &Bounds::Frames(&none))?.1)
+}
+
+/// Returns a trial of the paper's recipe, and one of each change of the recipe.
+pub(super) fn changed_recipes(
+    work: &Work<'_>,
+    measured: &Measured,
+    changes: &[Change],
+) -> Result<Vec<Trial>> {
     let asked = &work.paper.trials;
     let (held, training) = measured.held_out();
     let unchanged = Change { name: AS_IT_IS.into(), ..Change::default() };
-    let changes = std::iter::once(&unchanged).chain(asked.changes.iter().filter(|_| changed));
+    let changes = std::iter::once(&unchanged).chain(changes);
     changes
         .map(|change| {
             let validation = match change.validation {
@@ -352,10 +387,8 @@ fn side_by_side(threads: usize, worker: &(dyn Fn() -> Result<()> + Sync)) -> Res
     ended.into_iter().collect()
 }
 
-/// Runs the missing trainings, and writes the results of all trials.
-fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: &[Trial]) -> Result<()> {
-    let asked = &work.paper.trials;
-    let runs = if panel == Panel::Frames { asked.label_runs } else { asked.runs };
+/// Runs the missing trainings. Returns the runs of each trial, and a text that identifies all trainings.
+pub(super) fn trained(work: &Work<'_>, trials: &[Trial], runs: usize) -> Result<(Vec<Vec<Done>>, String)> {
     let folder = work.out.join("trials");
     make_folder(&folder)?;
     let file = |identity: &str| folder.join(format!("{identity}.json"));
@@ -382,28 +415,33 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     bar.finish_and_clear();
     work.go_on()?;
     ended?;
-    let mut inputs = identities.concat();
-    for table in &measured.tables {
-        inputs += &format!(" {:016x}", table.hash);
-    }
-    inputs += &low_as_text(&measured.low);
-    let mark = fnv1a_text(inputs.as_bytes());
-    if kept(work.out, panel, SETS, mode, &mark)? {
-        return Ok(());
-    }
-    let mut results = Results::new(panel, SETS, mode, mark);
-    results.encoder = main_encoder(work, None)?.1;
     let read = |i: usize| -> Result<Done> {
         let path: PathBuf = file(&identities[i]);
         let text = read_text(&path, 64 << 20)?;
         serde_json::from_str(&text).with_context(|| format!("{} holds no trial", path.display()))
     };
-    let test = measured.frames(1);
-    let learned = measured.frames(0);
+    let of = |k: usize| -> Result<Vec<Done>> { (0..runs).map(|run| read(run * trials.len() + k)).collect() };
+    let runs_of_all = (0..trials.len()).map(of).collect::<Result<Vec<Vec<Done>>>>()?;
+    Ok((runs_of_all, identities.concat()))
+}
+
+/// Runs the missing trainings, and writes the results of all trials.
+fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: &[Trial]) -> Result<()> {
+    let asked = &work.paper.trials;
+    let runs = if panel == Panel::Frames { asked.label_runs } else { asked.runs };
+    if trials.is_empty() {
+        return Ok(());
+    }
+    let (done, identities) = trained(work, trials, runs)?;
+    let mark = measured.mark(identities);
+    if kept(work.out, panel, SETS, mode, &mark)? {
+        return Ok(());
+    }
+    let mut results = Results::new(panel, SETS, mode, mark);
+    results.encoder = main_encoder(work, None)?.1;
+    let (test, learned) = (measured.frames(1), measured.frames(0));
     let mut judge = Judge::new(&measured.low, runs, TOGETHER, &test, line_of(&measured.low, &learned));
-    let mut unchanged = Vec::new();
-    for (k, trial) in trials.iter().enumerate() {
-        let done: Vec<Done> = (0..runs).map(|run| read(run * trials.len() + k)).collect::<Result<_>>()?;
+    for (trial, done) in trials.iter().zip(done) {
         let predicted: Vec<Vec<f64>> = done.iter().map(|d| d.predicted.clone()).collect();
         judge.add(&trial.change.name, &predicted);
         if let Some(row) = judge.rows.last_mut() {
@@ -413,27 +451,8 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
             row.more.insert("epochs".into(), trial.epochs as f64);
             row.more.insert("best epoch".into(), best);
         }
-        if unchanged.is_empty() {
-            unchanged = predicted;
-        }
     }
     results.rows.append(&mut judge.rows);
-    // Adds the errors of the first trial on each data set, beside baselines that are computed on that data
-    // set's frames.
-    for set in work.paper.data_sets.iter().filter(|d| !d.only_tests) {
-        let of = |volume: &str| volume.split('/').any(|part| part == set.name);
-        let chosen: Vec<usize> =
-            (0..test.frames.len()).filter(|i| of(&test.frames[*i].scene.volume)).collect();
-        if chosen.is_empty() || panel == Panel::Frames {
-            continue;
-        }
-        let (part, _) = test.parted(|f| of(&f.scene.volume));
-        let line = line_of(&measured.low, &learned.parted(|f| of(&f.scene.volume)).0);
-        let mut judge = Judge::new(&measured.low, runs, &set.title, &part, line);
-        let pick = |run: &Vec<f64>| chosen.iter().map(|i| run[*i]).collect();
-        judge.add(AS_IT_IS, &unchanged.iter().map(pick).collect::<Vec<Vec<f64>>>());
-        results.rows.append(&mut judge.rows);
-    }
     results.measured_as(&measured.tables[0]);
     write(work.out, &results)
 }
@@ -442,7 +461,6 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
 mod tests {
     use super::*;
     use crate::paper::{Paper, Selection};
-    use std::path::Path;
 
     const GROUPS: [(GroupKind, usize); 3] =
         [(GroupKind::Camera, 1), (GroupKind::Resolution, 2), (GroupKind::TransferFunction, 6)];

@@ -1,4 +1,4 @@
-//! Fine-tuning: the network is pre-trained on all data sets together and adapted to other renderers, machines
+//! Fine-tuning: the network is pre-trained on all data sets with frames and adapted to other renderers, machines
 //! and kinds of volumes with few frames. It is compared with networks trained from scratch and with unit
 //! costs, which are calibrated to the same frames.
 
@@ -6,7 +6,6 @@ use super::Work;
 use super::collect::{Kind, table_path};
 use super::description::Panel;
 use super::frames::{Loaded, identity};
-use super::judge::NETWORK;
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::volumes::{Selection, places, roots};
 use crate::study::{Bounds, Low, Runner};
@@ -183,8 +182,16 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         for target in targets.iter().filter(|t| t.set == set) {
             pretrained.take(target, &mut results)?;
         }
-        results.encoder =
-            format!("as shipped; {NETWORK} and unit costs are pre-trained on all data sets together");
+        let titles: Vec<&str> = pieces
+            .iter()
+            .map(|(p, _)| &all[*p].set)
+            .filter(|s| !s.only_tests)
+            .map(|s| s.title.as_str())
+            .collect();
+        results.encoder = format!(
+            "The network, with the shipped encoder, and unit costs were pre-trained on {} together",
+            titles.join(" and ")
+        );
         results.measured_as(&tables[0]);
         write(work.out, &results)?;
     }

@@ -4,7 +4,7 @@ use super::data::OnSet;
 use super::findings::judge;
 use super::{CONSTANT, Findings, PROXY, Set};
 use crate::latency::Latency;
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use entire_io::dataset::{Clock, Scene, Table, TimedFrame};
 use entire_io::metrics::median;
 use entire_train::evaluation::probe_means;
@@ -112,31 +112,29 @@ fn file_name(table: &Table) -> String {
 }
 
 /// Reads the low-resolution table at `path` and adds the seconds of its frames to `low`. The key is the index of the
-/// full-resolution table and the frame's number, which is the same in both tables.
+/// full-resolution table and the number of that table's frame of the same scene.
 ///
 /// # Errors
-/// When the table at `path` cannot be read, or frames with the same number have different scenes.
+/// When the table at `path` cannot be read, or shows a scene that the full-resolution table lacks.
 pub(crate) fn twins(
     (index, table): (usize, &Table),
     path: &std::path::Path,
     clock: Clock,
     low: &mut Low,
 ) -> Result<()> {
-    let name = file_name(table);
-    let other = Table::read_without_features(path, 0)?;
-    let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
-    for f in &table.frames {
-        let Some(twin) = by_number.get(&f.number) else { continue };
-        // The scenes must be equal except for the number of voxels.
-        let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
-        ensure!(
-            as_large == f.scene,
-            "{}: frame {} shows another scene than in {name}; collect it with the same seed, volumes and \
-             settings",
-            path.display(),
-            f.number
-        );
-        low.extend(twin.seconds(clock).map(|t| ((index, f.number), t)));
+    // The scenes must be equal except for the number of voxels.
+    let key = |scene: &Scene| format!("{:?}", Scene { dims: [0; 3], ..scene.clone() });
+    let numbers: BTreeMap<String, u64> = table.frames.iter().map(|f| (key(&f.scene), f.number)).collect();
+    for twin in Table::read_without_features(path, 0)?.frames {
+        let Some(number) = numbers.get(&key(&twin.scene)) else {
+            bail!(
+                "{}: frame {} shows a scene that {} lacks; collect it with the same seed, volumes and settings",
+                path.display(),
+                twin.number,
+                file_name(table)
+            );
+        };
+        low.extend(twin.seconds(clock).map(|t| ((index, *number), t)));
     }
     Ok(())
 }

@@ -168,7 +168,7 @@ fn a_twin_shows_the_same_scene_but_for_its_voxels() {
         &|s| s.camera.dz = 2.0,
     ];
     for change in changes {
-        assert!(low(change).unwrap_err().contains("frame 0 shows another scene than in t.csv"));
+        assert!(low(change).unwrap_err().contains("frame 0 shows a scene that t.csv lacks"));
     }
 }
 
