@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The bars of a machine's model: `entire calibrate` on this machine, tested on volumes that it did not render.
 
-    bars_machine.py --data FOLDER [--out out/bars-machine] [--only STEP,…] [--no-test] [--steps]
+    bars_machine.py --data FOLDER [--out out/bars-machine] [--seed N] [--only STEP,…] [--no-test] [--steps]
 
 Prints `bar NAME VALUE LIMIT ok|short`, and `interval NAME LOW HIGH` for errors (95 %, by bootstrap over volumes); exit
 status 1 when a bar is short or has no value. FOLDER holds ensembles/ and scans/.
 Test frames are timed once before the calibration of their shading mode and once after it, and the mean of both times is
 used: if the machine's speed changes meanwhile, its mean speed in the tests is about its speed during the calibration.
+The test frames are drawn with a seed, by default the date of the first step, so that each run has other frames: a method
+that was chosen on the frames of one run is judged on frames that it has not met. --out keeps the seed.
 Every step leaves a file in --out and is skipped if that file exists, so that the work can be done in slices of a few
 minutes on a quiet machine: --steps lists the steps, --only runs only some. A bar whose steps are not all done is short.
 Needs Python 3.9 and `entire` (--bin), and nothing else.
@@ -99,11 +101,22 @@ def merge(halves, out):
 
 
 class Machine:
-    def __init__(self, options):
+    def __init__(self, options, seed=None):
         self.entire = str(Path(options.bin).resolve())
         self.data = Path(options.data).resolve()
         self.out = Path(options.out).resolve()
         self.out.mkdir(parents=True, exist_ok=True)
+        self.asked_seed = seed
+
+    def seed(self):
+        """Returns the seed of the test frames, which the folder keeps from the first step on."""
+        kept = self.out / "seed"
+        if not kept.exists():
+            kept.write_text(str(self.asked_seed or time.strftime("%Y%m%d")))
+        seed = int(kept.read_text())
+        if self.asked_seed not in (None, seed):
+            sys.exit(f"{self.out} has frames of seed {seed}; name another folder by --out for seed {self.asked_seed}")
+        return seed
 
     def run(self, *arguments, cwd=ROOT, **kept):
         print("$ entire " + " ".join(map(str, arguments)), file=sys.stderr, flush=True)
@@ -120,7 +133,7 @@ class Machine:
         out = self.out / f"{split}-{mode}-{when}.csv"
         # An interrupted collection continues.
         self.run("collect", *paths, "--out", out, "--shade", mode, "--frames", FRAMES[mode], "--repeats", 1, *more,
-                 "--seed", 202, "--resume", cwd=self.data)
+                 "--seed", self.seed(), "--resume", cwd=self.data)
         (self.out / f"{split}-{mode}-{when}.done").touch()
         halves = [self.out / f"{split}-{mode}-{w}.csv" for w in WHEN]
         if all((self.out / f"{split}-{mode}-{w}.done").exists() for w in WHEN):
@@ -261,11 +274,12 @@ def main():
     parser.add_argument("--data", default=os.environ.get("DATA", ""), help="the folder that holds ensembles/ and scans/")
     parser.add_argument("--out", default="out/bars-machine")
     parser.add_argument("--bin", default="target/release/entire")
+    parser.add_argument("--seed", type=int, help="seed of the test frames; default: today's date, YYYYMMDD")
     parser.add_argument("--only", default="", help="run these steps only, comma-separated")
     parser.add_argument("--no-test", action="store_true", help="leave out the bar that builds and runs a test")
     parser.add_argument("--steps", action="store_true", help="list the steps and whether each is done")
     options = parser.parse_args()
-    machine = Machine(options)
+    machine = Machine(options, options.seed)
     steps = machine.steps()
     if options.steps:
         for name, (stamp, _) in steps.items():
@@ -288,6 +302,7 @@ def main():
         except (OSError, subprocess.SubprocessError) as error:
             # Finished steps still give some bars.
             print(error, file=sys.stderr)
+        print(f"test frames of seed {machine.seed()}", flush=True)
         for name, value, interval in found(machine, not options.no_test):
             if value is not None:
                 bars.found(name, value)
