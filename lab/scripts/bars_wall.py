@@ -7,6 +7,7 @@ Each part is played --runs times. --only names the parts to play; bars of other 
   quiet, neighbor  `entire demo` plays four volumes on a quiet machine, and while a neighbor (another program) takes a
                    core in bursts of 50 to 500 ms, a fifth of the time. Bars divide our value by the best other
                    controller's (without the fixed step). A value is the median of the runs, averaged over the volumes.
+                   Column `alone`: frames that are late although no other program disturbed them (without a bar).
   steady           `entire demo` plays the first volume while the neighbor takes a core all the time. No bars.
   still            `entire steer` plays our controller alone, with the camera, transfer function and target of the first
                    volume's demo at its first frame, beside the neighbor's bursts. Bar: the share of bursts after which
@@ -52,6 +53,9 @@ LATE = 0.1
 # Name of a figure, and two upper limits of our value divided by the best rival's: on a quiet machine, and beside
 # another program.
 SHARES = (("late", 0.5, 0.6), ("mean-error", 0.8, 0.9), ("error-at-switches", 0.4, 0.6))
+# A further figure, without a bar: no controller can foresee a frame that another program slows.
+UNDISTURBED = "late-undisturbed"
+PRINTED = (*(key for key, *_ in SHARES), UNDISTURBED)
 PSNR_BELOW = {"quiet": 0.3, "neighbor": 0.5}
 PSNR_BELOW_QUIET = 2.0
 BONSAI_LATE = 0.03
@@ -89,16 +93,20 @@ def over(row):
 
 
 def figures(folder):
-    """Returns by controller: share of late frames, mean error, mean error at switches, mean PSNR in dB."""
+    """Returns by controller: share of late frames, mean error, mean error at switches, share of frames that are late
+    although no other program disturbed them, mean PSNR in dB."""
     out = {}
     for name, own in frames(folder).items():
         near = {int(r["frame"]) + k for r in own if r["switch"] == "1" for k in range(SWITCH_FRAMES)}
         off = [over(r) for r in own]
         at = [abs(e) for e, r in zip(off, own) if int(r["frame"]) in near]
+        usual = statistics.median(map(busy, own))
+        alone = [busy(r) >= DISTURBED * usual for r in own]
         out[name] = {
             "late": sum(e > LATE for e in off) / len(off),
             "mean-error": statistics.mean(map(abs, off)),
             "error-at-switches": statistics.mean(at) if at else float("nan"),
+            UNDISTURBED: sum(e > LATE for e, a in zip(off, alone) if a) / len(off),
             "psnr": statistics.mean(float(r["psnr_db"]) for r in own),
         }
     return out
@@ -270,7 +278,7 @@ def psnr_below(found, load):
 def measure(machine, bars, parts):
     missing = [path for path in (*VOLUMES.values(), BONSAI) if machine.volume(path) is None]
     machine.calibrate()
-    print(f"{'volume':8} {'load':9} {'controller':13} {'> 1.1 T':>8} {'|t-T|/T':>8} {'switches':>8} {'PSNR':>6}")
+    print(f"{'volume':8} {'load':9} {'controller':13} {'> 1.1 T':>8} {'|t-T|/T':>8} {'switches':>8} {'alone':>8} {'PSNR':>6}")
     found = {}
     for load in ("quiet", "neighbor", "steady"):
         for name in VOLUMES if load != "steady" else [FIRST]:
@@ -278,8 +286,8 @@ def measure(machine, bars, parts):
                 continue
             found[name, load] = all_of = medians(machine.demo(name, load))
             for controller, f in all_of.items():
-                row(name, load, controller, [f"{100 * f[k]:.1f} %" for k, _, _ in SHARES], f["psnr"])
-            shares = [f"{all_of[OURS][k] / best(all_of, k):.2f}" for k, _, _ in SHARES]
+                row(name, load, controller, [f"{100 * f[k]:.1f} %" for k in PRINTED], f["psnr"])
+            shares = [f"{all_of[OURS][k] / best(all_of, k):.2f}" for k in PRINTED]
             row(name, load, "/ best rival", shares, -psnr_below(all_of, load))
     means = {}
     for load in ("quiet", "neighbor"):
@@ -288,7 +296,7 @@ def measure(machine, bars, parts):
         of = [found[name, load] for name in VOLUMES]
         means[load] = mean = {c: {k: statistics.mean(f[c][k] for f in of) for k in of[0][c]} for c in of[0]}
         for controller, f in mean.items():
-            row("mean", load, controller, [f"{100 * f[k]:.1f} %" for k, _, _ in SHARES], f["psnr"])
+            row("mean", load, controller, [f"{100 * f[k]:.1f} %" for k in PRINTED], f["psnr"])
         for key, _, _ in SHARES:
             bars.found(f"wall/{load}/{key}-of-best-rival", mean[OURS][key] / best(mean, key))
         bars.found(f"wall/{load}/psnr-below-rival", psnr_below(mean, load))
