@@ -38,8 +38,8 @@ const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
 /// shipped model on held-out volumes. `entire evaluate` gave 0.03 to 0.07 on the tables local-timestep,
 /// scatter-timestep, none-inside, none-earlier and none-steps-members of `data/timings`.
 const VOLUME_SD_WITH_MODEL: f64 = 0.07;
-/// Prior standard deviation of the coefficient of ln base with a model or list: twice the largest slope of
-/// ln(measured / base) over ln base on the tables of [`VOLUME_SD_WITH_MODEL`].
+/// Prior standard deviation of the coefficient of ln(base) when a model or a list is given. It is twice the
+/// largest slope of ln(measured / base) as a function of ln(base) on the tables of [`VOLUME_SD_WITH_MODEL`].
 const SLOPE_SD_WITH_MODEL: f64 = 0.04;
 /// Decrease of ln of the residual's standard deviation per unit of ln base, with a model or list: long tasks
 /// scatter less than short ones (0.14 to 0.26 on the tables of [`VOLUME_SD_WITH_MODEL`]). The second number

@@ -135,7 +135,7 @@ fn exponent(text: &str, fraction: bool, padded: bool) -> Option<(usize, i64)> {
 fn tokens(text: &str) -> Vec<Token> {
     let mut out = Vec::new();
     let (mut rest, mut before) = (text, String::new());
-    // Number of parts that remain of a version such as 1.2.3.
+    // In a version such as 1.2.3: number of parts that are still to be read.
     let mut parts = 0usize;
     while let Some(c) = rest.chars().next() {
         if !c.is_ascii_digit() {

@@ -35,7 +35,7 @@ const LARGE_VOLUME: u64 = 300 * 300 * 300;
 /// Largest enlargement factor: volumes enlarged further are unlike real ones.
 const LARGEST_FACTOR: usize = 4;
 
-/// Interval between volumes that are also rendered with at least [`LARGE_VOLUME`] voxels, in volumes.
+/// Number of volumes of which one is also rendered with at least [`LARGE_VOLUME`] voxels.
 const LARGE_EVERY: usize = 4;
 
 /// Factors by which the volume with this index is enlarged along every axis.

@@ -254,8 +254,8 @@ fn law_text(Pictures { error, fitted }: &Pictures) -> String {
         fitted.over_prior.map_or_else(String::new, |over| {
             let kept = if over < 1.0 { "" } else { ", so the built-in law is kept" };
             format!(
-                ". On held-out scenes, the error with laws fitted to the other scenes and the built-in law \
-                 is {over:.2} times that with the built-in law{kept}"
+                ". Laws were fitted to some of the scenes, with the built-in law as the prior. On the \
+                 other scenes, their error is {over:.2} times that with the built-in law{kept}"
             )
         })
     )

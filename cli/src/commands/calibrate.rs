@@ -204,7 +204,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let clock = entire_io::clock::waited_for(options.clock, renderer.as_ref());
     ensure!(
         clock != Clock::Device || renderer.limits().is_some_and(|l| l.timestamps.is_some()),
-        "--clock device: {} has no clock device, since it has no timestamps; choose --clock wall",
+        "--clock device: {} has no timestamps, so device time cannot be measured; choose --clock wall",
         renderer.device()
     );
     say_prior_clock(options, clock)?;

@@ -123,7 +123,7 @@ fn as_text(found: &Probe) -> String {
         line(
             "limits",
             format!(
-                "3-D textures {}³, storage buffers {} MiB, allocations {} MiB of {} MiB, subgroups of {}",
+                "3-D textures {}³, storage buffers {} MiB, allocation {} MiB, memory {} MiB, subgroups of {}",
                 l.max_image_3d,
                 mib(l.max_storage_buffer),
                 mib(l.max_allocation),

@@ -68,8 +68,9 @@ pub(crate) struct Options {
     /// Members or volumes for testing; see --validation-groups.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub(crate) test_groups: Vec<String>,
-    /// Clock of the learned seconds. Default: the clock of the model that training starts from, else auto for
-    /// frames of a GPU and cpu (processor time) for others; if some frame has no time by that clock, auto.
+    /// Clock of the learned seconds. Default: the clock of the model that training starts from. Without such
+    /// a model: auto for frames of a GPU, cpu (processor time) for other frames. If some frame has no time by
+    /// the default clock, auto is used instead.
     #[arg(long, value_enum)]
     pub(crate) clock: Option<Clock>,
     /// Only frames with this shading: none, local, scatter or local-scatter.

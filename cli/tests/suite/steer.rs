@@ -120,7 +120,7 @@ fn demo_calibrates_on_other_volumes_and_its_model_steers() {
         let other = [&ball[..ball.len() - 1], &[last as u8 + 1]].concat();
         std::fs::write(dir.path().join("data").join(name), other).unwrap();
     }
-    // A copy of the played volume and a link to it are the played volume.
+    // A copy of the played volume and a link to it count as the played volume.
     std::fs::write(dir.path().join("data/copy.nrrd"), ball).unwrap();
     std::os::unix::fs::symlink(dir.path().join("ball.nrrd"), dir.path().join("data/same.nrrd")).unwrap();
     let run = |line: &str| {

@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::path::Path;
 
-/// The excess makespan that noise alone causes: a second measurement serves as the prediction.
+/// Factor by which noise alone lengthens the makespan: a second measurement serves as the prediction.
 ///
 /// For each repeat, tasks are assigned longest first, once by the medians of the other repeats and once by
 /// this repeat. Both makespans are computed with the times of this repeat, and the first is divided by the

@@ -216,8 +216,9 @@ fn on_fewer_frames(paper: &Paper, all: &[Results], set: &str) -> Option<String> 
 /// Note on ratios of a network of all data sets.
 const ONE_NETWORK: &str = "one network for all data sets, left-out member";
 
-/// Returns the ratios of a network that was trained on all data sets together, to the constant prediction and
-/// to LVRP with the paper's share of the voxels, on the held-out members of a data set.
+/// Returns two ratios of errors on the held-out members of a data set. The error of a network that was
+/// trained on all data sets together is divided by the error of the constant prediction, and by the error of
+/// LVRP with the paper's share of the voxels.
 fn by_one_network(paper: &Paper, all: &[Results], set: &str, network: &str) -> Option<(Ratio, Ratio)> {
     let found = find(all, Panel::Improved, SETS, BASE_MODE)?;
     let title = &paper.data_set(set)?.title;
@@ -341,7 +342,8 @@ mod tests {
         assert_eq!(of(&paper, &all, name), "0.3000 0.2600 short (interval: 0.1000 to 0.2000)");
         let name = "nyx_cosmology/yt/network-over-constant";
         assert!(of(&paper, &all, name).starts_with("0.2100 0.2000 short"));
-        // A proxy of 64³ of 192³ voxels is a stronger baseline than the paper's, so the bar has no value.
+        // LVRP with 64³ of a volume's 192³ voxels is a stronger baseline than the paper's LVRP, so the bar
+        // has no value.
         let name = "nyx_cosmology/network-over-lvrp";
         assert_eq!(
             of(&paper, &all, name),

@@ -22,7 +22,7 @@ pub(crate) const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
 const UNIFORM: &str = "uniform";
 /// Name of the assignment by measured times.
 const GROUND_TRUTH: &str = "GT";
-/// Name of the recorded path among the data sets.
+/// Name in place of a data set's, for the results on tasks of a recorded path.
 pub(super) const RECORDED: &str = "recorded";
 
 /// Total time of the slowest node when tasks are assigned by a predictor's times, divided by the total time

@@ -530,7 +530,8 @@ mod tests {
         let near = |own: f32, wanted: f32| (own / wanted - 1.0).abs() < 0.02;
         assert!(near(q.image_weight, 5.0) && near(q.step_exponent, 1.2), "{found:?}");
         assert!(near(q.image_exponent, 0.9) && near(q.ray_share, 0.2), "{found:?}");
-        // The law chooses among powers of 1.2 as distances, so it does not reach the optimum exactly.
+        // By the law, only powers of 1.2 are chosen as image sample distances, so the optimum is not reached
+        // exactly.
         assert!(found.over_best < 1.05 && found.step_over_best.unwrap() > 1.1, "{found:?}");
     }
 
