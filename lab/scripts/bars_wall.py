@@ -13,8 +13,8 @@ Each part is played --runs times. --only names the parts to play; bars of other 
                    volume's demo at its first frame, beside the neighbor's bursts. Bar: the share of bursts after which
                    the setting is back at the quiet one within two frames. A frame belongs to a burst if the process got
                    clearly less processor time per wall time in it than in the median frame.
-  halved           The same scene; in the middle of the path, the process runs only every second millisecond from then
-                   on (SIGSTOP and SIGCONT, which need no privilege). Bar: number of frames until two in a row take at
+  halved           The same scene; in the middle of the path, the process is stopped half of the time from then on, for
+                   about a millisecond each (SIGSTOP and SIGCONT, which need no privilege). Bar: number of frames until two in a row take at
                    most 1.1 x target.
   bonsai           `entire steer` plays another scan with a target of 10 ms, on a quiet machine.
 
@@ -70,7 +70,7 @@ DISTURBED = 0.85
 # The setting is back if ray step times squared image sample distance is at most this multiple of the quiet one.
 NEAR = 1.1
 BACK_FRAMES, BACK = 2, 0.9
-# Seconds after the start of a run, and of each stop and each continuation of the process from then on.
+# Seconds after the start of a run, and shortest time for which the process then runs between two stops.
 HALVED_AFTER, HALVED_TURN = 10.0, 0.001
 # A frame is at half the speed if its processor time per wall time is below this share of the median of the path's first
 # AROUND frames. At least as many frames must be at half the speed.
@@ -154,17 +154,19 @@ def frames_until_held(rows):
 
 
 def halve(process):
-    """Halves the speed of a running process, HALVED_AFTER seconds after the call, until it ends."""
+    """Halves the speed of a running process, HALVED_AFTER seconds after the call, until it ends. Each stop lasts as long
+    as the process ran before it, since a busy machine ends the runs late."""
     try:
         process.wait(HALVED_AFTER)
     except subprocess.TimeoutExpired:
         pass
     try:
         while process.poll() is None:
+            begin = time.monotonic()
+            time.sleep(HALVED_TURN)
             process.send_signal(signal.SIGSTOP)
-            time.sleep(HALVED_TURN)
+            time.sleep(time.monotonic() - begin)
             process.send_signal(signal.SIGCONT)
-            time.sleep(HALVED_TURN)
     finally:
         process.send_signal(signal.SIGCONT)
 

@@ -26,8 +26,8 @@ pub(crate) enum Neighbor {
     Bursts,
     /// One core is busy all the time.
     Steady,
-    /// No load, but half of the speed: for 10 of the 20 seconds, the process runs only every second
-    /// millisecond.
+    /// No load, but half of the speed: for 10 of the 20 seconds, the process is stopped half of the
+    /// time, for about a millisecond each.
     HalfSpeed,
 }
 
@@ -85,11 +85,12 @@ fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
     }
 }
 
-/// Pause between two signals to a process that runs at half the speed.
+/// Duration for which a process at half the speed runs between two stops. A busy machine ends it late; each stop
+/// lasts as long as the process ran before it.
 const TURN: Duration = Duration::from_millis(1);
 
-/// Records in a child process, which is stopped every second millisecond in the middle half of its second
-/// part.
+/// Records in a child process, which is stopped for about every second millisecond in the middle half of its
+/// second part.
 fn run_at_half_speed(options: &Options) -> Result<()> {
     let mut command = Command::new(std::env::current_exe()?);
     command.arg("disturb").arg(&options.volume).args(["--neighbor", "none", "--device"]);
@@ -105,12 +106,13 @@ fn run_at_half_speed(options: &Options) -> Result<()> {
         if let Some(status) = child.try_wait()? {
             break status;
         }
+        let turn = Instant::now();
+        std::thread::sleep(TURN);
         if slow.contains(&begin.elapsed().as_secs_f64()) {
             kill(pid, Signal::SIGSTOP)?;
-            std::thread::sleep(TURN);
+            std::thread::sleep(turn.elapsed());
             kill(pid, Signal::SIGCONT)?;
         }
-        std::thread::sleep(TURN);
     };
     ensure!(status.success(), "the recording ended with {status}");
     Ok(())
