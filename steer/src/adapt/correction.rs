@@ -225,7 +225,8 @@ impl Correction {
         self.age > SETTLED + 1
     }
 
-    fn loaded(&self) -> bool {
+    /// True under a load.
+    pub(crate) fn loaded(&self) -> bool {
         self.load != 0.0
     }
 

@@ -49,6 +49,14 @@ fn one_slow_frame_changes_nothing_and_a_burst_is_followed_and_forgotten() {
 }
 
 #[test]
+fn the_step_before_a_load_is_as_certain_after_it_as_before() {
+    let plans = played(120, |_| Changes::default(), |i| if (60..80).contains(&i) { 3.0 } else { 1.0 });
+    let (before, after) = (plans[59].step, plans[81].step);
+    assert!(plans[70].step > 2.4 * before, "{:?}", plans[70]);
+    assert!((after / before).ln().abs() < 0.04, "{before} {after}");
+}
+
+#[test]
 fn a_saved_state_holds_no_load() {
     let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let (mut hybrid, mut noise) = (fitted(0.15), Noise(17));
