@@ -27,7 +27,8 @@ paper-improved: setup ## Train by the paper's recipe with all changes that help,
 PAPER_VARIANTS = $(LAB) paper $(1) --description data/timings/paper-$(2).json --out out/paper-$(2) $(PAPER_FLAGS)
 
 .PHONY: paper-variants
-paper-variants: setup ## Predict the frame times of volumes with and without variants by sparsity, and train with and without VolumeNet's features, an hour: make paper-variants DATA=FOLDER-WITH-ensembles
+paper-variants: setup ## Predict the frame times of volumes with and without variants by sparsity, and train with and without VolumeNet's features, an hour: make paper-variants DATA=FOLDER-WITH-ensembles PYTHON=venv/bin/python (with lab/volumenet/requirements.txt)
+	@test -d "$(DATA)/ensembles" || { echo "no folder $(DATA)/ensembles: make paper-variants DATA=FOLDER-WITH-ensembles"; exit 1; }
 	$(PYTHON) lab/volumenet/sparsity.py --data "$(DATA)/ensembles" --datasets nyx_cosmology,castro_blast --every 3 --out out/variants
 	$(call PAPER_VARIANTS,collect,variants) --data out/variants
 	$(call PAPER_VARIANTS,train,variants) --only ablation,varied --data out/variants

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Fine-tunes the paper's network to ParaView on up to 30,000 predicted frame times, and prints the errors.
 
-A teacher, entire's predictor calibrated to the measured frames of data/timings/paraview-train.csv.gz, predicts the times
-of random frames of the same volumes. The shipped distilled network is fine-tuned to them; a network of the same layers
-learns them from nothing. Both are tested on the measured frames of data/timings/paraview-test.csv.gz, of other volumes.
+A teacher, entire's predictor calibrated to the measured frames of data/timings/paraview-train.csv.gz, predicts the
+times of random frames of the same volumes. The shipped distilled network is fine-tuned to them; a network of the same
+layers learns them from nothing. Both are tested on the measured frames of data/timings/paraview-test.csv.gz, of other
+volumes.
 Takes three minutes. An interrupted command continues.
 """
 import argparse
@@ -45,21 +46,21 @@ def main():
     each = int(max(FRAMES) / TRAINING_SHARE / len(volumes)) + 1
     entire("collect", *volumes, "--out", labels, *(["--resume"] if labels.exists() else []), "--frames", each, "--repeats", 1,
            "--warm-up", 0, "--seed", 7, *SETTING, "--teacher", teacher, "--quiet")
-    models = {"its teacher": teacher, "pre-trained": PRETRAINED}
+    models = [teacher, PRETRAINED]
     network = ("--preset", "12C256", "--inputs", "volume_features,camera,resolution,transfer_function", "--sorted-lobes",
                "--volumenet", ROOT / "models/volumenet-128f2.safetensors")
     for count, epochs in FRAMES.items():
         for how, start in (("fine-tuned", ("--fine-tune", PRETRAINED)), ("from nothing", network)):
-            name = f"{how}, {count} frames"
-            models[name] = out / f"{how.replace(' ', '-')}-{count}.safetensors"
-            if not models[name].exists():
-                print(f"train {name}", flush=True)
+            model = out / f"{how.replace(' ', '-')}-{count}.safetensors"
+            models.append(model)
+            if not model.exists():
+                print(f"train {how}, {count} frames", flush=True)
                 # An interrupted training writes its best weights and fails.
                 part = out / "part.safetensors"
                 entire("train", "--data", labels, "--limit", count, "--clock", "cpu", "--epochs", epochs, "--out", part,
                        "--quiet", *start)
-                part.rename(models[name])
-    entire("evaluate", "--clock", "cpu", "--model", *models.values(), "--data", test, "--out", out / "evaluation", "--quiet")
+                part.rename(model)
+    entire("evaluate", "--clock", "cpu", "--model", *models, "--data", test, "--out", out / "evaluation", "--quiet")
 
 
 if __name__ == "__main__":

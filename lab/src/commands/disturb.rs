@@ -85,8 +85,8 @@ fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
     }
 }
 
-/// Duration for which a process at half the speed runs between two stops. A busy machine ends it late; each stop
-/// lasts as long as the process ran before it.
+/// Shortest duration for which a process at half the speed runs between two stops. On a busy machine it runs
+/// longer; each stop lasts as long as the process ran before it.
 const TURN: Duration = Duration::from_millis(1);
 
 /// Records in a child process, which is stopped for about every second millisecond in the middle half of its

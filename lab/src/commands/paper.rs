@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 /// Folder of the recorded paths for the paper's use case 1, steering. `make steer-traces
 /// STEER_OUT=data/steer` records them.
-const RECORDED: &str = "data/steer";
+const STEERING_DATA: &str = "data/steer";
 
 /// Reproduce every table and figure of the paper, beside our results.
 ///
@@ -263,7 +263,7 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
 /// of all methods of `entire-lab farm`.
 fn balance(work: &Work<'_>) -> Result<()> {
     cases::balance(work.out, &work.paper.orbit)?;
-    let recorded = Path::new(RECORDED).join("farm.json.gz");
+    let recorded = Path::new(STEERING_DATA).join("farm.json.gz");
     if recorded.exists() {
         cases::balance_recorded(work, &recorded)?;
     }
@@ -280,22 +280,22 @@ fn balance(work: &Work<'_>) -> Result<()> {
 /// The paper's use case 1, steering: replays recorded paths of a data set under every controller with the
 /// paper's network, and under the controller `hybrid` with our predictor.
 fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
-    let calibration = Path::new(RECORDED).join("calibration.csv.gz");
-    let folder = Path::new(RECORDED).join("traces");
+    let calibration = Path::new(STEERING_DATA).join("calibration.csv.gz");
+    let folder = Path::new(STEERING_DATA).join("traces");
     let Some((set, mode)) = work.paper.panels.get(&Panel::Steering).and_then(|p| p.first()) else {
         return Ok(());
     };
     let network =
         if calibration.exists() && folder.is_dir() { trials::steering_network(work, mode)? } else { None };
-    if network.is_none() {
+    let Some(network) = network else {
         note(&format!(
-            "use case 1 is skipped: it needs recorded paths in {RECORDED} (make steer-traces STEER_OUT=data/steer) \
+            "use case 1 is skipped: it needs recorded paths in {STEERING_DATA} (make steer-traces STEER_OUT=data/steer) \
              and the frames of its network"
         ));
         return Ok(());
-    }
+    };
     let traces = control::traces_of(&folder, set)?;
-    let tuned = network.as_ref().map(|n| trials::tuned_network(work, n, &calibration)).transpose()?;
+    let tuned = trials::tuned_network(work, &network, &calibration)?;
     let options = |out: &str, model: Option<PathBuf>, controllers: &[ControllerKind]| replay::Options {
         paths: replay::Paths {
             traces: traces.clone(),
@@ -310,8 +310,9 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
         out: work.out.join("cases").join(out),
         bars: false,
     };
-    let by_network = options("steering", network, ControllerKind::value_variants());
-    let by_tuned = options("steering-tuned", tuned, &[ControllerKind::Algorithm1, ControllerKind::Hybrid]);
+    let by_network = options("steering", Some(network), ControllerKind::value_variants());
+    let by_tuned =
+        options("steering-tuned", Some(tuned), &[ControllerKind::Algorithm1, ControllerKind::Hybrid]);
     let by_ours = options("steering-ours", None, &[ControllerKind::Hybrid]);
     [&by_network, &by_tuned, &by_ours].into_iter().try_for_each(replay::run)?;
     let mut renderer = device::open(step.device)?;

@@ -43,8 +43,9 @@ fn noted(bar: Bar, text: &str) -> Bar {
 
 /// Returns the bars; a bar without a value counts as missed. If the study is partial, bars with neither value
 /// nor note are left out. A bar on a data set is about the paper's split of that data set, and about the
-/// paper's base mode unless its name has another mode. `missing` is the number of the paper's tables and
-/// figures (labels) without a counterpart.
+/// paper's base mode unless its name has another mode. Two kinds of bars are about left-out members instead:
+/// those of the distilled network, and those with the note [`ONE_NETWORK`]. `missing` is the number of the
+/// paper's tables and figures (labels) without a counterpart.
 pub(crate) fn bars(
     paper: &Paper,
     all: &[Results],
@@ -131,11 +132,8 @@ pub(crate) fn bars(
     for d in paper.data_sets.iter().filter(of_paper).filter(|d| d.variants) {
         let name = format!("{}/without-over-with-feature-vector", d.name);
         out.push(at_least(name.clone(), without_over_with(all, d, Panel::Ablation), ablation));
-        let asked = paper.panels.get(&Panel::Varied);
-        if asked.is_some_and(|p| p.iter().any(|(set, mode)| *set == d.name && mode == BASE_MODE)) {
-            let varied = without_over_with(all, d, Panel::Varied);
-            out.push(at_least(format!("{name}-volume-alone"), varied, alone));
-        }
+        let varied = without_over_with(all, d, Panel::Varied);
+        out.push(at_least(format!("{name}-volume-alone"), varied, alone));
     }
     let main = |r: &&Reconstruction| {
         r.encoder.channels.is_empty() && (r.encoder.size, r.encoder.features) == paper.encoders.main
@@ -176,8 +174,8 @@ pub(crate) fn bars(
     out
 }
 
-/// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it: in the ablation
-/// on the paper's split of a data set, or on frames in which only the volume varies.
+/// Returns the network's RMSE without VolumeNet's feature vector, divided by its RMSE with it: in the
+/// ablation on the paper's split of a data set, or on frames in which only the volume varies.
 fn without_over_with(all: &[Results], set: &DataSet, panel: Panel) -> Ratio {
     let split = if panel == Panel::Varied { EXPERIMENTS[0] } else { set.rule.split() };
     let rows = || {
@@ -304,6 +302,8 @@ mod tests {
             bars(&paper, &[fewer, ablation], 0, &[], 1.0).iter().map(ToString::to_string).collect();
         assert!(found[0].contains("nyx_cosmology/network-over-constant - 0.2000 short (0.5000"), "{found:?}");
         assert!(found[0].ends_with("with 90 of 100 frames)"), "{found:?}");
+        // A partial study leaves out bars with neither value nor note.
+        assert!(found.iter().all(|l| !l.contains(" - ") || l.ends_with(')')), "{found:?}");
         let line = |name: &str| found.iter().find(|l| l.contains(name)).unwrap().as_str();
         assert_eq!(
             line("castro_blast/without-over-with-feature-vector"),

@@ -434,8 +434,8 @@ impl At<'_> {
 /// Name of the share of the variance of ln(time per pixel) that lies between volumes.
 pub(super) const BETWEEN_VOLUMES: &str = "between volumes";
 
-/// Share of the variance of ln(time per pixel) that lies between volumes. The variance of volume means that the
-/// scatter within volumes causes by chance is subtracted. `None` with fewer than two volumes.
+/// Share of the variance of ln(time per pixel) that lies between volumes. The variance of volume means that
+/// the scatter within volumes causes by chance is subtracted. `None` with fewer than two volumes.
 fn between_volumes(of: &TimedFrames<'_>) -> Option<Fact> {
     let mut by_volume: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for (f, seconds) in of.frames.iter().zip(&of.seconds) {

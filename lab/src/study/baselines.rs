@@ -128,7 +128,8 @@ pub(crate) fn twins(
     for twin in Table::read_without_features(path, 0)?.frames {
         let Some(number) = numbers.get(&key(&twin.scene)) else {
             bail!(
-                "{}: frame {} shows a scene that {} lacks; collect it with the same seed, volumes and settings",
+                "{}: frame {} shows a scene that {} lacks; collect it with the same seed, volumes and \
+                 settings",
                 path.display(),
                 twin.number,
                 file_name(table)
