@@ -112,7 +112,9 @@ class Machine:
         """Returns the seed of the test frames, which the folder keeps from the first step on."""
         kept = self.out / "seed"
         if not kept.exists():
-            kept.write_text(str(self.asked_seed or time.strftime("%Y%m%d")))
+            if any(self.out.glob("*-before.csv")):
+                sys.exit(f"{self.out} has frames of an unknown seed; name another folder by --out, or delete this one")
+            kept.write_text(time.strftime("%Y%m%d") if self.asked_seed is None else str(self.asked_seed))
         seed = int(kept.read_text())
         if self.asked_seed not in (None, seed):
             sys.exit(f"{self.out} has frames of seed {seed}; name another folder by --out for seed {self.asked_seed}")

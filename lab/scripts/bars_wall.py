@@ -14,8 +14,8 @@ Each part is played --runs times. --only names the parts to play; bars of other 
                    the setting is back at the quiet one within two frames. A frame belongs to a burst if the process got
                    clearly less processor time per wall time in it than in the median frame.
   halved           The same scene; in the middle of the path, the process is stopped half of the time from then on, for
-                   about a millisecond each (SIGSTOP and SIGCONT, which need no privilege). Bar: number of frames until two in a row take at
-                   most 1.1 x target.
+                   about a millisecond each (SIGSTOP and SIGCONT, which need no privilege). Bar: number of frames until
+                   two in a row take at most 1.1 x target.
   bonsai           `entire steer` plays another scan with a target of 10 ms, on a quiet machine.
 
 Finished runs are not repeated, so that an interrupted command continues.

@@ -57,7 +57,7 @@ README_FIGURES = {
         ("Inside VTK", "AutoAdjustSampleDistances", 1, 0),
     ),
     "time that steering adds to a frame in VTK": (("Inside VTK", "vtkEntireSteering, cold", 4, 0),),
-    r"median of \|predicted / measured − 1\|": (("Calibration on another machine", "unshaded, unseen members", 2, 2),),
+    r"median of \|predicted / measured − 1\|": (("Calibration on another machine", "unshaded, unseen members", 2, 4),),
     "render farm": (
         ("Render farms", "queue, longest predicted first", 2, 0),
         ("Render farms", "queue in random order", 2, 0),
