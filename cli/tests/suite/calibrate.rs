@@ -218,7 +218,7 @@ fn what_cannot_be_calibrated_is_said() {
     fails(at, "calibrate a.nrrd --root . --out m.safetensors", 2, &["--root"]);
     // The CPU version has no time stamps.
     let line = format!("calibrate a.nrrd --clock device --out m.safetensors {QUICK}");
-    fails(at, &line, 1, &["no clock device", "--clock"]);
+    fails(at, &line, 1, &["has no timestamps", "--clock"]);
     let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";
     fails(at, twice, 1, &["./a.nrrd is given twice, first as a.nrrd"]);
     let both = "calibrate a.nrrd --device cpu --out m.safetensors --table ./m.safetensors";

@@ -52,14 +52,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
     let all = [
         (["The recipe, one change at a time", "make paper-procedure", "trial-procedure"], procedure),
         (["Training on predicted frame times", "make paper-frames DATA=FOLDER", "trial-frames"], frames),
-        (
-            [
-                "The network with what the experiments showed",
-                "make paper-improved",
-                "trial-improved",
-            ],
-            improved,
-        ),
+        (["The network with what the experiments showed", "make paper-improved", "trial-improved"], improved),
     ];
     all.into_iter().filter(|(_, section)| section.there()).collect()
 }

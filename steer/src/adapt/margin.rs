@@ -48,6 +48,22 @@ impl Margin {
     }
 }
 
+/// Returns the probability that a standard normal number exceeds `limit`.
+pub(crate) fn exceeded(limit: f64) -> f64 {
+    0.5 * libm::erfc(limit * core::f64::consts::FRAC_1_SQRT_2)
+}
+
+/// Returns the quantile of the standard normal distribution that is exceeded with this probability, clamped
+/// to 0…8; 0 for a probability that is NaN or not positive.
+pub(crate) fn normal_quantile(probability: f64) -> f64 {
+    let (mut low, mut high) = (0.0, 8.0);
+    for _ in 0..30 {
+        let middle = 0.5 * (low + high);
+        if exceeded(middle) > probability { low = middle } else { high = middle }
+    }
+    if probability > 0.0 { low } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,5 +97,14 @@ mod tests {
                 assert!((LOW..=HIGH).contains(&margin.multiple));
             }
         }
+    }
+
+    #[test]
+    fn quantiles_are_those_of_the_normal_distribution() {
+        for (rate, sd) in [(0.158_655_3, 1.0), (0.022_750_13, 2.0), (0.001_349_898, 3.0)] {
+            assert!((normal_quantile(rate) - sd).abs() < 1e-6, "{rate}: {}", normal_quantile(rate));
+            assert!((exceeded(sd) - rate).abs() < 1e-7, "{sd}: {}", exceeded(sd));
+        }
+        assert_eq!([f64::NAN, 0.0, -1.0].map(normal_quantile), [0.0; 3]);
     }
 }

@@ -15,4 +15,4 @@ pub(crate) use constants::constants;
 pub(crate) use correction::{CLIP, Correction, NOVEL, PACE, Prior, Standing};
 pub(crate) use gate::check_seconds;
 pub use gate::{ObserveFlags, Verdict};
-pub(crate) use margin::Margin;
+pub(crate) use margin::{Margin, exceeded, normal_quantile};
