@@ -407,7 +407,7 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
         let mut chart = Chart::new(
             title(paper, r),
             Axis::categories("nodes", NODES.iter().map(ToString::to_string).collect()),
-            Axis::linear("load of a node / load of the slowest node under GT"),
+            Axis::linear("load / slowest load under GT"),
         );
         let columns: String = methods.iter().map(|m| format!(" | #{m}")).collect();
         let mut table = Table::headed(&format!("nodes{columns}"));
