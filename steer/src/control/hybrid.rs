@@ -5,8 +5,10 @@ use super::constants::HybridConstants;
 use super::history::History;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::adapt::state::{Reader, Writer};
-use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, NOVEL, PACE, Prior, Standing, Verdict};
-use crate::adapt::{exceeded, normal_quantile};
+use crate::adapt::{
+    CLIP, Correction, CorrectionConstants, Margin, NOVEL, PACE, Prior, Standing, Verdict, exceeded,
+    normal_quantile,
+};
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::boxed::Box;
@@ -241,11 +243,16 @@ impl Hybrid {
     /// With a `step` of NaN, the bounds do not depend on the step.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
         let corrected = self.correction.apply(terms);
-        let from = |known: f32| libm::fabs(libm::log(step / f64::from(known)));
-        let learned = self.learned.filter(|(scene, _)| *scene == self.scene.number).map(|(_, step)| step);
         let far = match self.last {
             Some(last) if !self.scene.first && step > 0.0 => {
-                from(last.step).min(from(learned.unwrap_or(last.step)))
+                let from = |known: f32| libm::fabs(libm::log(step / f64::from(known)));
+                match self.learned {
+                    // Without a load, both steps are the same.
+                    Some((scene, learned)) if scene == self.scene.number && learned != last.step => {
+                        from(last.step).min(from(learned))
+                    }
+                    _ => from(last.step),
+                }
             }
             _ => 0.0,
         };
