@@ -146,14 +146,8 @@ pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<Pat
     let (validation, training) = measured.held_out();
     let (shipped, _) = main_encoder(work, None)?;
     let recipe = Recipe { volumenet: Some(shipped), ..work.paper.network.clone() };
-    let (hidden, none) = (ProgressBar::hidden(), TimedFrames::default());
-    let stop = || work.stop();
-    let runner = Runner { pool: work.pool, models: work.out.join("models"), bar: &hidden, stop: &stop };
-    let context = FitContext { tables: &measured.tables, pool: work.pool, bar: &hidden, stop: &stop };
     let parts = (&training, &validation);
-    let (_, path) =
-        runner.made(&format!("steering-{mode}"), &recipe, &context, parts, &Bounds::Frames(&none))?;
-    Ok(Some(path))
+    made(work, &format!("steering-{mode}"), &recipe, &measured.tables, parts).map(Some)
 }
 
 /// Fine-tunes a network to the frames at the reference step of a calibration table.
@@ -168,12 +162,23 @@ pub(crate) fn tuned_network(work: &Work<'_>, network: &Path, calibration: &Path)
         volumenet: None,
         ..work.paper.network.clone()
     };
+    made(work, "steering-tuned", &recipe, &tables, (&learned, &TimedFrames::default()))
+}
+
+/// Trains a network on the training frames and stops by the validation frames, or finds it in the folder of
+/// models.
+fn made(
+    work: &Work<'_>,
+    name: &str,
+    recipe: &Recipe,
+    tables: &[Table],
+    parts: (&TimedFrames<'_>, &TimedFrames<'_>),
+) -> Result<PathBuf> {
     let (hidden, none) = (ProgressBar::hidden(), TimedFrames::default());
     let stop = || work.stop();
     let runner = Runner { pool: work.pool, models: work.out.join("models"), bar: &hidden, stop: &stop };
-    let context = FitContext { tables: &tables, pool: work.pool, bar: &hidden, stop: &stop };
-    let parts = (&learned, &none);
-    Ok(runner.made("steering-tuned", &recipe, &context, parts, &Bounds::Frames(&none))?.1)
+    let context = FitContext { tables, pool: work.pool, bar: &hidden, stop: &stop };
+    Ok(runner.made(name, recipe, &context, parts, &Bounds::Frames(&none))?.1)
 }
 
 /// Returns a trial of the paper's recipe, and one of each change of the recipe.
