@@ -100,13 +100,11 @@ def figures(folder):
         near = {int(r["frame"]) + k for r in own if r["switch"] == "1" for k in range(SWITCH_FRAMES)}
         off = [over(r) for r in own]
         at = [abs(e) for e, r in zip(off, own) if int(r["frame"]) in near]
-        usual = statistics.median(map(busy, own))
-        alone = [busy(r) >= DISTURBED * usual for r in own]
         out[name] = {
             "late": sum(e > LATE for e in off) / len(off),
             "mean-error": statistics.mean(map(abs, off)),
             "error-at-switches": statistics.mean(at) if at else float("nan"),
-            UNDISTURBED: sum(e > LATE for e, a in zip(off, alone) if a) / len(off),
+            UNDISTURBED: sum(e > LATE for e, d in zip(off, disturbed(own)) if not d) / len(off),
             "psnr": statistics.mean(float(r["psnr_db"]) for r in own),
         }
     return out
@@ -117,6 +115,12 @@ def busy(row):
     return float(row["seconds_cpu"]) / float(row["seconds_wall"])
 
 
+def disturbed(rows):
+    """Returns for each frame of a run True if it got clearly less processor time per wall time than the median frame."""
+    usual = statistics.median(map(busy, rows))
+    return [busy(r) < DISTURBED * usual for r in rows]
+
+
 def coarseness(row):
     return float(row["step_ref"]) * float(row["image_sample_distance"]) ** 2
 
@@ -124,16 +128,15 @@ def coarseness(row):
 def frames_until_back(rows):
     """Returns for every burst the number of frames after its end that were coarser than the quiet setting. Bursts that
     another one follows within BACK_FRAMES frames do not count, nor does a burst at an end of the path."""
-    usual = statistics.median(map(busy, rows))
-    disturbed = [busy(r) < DISTURBED * usual for r in rows]
+    slowed = disturbed(rows)
     # The setting of a frame was planned after the frames before it.
-    calm = [c for i, c in enumerate(map(coarseness, rows)) if i >= 5 and not any(disturbed[i - 5 : i + 1])]
+    calm = [c for i, c in enumerate(map(coarseness, rows)) if i >= 5 and not any(slowed[i - 5 : i + 1])]
     if not calm:
         return []
     most = NEAR * statistics.median(calm)
     out = []
     for end in range(2, len(rows) - BACK_FRAMES):
-        if disturbed[end - 1] and not any(disturbed[end : end + BACK_FRAMES + 1]):
+        if slowed[end - 1] and not any(slowed[end : end + BACK_FRAMES + 1]):
             coarse = (k for k in range(len(rows) - end) if coarseness(rows[end + k]) <= most)
             out.append(next(coarse, len(rows) - end))
     return out

@@ -21,7 +21,7 @@ PRETRAINED = ROOT / "models/unshaded-distilled.safetensors"
 FRAMES = {100: 100, 1000: 100, 10_000: 30, 30_000: 15}
 # Share of the predicted frames whose volumes are for training; the other volumes are for validation and testing.
 TRAINING_SHARE = 0.75
-# As in ParaView's frames: sides of images in pixels, opacity at which a ray ends, and about its ray step.
+# Settings of ParaView's frames: sides of images in pixels, opacity at which a ray ends, and about its ray step.
 SETTING = ("--min-size", "32", "--max-size", "192", "--skip", "none", "--termination", "0.996", "--steps", "0.5")
 
 

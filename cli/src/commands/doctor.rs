@@ -18,7 +18,8 @@ use std::time::Duration;
 /// Looks for a Vulkan device, models of this machine, VTK, PyVista, 3D Slicer, trame, napari, vispy and yt,
 /// ParaView, the C library and the engines of render farms. For a found part it prints the version, the
 /// use and, for adapters, the versions with which that use was tested. For a missing part it prints the use
-/// and, for most parts, how to install it. Missing parts are no error: the CPU version of the raycaster renders anywhere.
+/// and, for most parts, how to install it. Missing parts are no error: the CPU version of the raycaster
+/// renders anywhere.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire doctor
