@@ -1,8 +1,8 @@
 //! Choice of the next bundle when a node requests work (late binding): the longest tasks are sent first. If
 //! loading is expensive, a node keeps its loaded volume as long as this choice shortens the run.
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
@@ -53,6 +53,16 @@ impl Ord for Time {
     }
 }
 
+/// Random numbers. A copy draws the same numbers as the original.
+#[derive(Debug)]
+struct Random(ChaCha8Rng);
+
+impl Clone for Random {
+    fn clone(&self) -> Self {
+        Self(ChaCha8Rng::deserialize_state(&self.0.serialize_state()))
+    }
+}
+
 /// Waiting tasks. Each volume has a list, whose last entry is the task to send first.
 #[derive(Clone, Debug)]
 pub(crate) struct Dispatcher {
@@ -76,7 +86,7 @@ pub(crate) struct Dispatcher {
     /// Number of the request at which `loading` was updated last.
     looked: u32,
     arrival: bool,
-    rng: ChaCha8Rng,
+    rng: Random,
 }
 
 /// Order in which tasks are sent.
@@ -111,7 +121,7 @@ impl Dispatcher {
             loading: false,
             looked: 0,
             arrival: order != Order::Longest,
-            rng: ChaCha8Rng::seed_from_u64(11),
+            rng: Random(ChaCha8Rng::seed_from_u64(11)),
         }
     }
 
@@ -319,7 +329,7 @@ impl Dispatcher {
         let v = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0).min_by_key(|v| self.sent[*v])?;
         let lane = &self.lanes[v];
         for _ in 0..64 {
-            let task = lane[(self.rng.next_u64() % lane.len() as u64) as usize];
+            let task = lane[(self.rng.0.next_u64() % lane.len() as u64) as usize];
             if self.waits[task as usize] {
                 self.take(task);
                 self.push_front(v);

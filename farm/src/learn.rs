@@ -14,8 +14,8 @@ use super::job::Job;
 use entire_core::scene::Camera;
 use entire_steer::numeric::{back, forward, solve};
 use entire_steer::predict::PREDICTED_SECONDS;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 
 /// Number of features of a task without its transfer function: a constant, ln base, ln pixels, ln step, ln

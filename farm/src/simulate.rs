@@ -4,8 +4,8 @@
 use super::dispatch::Time;
 use super::list::Span;
 use super::planner::Planner;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use std::collections::{BTreeMap, HashSet};
 
 /// The simulated world: durations, speeds and failures.

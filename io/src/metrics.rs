@@ -1,8 +1,8 @@
 //! Error measures of predicted seconds against measured ones.
 
 pub use entire_steer::numeric::median;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

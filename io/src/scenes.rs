@@ -3,8 +3,8 @@
 
 use anyhow::{Result, ensure};
 use entire_core::scene::{Arcball, GaussianLobe, MAX_IMAGE_SIDE};
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 /// Distribution of random scenes. All draws are independent.

@@ -12,9 +12,8 @@ use entire_steer::predict::{PREDICTED_SECONDS, check_predictions};
 use entire_train::fit::predict_rows;
 use entire_train::inputs::Layout;
 use indicatif::ProgressBar;
-use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
 use std::path::Path;
 
 fn predicting_models() -> Vec<(String, Model)> {

@@ -6,8 +6,8 @@ use entire_core::nn::Dtype;
 use entire_core::scene::{Arcball, GaussianLobe};
 use entire_io::dataset::{MANIFEST_FORMAT, Manifest, Scene, Table, TimedFrame, Timing, Writer};
 use entire_steer::predict::{AnalyticModel, Quality, load};
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use std::path::Path;
 use tempfile::TempDir;
 

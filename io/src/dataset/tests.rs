@@ -244,9 +244,8 @@ fn noise_floor_is_the_middle_difference_of_repeats() {
 
 #[test]
 fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
-    use rand::RngExt;
-    use rand_chacha::rand_core::SeedableRng;
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    use rand::{RngExt, SeedableRng};
+    let mut rng = rand::rngs::ChaCha8Rng::seed_from_u64(5);
     // The sum of twelve uniform numbers less 6 has a standard deviation of 1.
     let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
     let frames: Vec<TimedFrame> = (0..2000u32)

@@ -14,9 +14,9 @@ use entire_report::{Axis, Chart, Mark, Series, Table};
 use entire_steer::calibrate::FEWEST_FRAMES;
 use entire_train::fit::{FitContext, predict};
 use entire_train::split::{GroupBy, TimedFrames};
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

@@ -15,8 +15,8 @@ use entire_farm::planner::{Planner, Setting};
 use entire_farm::simulate::{World, simulate};
 use entire_farm::{By, Task, database, drive, predict, times, volume_numbers};
 use entire_io::metrics::median;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use std::path::Path;
 use std::time::Instant;
 

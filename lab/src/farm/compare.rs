@@ -10,9 +10,9 @@ use entire_io::files::make_folder;
 use entire_io::machine::Provenance;
 use entire_io::metrics::median;
 use entire_report::{Page, Table};
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 use std::path::Path;
 
 /// Factor by which noise alone lengthens the makespan: a second measurement serves as the prediction.

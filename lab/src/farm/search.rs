@@ -1,8 +1,8 @@
 //! Reference for schedulers: a local search with many random starts. It knows the measured times and the
 //! times to load volumes.
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 
 /// A scheduling problem: tasks with their volumes, and the times to load volumes.

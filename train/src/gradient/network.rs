@@ -6,8 +6,8 @@ use super::matmul::{matrix, multiply, vectorized};
 use anyhow::{Result, bail, ensure};
 use entire_core::kernels::{SELU_ALPHA, SELU_SCALE};
 use entire_core::nn::PredNetParts;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 
 /// Largest number of layers that [`Network`] takes.
 const MAX_LAYERS: usize = 1024;

@@ -6,8 +6,8 @@ use super::{Loss, Network, Trainer};
 use anyhow::{Result, bail, ensure};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
 use entire_steer::predict::LONGEST_FRAME;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 use rayon::ThreadPool;
 use std::ops::ControlFlow;
 

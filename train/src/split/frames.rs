@@ -2,9 +2,9 @@
 
 use super::{GroupBy, shuffled};
 use entire_io::dataset::{Clock, Timed, TimedFrame};
+use rand::SeedableRng;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 use std::collections::BTreeSet;
 
 /// Largest number of folds of a cross-validation.
