@@ -108,8 +108,8 @@ pub fn for_training<'a>(
 pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
     let theirs = theirs.filter(|c| *c != clock)?;
     Some(format!(
-        "{name} predicts {} seconds; the new model predicts {} seconds and learns the factor between them \
-         from the frames",
+        "{name} predicts {} seconds; the new model predicts {} seconds and learns the factor between the two \
+         clocks from the frames",
         theirs.name(),
         clock.name()
     ))
@@ -124,7 +124,7 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
     let names: Vec<&str> = models.into_iter().filter(|m| of(m.1).is_none()).map(|m| m.0).collect();
     (!names.is_empty()).then(|| {
         format!(
-            "no clock is stated by {}; predictions are taken as {} seconds",
+            "no clock is stated by {}; their predictions are taken as {} seconds",
             names.join(", "),
             clock.name()
         )

@@ -84,10 +84,10 @@ impl Identity {
     fn difference(&self, now: &Self) -> Option<String> {
         let Self { name, .. } = self;
         if now.name != *name {
-            return Some(format!("the name was {name} and is {}", now.name));
+            return Some(format!("the file name changed from {name} to {}", now.name));
         }
         if now.bytes != self.bytes {
-            return Some(format!("{name} had {} bytes and has {}", self.bytes, now.bytes));
+            return Some(format!("the size of {name} changed from {} to {} bytes", self.bytes, now.bytes));
         }
         if now.hash != self.hash {
             return Some(format!("the content of {name} changed (hash {}, was {})", now.hash, self.hash));

@@ -111,8 +111,7 @@ impl BackgroundLoad {
     pub(crate) fn text(&self, frames: usize) -> String {
         match self.mean {
             Some(_) => format!(
-                "disturbed the measurement in {:.0} % of its time; {} of {frames} frames have only disturbed \
-                 repeats",
+                "disturbed {:.0} % of the measured time; {} of {frames} frames have only disturbed repeats",
                 100.0 * self.disturbed / self.seconds.max(1e-9),
                 self.frames
             ),
@@ -164,7 +163,7 @@ mod tests {
         assert!(others.busy());
         others.frames = 3;
         let said = others.text(40);
-        assert!(said.contains("27 % of its time; 3 of 40 frames"), "{said}");
+        assert!(said.contains("27 % of the measured time; 3 of 40 frames"), "{said}");
         let mut blind = BackgroundLoad::default();
         blind.add(5.0, None);
         assert!(!blind.busy() && blind.mean.is_none() && blind.text(1).contains("does not report"));

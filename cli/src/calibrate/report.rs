@@ -136,7 +136,7 @@ impl Report {
         }
         if self.folds == 0 {
             out.push(
-                "fewer than three volumes: no volume could be held out, so the error was measured on the \
+                "there are fewer than three volumes, so none was held out, and the error was measured on the \
                  training frames"
                     .into(),
             );
@@ -254,8 +254,8 @@ fn law_text(Pictures { error, fitted }: &Pictures) -> String {
         fitted.over_prior.map_or_else(String::new, |over| {
             let kept = if over < 1.0 { "" } else { ", so the built-in law is kept" };
             format!(
-                ". Laws were fitted to some of the scenes, with the built-in law as the prior. On the \
-                 other scenes, their error is {over:.2} times that with the built-in law{kept}"
+                ". Laws were fitted to some of the scenes, with the built-in law as the prior. On the other \
+                 scenes, their error is {over:.2} times the error of the built-in law{kept}"
             )
         })
     )

@@ -27,13 +27,13 @@ use std::path::{Path, PathBuf};
 
 /// Fit a model to this machine in a minute and a half.
 ///
-/// Renders frames that are chosen by optimal design of experiments, discards warm-up renderings, and repeats
-/// passes until the spread of repeats is small. Then it fits unit costs to the measured times, with the
-/// shipped models of the shading mode as prior (on a GPU, typical costs of a GPU): a few frames determine the
-/// speed of this machine, hundreds of frames determine each unit cost. Prints the error on held-out volumes,
-/// and warns if other programs used the machine. Ctrl-C ends the measurement, and the model is fitted to the
-/// frames measured until then. `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the
-/// model by themselves.
+/// Renders frames that are chosen by optimal design of experiments, in two to four passes, depending on the
+/// spread of repeats. Warm-up renderings are discarded. Then it fits unit costs (seconds per unit of each
+/// kind of work, such as a sample) to the measured times. The prior is the shipped models of the shading
+/// mode; on a GPU, it is typical costs of a GPU. A few frames determine the speed of this machine; hundreds
+/// of frames determine each unit cost. Prints the error on held-out volumes, and warns if other programs used
+/// the machine. Ctrl-C ends the measurement early; the model is then fitted to the frames measured so far.
+/// `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the model by themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate
@@ -52,8 +52,8 @@ pub(crate) struct Options {
     /// Volume files; default: all volumes in data/, but of ensembles only the training members.
     #[arg(value_name = "VOLUME")]
     pub(crate) volumes: Vec<PathBuf>,
-    /// Timing tables logged by your own renderer: nothing is rendered. The model is fitted to those of their
-    /// frames that have the shading --shade and a time by --clock. Needs --out.
+    /// Timing tables that your own renderer logged. Nothing is rendered: the model is fitted to the frames of
+    /// these tables that have the shading --shade and a time by --clock. Needs --out.
     #[arg(
         long,
         num_args = 1..,
@@ -63,18 +63,19 @@ pub(crate) struct Options {
             "max_size", "steps", "device", "seed", "array", "fill", "range"]
     )]
     pub(crate) data: Vec<PathBuf>,
-    /// Table of compared pictures of the renderer of --data: a quality law (picture error over ray step and
-    /// image size) is fitted to it and stored in the model file, for steering that coarsens both.
+    /// Table of compared pictures of the renderer of --data. A quality law (picture error as a function of
+    /// ray step and image size) is fitted to the table and stored in the model file, for steering that
+    /// coarsens both step and image.
     ///
     /// Columns: scene, step (multiple of the finest step), image_sample_distance (pixels), seconds, error (0
-    /// for equal pictures). Each scene is drawn at the same settings, full quality among them.
+    /// for equal pictures). Each scene must be drawn at the same settings, one of which is full quality.
     #[arg(long, value_name = "CSV", requires = "data")]
     pub(crate) pictures: Option<PathBuf>,
     /// Shading of each sample; `all` calibrates none, local and scatter, one after another.
     #[arg(long, value_parser = shades_or_all(), default_value = "none")]
     pub(crate) shade: String,
-    /// Clock of the predicted seconds: processor time of all threads, wall time, or the device's timestamps;
-    /// auto: the device's timestamps on a GPU, else wall time.
+    /// Clock of the predicted seconds: `cpu` is processor time of all threads, `wall` is wall time, `device`
+    /// is the device's timestamps; `auto` is `device` on a GPU, else `wall`.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub(crate) clock: Clock,
     /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Default:
@@ -84,8 +85,8 @@ pub(crate) struct Options {
     /// Also write the measured frames, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) table: Option<PathBuf>,
-    /// Prior model of unit costs; default: the shipped models of the shading mode. On a GPU, and for a
-    /// mode without a shipped model, the default is typical costs of this kind of renderer.
+    /// Prior model of unit costs. Default: the shipped models of the shading mode; on a GPU, and for a mode
+    /// without a shipped model, typical costs of this kind of renderer.
     #[arg(long, value_name = "SAFETENSORS")]
     pub(crate) prior: Option<PathBuf>,
     /// Time limit for each shading mode, in wall seconds.
@@ -122,7 +123,7 @@ pub(crate) struct Options {
     /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER", requires = "data", conflicts_with = "volumes")]
     pub(crate) root: Option<PathBuf>,
-    /// Threads that compute scene features; default: all logical processors.
+    /// Number of threads that compute scene features; default: one per logical processor.
     #[arg(long)]
     pub(crate) threads: Option<usize>,
 }

@@ -24,11 +24,11 @@ use std::path::{Path, PathBuf};
 
 /// Render many random frames of volumes and write their render times to a table.
 ///
-/// Cameras lie on semi-spheres of several radii, transfer functions are random Gaussian lobes, image sides
-/// are log-uniform, and half of the images are square. Each frame is rendered several times and every repeat
-/// is a row; a manifest beside the table states machine, renderer and settings. The frames of a volume depend
-/// only on the settings, the seed and the volume's name. Ctrl-C keeps every finished frame; --resume
-/// continues.
+/// Cameras lie on hemispheres of several radii, transfer functions are sums of random Gaussian lobes, image
+/// sides are log-uniformly distributed, and half of the images are square. Each frame is rendered several
+/// times, and each repeat is a row of the table. A manifest beside the table states machine, renderer and
+/// settings. The frames of a volume depend only on the settings, the seed and the volume's name. Ctrl-C ends
+/// the collection and keeps every finished frame; --resume continues the collection.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire collect data/*.nrrd --out frames.csv
@@ -36,10 +36,10 @@ use std::path::{Path, PathBuf};
   entire collect skull.nii.gz --out skull.csv --steps 0.5,1,2,4 --resume
   entire collect --like data/timings/none-train.csv.gz --out again.csv")]
 pub(crate) struct Options {
-    /// Volume files. Files named like `t0012.nrrd` are time steps; their folder is their ensemble member.
+    /// Volume files. A file named like `t0012.nrrd` is a time step; its folder is an ensemble member.
     #[arg(required_unless_present = "like", value_name = "VOLUME")]
     pub(crate) volumes: Vec<PathBuf>,
-    /// The table to write; its manifest goes beside it as NAME.manifest.json.
+    /// The table to write. Its manifest, NAME.manifest.json, is written beside it.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) out: PathBuf,
     /// Collect the frames of this table again: volumes, frames and settings come from its manifest, and
@@ -56,15 +56,15 @@ pub(crate) struct Options {
     /// Timed renderings of each frame in each pass [default: 5].
     #[arg(long, value_name = "R")]
     pub(crate) repeats: Option<u32>,
-    /// Passes over all volumes, each with --repeats renderings of every frame: repeats that are minutes apart
-    /// show the machine's drift [default: 1].
+    /// Number of passes over all volumes; each pass renders every frame --repeats times. Repeats that are
+    /// minutes apart show changes of the machine's speed [default: 1].
     #[arg(long, value_name = "P")]
     pub(crate) passes: Option<u32>,
-    /// Renderings of each frame that are discarded before the timed ones: the first rendering with a new
-    /// image size and transfer function is slower than the next ones [default: 1].
+    /// Untimed renderings of each frame before the timed ones: the first rendering with a new image size and
+    /// transfer function is slower than later ones [default: 1].
     #[arg(long, value_name = "N")]
     pub(crate) warm_up_repeats: Option<u32>,
-    /// Renderings that are discarded after each volume is loaded, so that first-use work is not timed.
+    /// Untimed renderings after each volume is loaded; they include the one-time work for a new volume.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub(crate) warm_up: u32,
     /// Seed of every random choice.
@@ -76,9 +76,9 @@ pub(crate) struct Options {
     /// Options for reading the volumes.
     #[command(flatten)]
     pub(crate) reading: Reading,
-    /// Write this model's predicted times instead of rendering the frames, to distill another model from it.
-    /// The predicted time is written as wall time and as time by the model's clock; by every clock if the
-    /// model states none.
+    /// Write the times that this model predicts, instead of rendering the frames; another model can then be
+    /// distilled from it. A predicted time is written as wall time and as time by the model's clock, or as
+    /// time by every clock if the model states none.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
     pub(crate) teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
@@ -90,14 +90,16 @@ pub(crate) struct Options {
     /// Ray steps, in reference steps; each frame gets one of them at random.
     #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
     pub(crate) steps: Vec<f32>,
-    /// Enlarge every volume by this factor, trilinearly, so that small volumes cost as much as large ones.
+    /// Enlarge every volume trilinearly by this factor along each axis, so that frames of small volumes take
+    /// as long as frames of large ones.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
-    /// Render every volume resampled to EDGE voxels per side, a low-resolution proxy, with the cameras,
-    /// transfer functions, image sizes and steps of the original volume's frames.
+    /// Resample every volume to EDGE voxels per side, a low-resolution proxy. Render the proxy with the
+    /// cameras, transfer functions, image sizes and steps of the original volume's frames.
     #[arg(long, value_name = "EDGE", conflicts_with = "enlarge")]
     pub(crate) proxy: Option<usize>,
-    /// Continue an interrupted table. Settings, machine and volume files must be those of its manifest.
+    /// Continue an interrupted table. Settings, machine and volume files must be those that its manifest
+    /// states.
     #[arg(long)]
     pub(crate) resume: bool,
 }
@@ -212,7 +214,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             );
             if old.files.is_empty() {
                 note(&format!(
-                    "{} has no checksums of the volume files; the files are taken as unchanged",
+                    "{} has no checksums of the volume files, so the files are assumed to be unchanged",
                     Manifest::path_for(&options.out).display()
                 ));
             }

@@ -40,7 +40,7 @@ const RENDERING_BUDGET: f64 = 150.0;
 /// Shortest image side to which images are reduced, pixels.
 const SMALLEST_SIDE: u32 = 96;
 
-/// Calibrate a model of this machine, play a path of cameras and transfer functions under several
+/// Calibrate a model to this machine, play a path of cameras and transfer functions under several
 /// controllers, and write a report.
 ///
 /// If this machine has no model, or its model was calibrated on the given volume, the command calibrates one
@@ -69,8 +69,8 @@ pub(crate) struct Options {
     /// Wall seconds for the calibration.
     #[arg(long, default_value_t = 25.0, value_name = "SECONDS", value_parser = parse_seconds)]
     pub(crate) seconds: f64,
-    /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
-    /// coarser steps.
+    /// Number of random scenes of the volume that are rendered first, at six steps each, to measure the time
+    /// that coarser steps save.
     #[arg(long, default_value_t = 16, value_name = "N")]
     pub(crate) scenes: usize,
     /// Options for reading the volume.
@@ -83,12 +83,12 @@ pub(crate) struct Options {
     /// device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
-    /// Enlarge the volume by this factor, trilinearly; default: 2 for volumes of fewer than 160³ voxels,
-    /// else 1.
+    /// Enlarge the volume trilinearly by this factor along each axis; default: 2 for volumes of fewer than
+    /// 160³ voxels, else 1.
     #[arg(long, value_name = "FACTOR")]
     pub(crate) enlarge: Option<usize>,
-    /// Coarsest image of entire's controller, in pixels between rays along each side; this controller
-    /// coarsens step or image size, whichever adds less error. 1 keeps the full image size.
+    /// Largest distance between rays along each image side under entire's controller, in pixels; 1 keeps the
+    /// full image size. This controller coarsens the step or the image, whichever adds less error.
     #[arg(long, default_value_t = 4.0, value_name = "PIXELS", value_parser = parse_distance)]
     pub(crate) max_image_sample_distance: f32,
     /// Seed of the random scenes.
@@ -288,10 +288,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
-        "Every frame was drawn under every controller before the next frame began, in rotating order, so \
-         that load by other programs affected all controllers alike. Each frame was also drawn at the \
-         reference step; the time of that drawing counts for no controller. Changes of the transfer function \
-         are not part of frame times."
+        "Each frame was drawn under every controller before the next frame began. The order of the \
+         controllers rotated from frame to frame, so that load by other programs affected all of them alike. \
+         Each frame was also drawn at the reference step; the time of that drawing counts for no controller. \
+         Changes of the transfer function are not part of frame times."
             .to_owned(),
         format!(
             "The fixed step ({:.2}) is the step at which the median random scene meets the target. OLP takes \

@@ -16,16 +16,16 @@ use std::time::Duration;
 /// Report what is installed here and what works with it.
 ///
 /// Looks for a Vulkan device, models of this machine, VTK, PyVista, 3D Slicer, trame, napari, vispy and yt,
-/// ParaView, the C library and the engines of render farms. For a found part it prints the version, the
-/// use and, for adapters, the versions with which that use was tested. For a missing part it prints the use
-/// and, for most parts, how to install it. Missing parts are no error: the CPU version of the raycaster
-/// renders anywhere.
+/// ParaView, the C library and the engines of render farms. For each part that it finds, it prints the
+/// version, the use and, for adapters to other renderers, the tested versions. For each missing part, it
+/// prints the use and, for most parts, how to install it. A missing part is no error: the CPU version of the
+/// raycaster renders anywhere.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire doctor
   entire doctor --python venv/bin/python")]
 pub(crate) struct Options {
-    /// Python interpreter in which Python packages are looked for.
+    /// Python interpreter that is searched for packages.
     #[arg(long, default_value = "python3", value_name = "PROGRAM")]
     pub(crate) python: String,
 }

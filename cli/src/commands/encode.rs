@@ -8,11 +8,11 @@ use entire_io::options::thread_pool;
 use entire_io::volume::Reading;
 use std::path::PathBuf;
 
-/// Turn a volume into its feature vector.
+/// Compute the feature vector of a volume by a VolumeNet.
 ///
-/// The volume is mapped to [0, 1] over its range (--range sets another range, such as an ensemble's),
-/// resampled to the network's input size and encoded. Prints the features on one line, comma-separated, 9
-/// significant digits.
+/// The scalars are mapped from the volume's range to [0, 1]; --range sets another range, such as that of an
+/// ensemble. Then the volume is resampled to the network's input size and encoded. Prints the features on one
+/// line, comma-separated, with 9 significant digits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire encode --model volumenet.safetensors data/mr_banana.nrrd
@@ -26,7 +26,7 @@ pub(crate) struct Options {
     /// Options for reading the volume.
     #[command(flatten)]
     pub(crate) reading: Reading,
-    /// Threads; default: all logical processors.
+    /// Number of threads; default: one per logical processor.
     #[arg(long)]
     pub(crate) threads: Option<usize>,
 }

@@ -16,9 +16,9 @@ use std::path::PathBuf;
 ///
 /// The time of every frame is predicted before the frame is drawn, and the measured time corrects later
 /// predictions; a graph shows both times beside the target. While nothing changes, the picture is refined to
-/// full quality in slices no longer than the target. Without --model, the model of this machine is used
-/// (`entire calibrate --clock wall`), else the shipped model. Drag to turn, shift-drag to pan, scroll to
-/// zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to undo.
+/// full quality, in time slices that are no longer than the target. Without --model, the model of this
+/// machine is used (`entire calibrate --clock wall`), else the shipped model. Drag to turn, shift-drag to
+/// pan, scroll to zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to undo.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire explore data/nyx_cosmology/m01/t0010.nrrd
@@ -59,7 +59,7 @@ pub(crate) struct Options {
     /// Play events from a file (JSON lines, see the book) instead of user input.
     #[arg(long, value_name = "FILE.jsonl")]
     pub(crate) script: Option<PathBuf>,
-    /// Write every frame as a row of CSV: seconds, prediction, step, memory.
+    /// Write a row of CSV for every frame: seconds, prediction, step, memory.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) log: Option<PathBuf>,
 }

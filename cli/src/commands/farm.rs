@@ -34,8 +34,9 @@ pub(crate) enum EngineOption {
 /// Render an image database on a farm and predict when it is complete.
 ///
 /// The job file (TOML) names volumes, cameras, transfer functions, sizes, steps and the renderer; see the
-/// book's chapter on render farms. The database is a Cinema database (Specification D): NAME.cdb/data.csv.
-/// Finished images are recorded in NAME.cdb/.farm; --resume continues after any interruption.
+/// book's chapter on render farms. The result is a Cinema database (Specification D) with the table
+/// NAME.cdb/data.csv. Finished images are recorded in NAME.cdb/.farm; --resume continues after any
+/// interruption.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire farm job.toml --list
@@ -44,21 +45,21 @@ pub(crate) enum EngineOption {
   entire farm job.toml --engine hyperqueue --slots 16 --python venv/bin/python
   entire farm job.toml --engine slurm --slots 4 --resume")]
 pub(crate) struct Options {
-    /// The job file (TOML; its format is described in the book's page on render farms).
+    /// The job file (TOML).
     #[arg(value_name = "JOB.toml")]
     pub(crate) job: PathBuf,
     /// The engine that runs the tasks.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) engine: EngineOption,
-    /// Number of bundles (groups of tasks) that run at once: workers of this machine or of HyperQueue, nodes
-    /// of Slurm. Default: the processors of this machine; for Slurm, the nodes that Slurm lists, but with
-    /// --dry-run or --openjd the processors of this machine.
+    /// Number of bundles (groups of tasks) that run at once: local workers, HyperQueue workers or Slurm
+    /// nodes. Default: the number of processors of this machine; for Slurm without --dry-run and --openjd,
+    /// the number of nodes that Slurm lists.
     #[arg(long, value_name = "N")]
     pub(crate) slots: Option<usize>,
     /// Continue an unfinished database.
     #[arg(long)]
     pub(crate) resume: bool,
-    /// With --resume: try quarantined tasks again.
+    /// With --resume: try tasks again that were given up (quarantined) after failures.
     #[arg(long, requires = "resume")]
     pub(crate) retry_quarantined: bool,
     /// With --resume: read every image and compare it with its checksum.
@@ -102,7 +103,7 @@ pub(crate) struct Options {
     /// Additional option of sbatch, such as --sbatch=--partition=long; may be given several times.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
     pub(crate) sbatch: Vec<String>,
-    /// Write a report (HTML) when done; with --dry-run it covers the finished tasks.
+    /// Write a report (HTML) at the end; with --dry-run, the report covers the finished tasks.
     #[arg(long, value_name = "FILE.html")]
     pub(crate) report: Option<PathBuf>,
     /// Write the tasks with their expected seconds as a list (CSV) for `entire schedule` and for `list` in

@@ -14,8 +14,9 @@ use std::path::PathBuf;
 
 /// Compute the scene features of collected frames and keep them beside the tables.
 ///
-/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then do not need the volumes. Run this
-/// command again after an update of the program that changes the features.
+/// Scene features are numbers, such as estimated counts of samples, from which models predict frame times.
+/// The features of `NAME.csv` are written to `NAME.features.csv.gz`; training and evaluation then do not need
+/// the volumes. Run this command again after an update of the program that changes the features.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire features --data frames.csv
@@ -25,18 +26,19 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Model files whose VolumeNet encodes the volumes, for models with volume features.
+    /// Model files with a VolumeNet, the network that computes volume features; only models with volume
+    /// features need them.
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
-    /// Numbers of rays along each side of additional probes, comma-separated, each from 1 to 24. Models with
-    /// another probe than the standard probe of 11 x 11 rays need them. The standard probe is always
-    /// computed.
+    /// Rays along each side of additional probes, comma-separated, 1 to 24 each. A probe is a grid of rays
+    /// that estimates a frame's work. The standard probe of 11 x 11 rays is always computed; a model that
+    /// uses another probe also needs that probe.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
     /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
-    /// Threads; default: all logical processors.
+    /// Number of threads; default: one per logical processor.
     #[arg(long)]
     pub threads: Option<usize>,
 }

@@ -13,11 +13,11 @@ use std::path::{Path, PathBuf};
 
 /// Predict frame times, in seconds, from a table of model inputs.
 ///
-/// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Inputs are not changed; sessions and `entire evaluate` clamp them to the range of the
-/// model's training frames. Prints one line per row: seconds, at least 1e-6, 9 significant digits. If any row
+/// The columns of the table are the model's inputs, in the model's order. Inputs are used as given. In
+/// contrast, sessions and `entire evaluate` clamp them to the range of the training frames, if the model
+/// states this range. Prints one line per row: seconds, at least 1e-6, with 9 significant digits. If any row
 /// is invalid, nothing is printed. If the model states the clock of its seconds, a note on standard error
-/// names it.
+/// names the clock.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs inputs.csv
@@ -103,8 +103,8 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
         let value = net.predict(&inputs, &mut scratch);
         ensure!(
             value.is_finite(),
-            "row {row}: the model predicts {value} seconds, since the inputs are far from its training \
-                 data; check the units of the inputs"
+            "row {row}: the model predicts {value} seconds, since the inputs are far from the model's \
+             training data; check the units of the inputs"
         );
         seconds.push(value);
     }

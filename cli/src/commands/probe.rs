@@ -6,14 +6,14 @@ use entire_vk_raycaster::{Probe, ProbeOptions, WorkCounts, probe};
 use serde_json::json;
 use std::fmt::Write as _;
 
-/// Measure how many rays, samples and skips of empty space this machine renders per second.
+/// Measure the rates of this machine: rays, samples and skips of empty space per second.
 ///
-/// Renders known scenes, and compares the picture of one scene with that of the CPU version of the raycaster.
-/// Prints the device, its limits and the quality of its timestamps. Then prints five numbers that describe
-/// the machine to a predictor. The first is the fixed time per frame. The others are rates per second: rays,
-/// coherent samples (nearly parallel rays of equal length), divergent samples (a wide field of view, rays of
-/// random lengths), and skips of empty blocks. The exit status is 1 if the compared pictures differ by more
-/// than 2 of 255 levels in a channel, or by more than 0.1 levels on average.
+/// Renders built-in scenes, and compares the picture of one scene with the picture that the CPU version of
+/// the raycaster draws. Prints the device, its limits and the quality of its timestamps. Then prints five
+/// numbers: the fixed time per frame, and four rates per second. The rates are rays, coherent samples (nearly
+/// parallel rays of equal length), divergent samples (a wide field of view, rays of random lengths), and
+/// skips of empty blocks. The exit status is 1 if the compared pictures differ by more than 2 of 255 levels
+/// in a channel, or by more than 0.1 levels on average.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire probe
@@ -26,7 +26,7 @@ pub(crate) struct Options {
     /// Images grow until a frame takes this many milliseconds, so that the clock is precise enough.
     #[arg(long, default_value_t = 20.0, value_name = "MS", value_parser = parse_milliseconds)]
     pub(crate) frame_ms: f64,
-    /// Number of frames whose median is taken.
+    /// Number of timed frames of each scene; their median time is used.
     #[arg(
         long,
         default_value_t = 9,

@@ -15,9 +15,9 @@ use std::path::PathBuf;
 
 /// Render one frame and time it.
 ///
-/// Writes the picture over black as PNG (8-bit RGB) and prints its time: a line, or with --json a JSON object
-/// with the seconds of every repeat, the samples taken (null where the renderer does not count), device and
-/// step.
+/// Writes the picture, blended over black, as PNG (8-bit RGB), and prints its time on a line. With --json,
+/// prints a JSON object instead: the seconds of every repeat, the number of samples (null if the renderer
+/// does not count them), the device, the step and other settings.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 \\
@@ -28,7 +28,8 @@ use std::path::PathBuf;
 pub(crate) struct Options {
     /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json, .raw or .raw.gz.
     pub(crate) volume: PathBuf,
-    /// Rotation about x and y in degrees, and the eye's distance in bounding-sphere radii.
+    /// Rotation about x and y in degrees, and the distance of the eye from the volume's center in radii of
+    /// the bounding sphere.
     #[arg(long, value_name = "RX,RY,DZ", value_parser = parse_camera, allow_hyphen_values = true)]
     pub(crate) camera: Arcball,
     /// Opacity lobes O(s) = Σ h·exp(−(s − c)²/w): center c, width w and height h of each lobe, for scalars s
@@ -47,7 +48,8 @@ pub(crate) struct Options {
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub(crate) fov: f32,
-    /// Parallel (orthographic) projection: half of its visible height, in bounding-sphere radii.
+    /// Use a parallel (orthographic) projection; the value is half of the visible height, in radii of the
+    /// bounding sphere.
     #[arg(long, value_name = "RADII", conflicts_with = "fov", allow_hyphen_values = true)]
     pub(crate) parallel_scale: Option<f32>,
     /// Options for reading the volume.

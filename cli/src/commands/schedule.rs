@@ -9,19 +9,17 @@ use std::path::PathBuf;
 
 /// Assign the tasks of a render farm to its nodes and predict when the last task ends.
 ///
-/// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either
-/// may be missing, not both), and optionally `task` (a name), `volume` (the data it needs) and `load_s`
-/// (seconds to load that data). All seconds are wall time on a node of speed 1. `entire predict` names the
-/// clock of its seconds: seconds of a clock other than wall time are wrong by a factor. Writes the assignment
-/// or the order as CSV or JSON, by the file's ending.
+/// All seconds in the task list must be wall time on a node of speed 1. `entire predict` names the clock of
+/// its seconds; seconds by another clock than wall time make the predicted end wrong. Writes the assignment
+/// or, for a queue, the order of the tasks, as CSV or JSON by the ending of the file's name.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv
   entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out q.json")]
 pub(crate) struct Options {
-    /// The task list: CSV with a header line, or a JSON array of objects (.json). Columns: `predicted_s` or
-    /// `measured_s`, in seconds on a node of speed 1; optionally `task` (a name), `volume`, and `load_s`, the
-    /// seconds to load the volume.
+    /// The task list: CSV with a header line, or a JSON array of objects (.json). Columns: `predicted_s`,
+    /// `measured_s` or both, in seconds; optionally `task` (a name), `volume`, and `load_s`, the seconds to
+    /// load the volume.
     #[arg(value_name = "TASKS")]
     pub(crate) tasks: PathBuf,
     /// Number of nodes, all of equal speed.

@@ -27,11 +27,11 @@ use std::path::{Path, PathBuf};
 /// Play a path of cameras and transfer functions under several controllers, and compare the frame times with
 /// a target.
 ///
-/// First some random frames of the volume are rendered at several steps, to measure the time saved by coarser
-/// steps; the predictor is not fitted to these frames. Then the path is played: every frame is drawn under
-/// every controller before the next frame begins, in rotating order. Each frame is also drawn at the
-/// reference step; the time of that drawing counts for no controller. The folder of --out gets frames.csv
-/// (every frame under every controller), summary.json and report.html.
+/// First, random frames of the volume are rendered at several steps, to measure the time that coarser steps
+/// save; the predictor is not fitted to these frames. Then the path is played. Each frame is drawn under
+/// every controller before the next frame begins; the order of the controllers rotates from frame to frame.
+/// Each frame is also drawn at the reference step; the time of this drawing counts for no controller. Writes
+/// frames.csv (every frame under every controller), summary.json and report.html to the folder of --out.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer skull.nrrd --generate switches --target 30fps --out out/steer
@@ -67,9 +67,9 @@ pub(crate) struct Options {
     /// SCALE from frame FRAME on, as if a window were resized.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub(crate) scales: Vec<(u32, f32)>,
-    /// Coarsest image of the hybrid controller, in pixels between rays along each side; the hybrid coarsens
-    /// step or image size, whichever adds less error. Smaller images are enlarged to full size before
-    /// pictures are compared. 1 keeps the full image size.
+    /// Largest distance between rays along each image side under the controller hybrid, in pixels; 1 keeps
+    /// the full image size. This controller coarsens the step or the image, whichever adds less error.
+    /// Smaller images are enlarged to full size before pictures are compared.
     #[arg(
         long,
         default_value_t = MAX_IMAGE_SAMPLE_DISTANCE,
@@ -77,7 +77,7 @@ pub(crate) struct Options {
         value_parser = parse_distance
     )]
     pub(crate) max_image_sample_distance: f32,
-    /// Write every frame that a controller drew into a timing table, for `entire train --fine-tune`.
+    /// Write all frames of all controllers into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) table: Option<PathBuf>,
     /// Controllers to compare. Controllers that act on image resolution draw smaller images at the reference
@@ -90,8 +90,8 @@ pub(crate) struct Options {
         value_name = "NAME,…"
     )]
     pub(crate) controllers: Vec<ControllerKind>,
-    /// Random scenes of the volume that are rendered first, at six steps each, to measure the time saved by
-    /// coarser steps.
+    /// Number of random scenes of the volume that are rendered first, at six steps each, to measure the time
+    /// that coarser steps save.
     #[arg(long, default_value_t = 16, value_name = "N")]
     pub(crate) scenes: usize,
     /// Renderings of each random scene at each step; the median time is used.
@@ -118,11 +118,11 @@ pub(crate) struct Options {
     /// machine's model is ignored if it states another clock.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
-    /// Finest and coarsest allowed step, reference steps. Controllers that act on image resolution have their
-    /// own ranges.
+    /// Finest and coarsest allowed step, in reference steps. Controllers that act on image resolution have
+    /// their own ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub(crate) limits: (f32, f32),
-    /// Enlarge the volume by this factor, trilinearly.
+    /// Enlarge the volume trilinearly by this factor along each axis.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
     /// Seed of the random scenes.

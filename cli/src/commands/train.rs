@@ -54,29 +54,30 @@ pub(crate) struct Options {
     /// from its weights.
     #[arg(long, value_name = "SAFETENSORS")]
     pub(crate) fine_tune: Option<PathBuf>,
-    /// Model file with the VolumeNet that encodes volumes; the VolumeNet is also written into the new file.
+    /// Model file with the VolumeNet that computes volume features. The VolumeNet is copied into the new
+    /// file.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub(crate) volumenet: Option<PathBuf>,
     /// Group of frames that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub(crate) split: GroupBy,
-    /// Members or volumes (as --split says) for validation. If neither these nor --test-groups are named, a
-    /// random tenth of the groups is taken for validation, and another tenth for testing. If only one of the
-    /// two is named, the other part is empty.
+    /// Members or volumes (see --split) for validation. Without this option and --test-groups, a random tenth
+    /// of the groups is used for validation and another tenth for testing. With only one of the two options,
+    /// the other part is empty.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub(crate) validation_groups: Vec<String>,
     /// Members or volumes for testing; see --validation-groups.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub(crate) test_groups: Vec<String>,
-    /// Clock of the learned seconds. Default: the clock of the model that training starts from. Without such
-    /// a model: auto for frames of a GPU, cpu (processor time) for other frames. If some frame has no time by
-    /// the default clock, auto is used instead.
+    /// Clock of the learned seconds. Default: the clock of the model of --fine-tune; without --fine-tune,
+    /// auto for frames of a GPU and cpu (processor time) for other frames. If some frame has no time by the
+    /// default clock, auto is used instead.
     #[arg(long, value_enum)]
     pub(crate) clock: Option<Clock>,
     /// Only frames with this shading: none, local, scatter or local-scatter.
     #[arg(long)]
     pub(crate) shade: Option<entire_core::scene::Shading>,
-    /// Use only this many training frames, chosen by the seed.
+    /// Use at most this many training frames, a random choice by --seed.
     #[arg(long, value_name = "FRAMES")]
     pub(crate) limit: Option<usize>,
     /// Storage format of weights.
@@ -85,7 +86,7 @@ pub(crate) struct Options {
     /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER")]
     pub(crate) root: Option<PathBuf>,
-    /// Threads; default: all logical processors.
+    /// Number of threads; default: one per logical processor.
     #[arg(long)]
     pub(crate) threads: Option<usize>,
 }

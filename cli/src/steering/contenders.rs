@@ -19,7 +19,7 @@ pub enum ControllerKind {
     Olp,
     /// The last frame time, converted to the reference step by G.
     Last,
-    /// The longer one of the last two frame times, converted to the reference step by G.
+    /// The longer of the last two frame times, converted to the reference step by G.
     LargerOfTwo,
     /// PID: proportional, integral and derivative feedback on the step.
     Pid,

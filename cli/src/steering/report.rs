@@ -270,7 +270,7 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         &format!(
             "Measured time of every frame under every controller.{left_out} The shaded area reaches from the \
              target to the frame's time at the reference step. All controllers draw the same frame before \
-             the next frame begins, in rotating order."
+             the next frame begins; their order rotates from frame to frame."
         ),
     );
 

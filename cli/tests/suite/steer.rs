@@ -213,10 +213,10 @@ fn bad_input_is_one_line_and_status_1() {
         assert_eq!(std::fs::read(&table).unwrap(), kept, "{line}");
     }
     std::fs::remove_file(&table).unwrap();
-    told("--target 9ms --path bad.json", &["bad.json is no path: there is no keyframe"]);
+    told("--target 9ms --path bad.json", &["bad.json is no path file: there is no keyframe"]);
     // The path is checked before the volumes are read.
     for (more, expected) in [
-        ("--path bad.json", "bad.json is no path: there is no keyframe"),
+        ("--path bad.json", "bad.json is no path file: there is no keyframe"),
         ("--generate orbit --pictures 3,120", "--pictures names frame 120; the path has frames 0 to 119"),
         ("--generate orbit --frames 8 --scales 8:0.5", "--scales names frame 8; the path has frames 0 to 7"),
     ] {

@@ -225,8 +225,8 @@ impl Row<'_> {
     fn read(&self) -> Result<(u64, u32, Scene, Timing)> {
         const WHOLE: &str = "a whole number";
         const NUMBER: &str = "a number";
-        const OR_EMPTY: &str = "a number or nothing";
-        const WHOLE_OR_EMPTY: &str = "a whole number or nothing";
+        const OR_EMPTY: &str = "a number or an empty field";
+        const WHOLE_OR_EMPTY: &str = "a whole number or an empty field";
         let scene = Scene {
             // Spaces at the ends of a name belong to it.
             volume: self.raw("volume").to_owned(),

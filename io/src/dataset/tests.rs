@@ -162,7 +162,7 @@ fn every_wrong_field_is_named_with_its_line_and_column() {
         ("seconds_wall", "inf", "seconds_wall is inf"),
         ("seconds_cpu", "fast", "column seconds_cpu"),
         ("samples", "-3", "column samples"),
-        ("samples", "1.5", "a whole number or nothing"),
+        ("samples", "1.5", "a whole number or an empty field"),
     ] {
         let message = with(column, value);
         assert!(message.contains(expected) && message.contains("line 2"), "{column}={value}: {message}");

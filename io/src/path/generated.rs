@@ -13,7 +13,7 @@ pub enum Generated {
     Orbit,
     /// A slow orbit while the lobes are dragged to lower values and back.
     Drag,
-    /// From far away into the volume and out again.
+    /// A flight from far away into the volume and out again.
     FlyIn,
     /// Two switches of the camera and one of the transfer function.
     Cuts,

@@ -285,7 +285,7 @@ impl PathFile {
     pub fn open(path: &Path) -> Result<Self> {
         let text = read_text(path, MAX_PATH_BYTES)
             .with_context(|| format!("cannot read the path {}", path.display()))?;
-        Self::parse(&text).with_context(|| format!("{} is no path", path.display()))
+        Self::parse(&text).with_context(|| format!("{} is no path file", path.display()))
     }
 
     /// Reads a path file's text.
@@ -425,7 +425,7 @@ impl FlightPath {
     /// When the file cannot be read or is no path; the error names the file and the mistake.
     pub fn open(path: &Path) -> Result<Self> {
         let mut flight =
-            PathFile::open(path)?.resolve().with_context(|| format!("{} is no path", path.display()))?;
+            PathFile::open(path)?.resolve().with_context(|| format!("{} is no path file", path.display()))?;
         if flight.name.is_empty() {
             flight.name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         }

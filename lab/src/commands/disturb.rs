@@ -33,9 +33,9 @@ pub(crate) enum Neighbor {
 
 /// Record the slowdown of frames over time while another program runs on the machine.
 ///
-/// Draws one frame repeatedly, first without the load, then with the load, and measures wall times. Writes the start
-/// of every frame of the second part, and its time divided by the median time of the first part.
-/// `entire-lab replay --disturbance` replays recorded paths with these slowdowns.
+/// Draws one frame repeatedly, first without load by the other program, then with this load, and measures
+/// wall times. For every frame of the second part, writes its start, and its time divided by the median time
+/// of the first part. `entire-lab replay --disturbance` replays recorded paths with these slowdowns.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab disturb data/nyx_cosmology/m04/t0010.nrrd --neighbor bursts \\

@@ -104,13 +104,13 @@ pub(crate) struct SimulateOptions {
     /// The task list.
     #[arg(value_name = "TASKS.csv")]
     pub(crate) tasks: PathBuf,
-    /// Number of slots.
+    /// Number of bundles (groups of tasks) that run at once.
     #[arg(long, value_name = "N")]
     pub(crate) slots: usize,
-    /// Factor on the list's seconds.
+    /// Factor by which the seconds of the list are multiplied.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
     pub(crate) scale: f64,
-    /// Time that a slot needs for each bundle in addition to its tasks, seconds.
+    /// Time that each bundle takes in addition to its tasks, seconds.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub(crate) latency: f64,
     /// Overhead per bundle that the planner assumes, seconds; default: --latency.
@@ -172,7 +172,7 @@ pub(crate) struct StandInOptions {
     /// The task list; it names tasks by their ids in the job.
     #[arg(value_name = "TASKS.csv")]
     pub(crate) tasks: PathBuf,
-    /// Factor on the list's seconds.
+    /// Factor by which the seconds of the list are multiplied.
     #[arg(long, default_value_t = 1.0, value_name = "X")]
     pub(crate) scale: f64,
 }

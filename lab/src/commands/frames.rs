@@ -33,14 +33,15 @@ const FRAMES: [usize; 6] = [3, 10, 20, 40, 160, 500];
 /// over draws and types of machine).
 const BARS: [(usize, f64); 5] = [(3, 0.14), (10, 0.09), (20, 0.075), (160, 0.06), (500, 0.055)];
 
-/// Measure the error of calibrations to few and many frames, with priors of other makes of machine.
+/// Measure the error of calibrations to few and many frames, with priors from machines of another make.
 ///
-/// Each table and each prior is of one type of machine. A model is calibrated to frames of one type, with the
-/// models of all types of another make as priors. The make is the first word of the processor's name in the
-/// table's manifest, such as AMD. A draw takes one member of each ensemble, at most nine of their
-/// volumes, and 3, 10, 20, 40, 160 or 500 frames, spread over the volumes; the model is tested on a table of
-/// members that no prior was trained on. Prints the geometric mean and the largest error over the draws, and
-/// a goal (bar) for each number of frames except 40; writes frames.csv and frames.svg into DIR.
+/// Each table and each prior is of one type of machine. A model is calibrated to frames of one type; its
+/// priors are the models of all types of another make. The make is the first word of the processor's name in
+/// the table's manifest, such as AMD. Each random draw takes one member of each ensemble, at most nine of
+/// their volumes, and 3, 10, 20, 40, 160 or 500 frames, spread over the volumes. The model is tested on a
+/// table of members that no prior was trained on. Prints the geometric mean and the maximum of the error over
+/// the draws, and a goal (bar) for each number of frames except 40. Writes frames.csv and frames.svg into
+/// DIR.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -63,7 +64,7 @@ pub(crate) struct Options {
     /// Folder for the results.
     #[arg(long, default_value = "out/frames", value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Threads; default: all logical processors.
+    /// Number of threads; default: one per logical processor.
     #[arg(long)]
     pub(crate) threads: Option<usize>,
 }

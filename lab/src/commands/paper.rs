@@ -55,13 +55,13 @@ enum Step {
         #[command(flatten)]
         report: HowToReport,
     },
-    /// Render frames with our raycaster in every mode and with yt, and some of these frames also at low
-    /// resolution (the proxy).
+    /// Render frames with our raycaster in every shading mode and with yt, and render some of these frames
+    /// also from a low-resolution volume (the proxy).
     #[command(after_help = "Example:
   entire-lab paper collect --data volumes --data-sets castro_blast \\
       --modes none --budget 20")]
     Collect(StepOptions),
-    /// Train VolumeNets.
+    /// Train VolumeNets, the networks that encode volumes.
     #[command(after_help = "Example:
   entire-lab paper encode --data volumes --python venv/bin/python")]
     Encode(Making),
@@ -113,7 +113,7 @@ struct Making {
     /// Python with yt and the packages of lab/volumenet/requirements.txt.
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
-    /// Threads; default: all logical processors.
+    /// Number of threads; default: one per logical processor.
     #[arg(long)]
     threads: Option<usize>,
 }
@@ -123,7 +123,7 @@ struct Making {
 pub(crate) struct StepOptions {
     #[command(flatten)]
     making: Making,
-    /// Only these modes: none, local, scatter, yt.
+    /// Only these modes: the shading modes none, local and scatter of our raycaster, and the renderer yt.
     #[arg(long, value_delimiter = ',', value_name = "MODES")]
     modes: Vec<String>,
     /// The renderer.
@@ -133,7 +133,7 @@ pub(crate) struct StepOptions {
 
 #[derive(Debug, Clone, Default, clap::Args)]
 struct HowToTrain {
-    /// Only these parts.
+    /// Only these parts of the results.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "PARTS")]
     only: Vec<Panel>,
     /// Training runs of every network; default: the description's number.
@@ -143,7 +143,7 @@ struct HowToTrain {
 
 #[derive(Debug, Clone, clap::Args)]
 struct HowToReport {
-    /// File written by --keep; its results are used for the parts that OUT lacks.
+    /// File written by --keep. Its results are used for the parts that the folder of --out lacks.
     #[arg(long, value_name = "JSON.gz")]
     kept: Option<PathBuf>,
     /// Write all results into one small file.

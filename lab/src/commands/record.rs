@@ -21,10 +21,10 @@ const SEED: u64 = 1;
 
 /// Record time and picture quality of every frame of a path at a grid of ray steps.
 ///
-/// Every frame is drawn at nine ray steps from 1 to 16 reference steps, and at the reference step as eleven
-/// smaller images down to a tenth of every side (every fourth frame also as smaller images at coarser steps).
-/// `entire-lab replay` then simulates controllers and targets on the recorded curves without rendering,
-/// beside an oracle that knows the curves.
+/// Every frame is drawn at nine ray steps from 1 to 16 reference steps, and at the reference step in eleven
+/// smaller image sizes, down to a tenth of each side. Every fourth frame is also drawn in smaller sizes at
+/// coarser steps. `entire-lab replay` then simulates controllers on the recorded times without rendering, and
+/// compares them with an oracle that knows these times.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 \\
@@ -45,11 +45,11 @@ pub(crate) struct Options {
         required_unless_present_any = ["generate", "calibration"]
     )]
     pub(crate) path: Option<PathBuf>,
-    /// Generate a path for the first volume instead.
+    /// Generate a path of this kind for the first volume, instead of --path.
     #[arg(long, value_enum)]
     pub(crate) generate: Option<Generated>,
-    /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing
-    /// table, to which `entire-lab replay` fits its predictor.
+    /// Instead of a path, render this many random scenes of each volume, at six steps each, and write a
+    /// timing table. `entire-lab replay` fits its predictor to this table.
     #[arg(long, value_name = "SCENES", conflicts_with_all = ["generate", "path", "hold", "scales"])]
     pub(crate) calibration: Option<usize>,
     /// Frames of a generated path.
@@ -58,23 +58,25 @@ pub(crate) struct Options {
     /// Frames for which each volume is shown, if there are several volumes.
     #[arg(long, value_name = "N")]
     pub(crate) hold: Option<u32>,
-    /// Scale of the image sides from a frame on, as FRAME:SCALE, comma-separated.
+    /// Changes of the image size, comma-separated: FRAME:SCALE multiplies both sides of the full image by
+    /// SCALE from frame FRAME on.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub(crate) scales: Vec<(u32, f32)>,
     /// Name in reports; default: the file name of the result.
     #[arg(long)]
     pub(crate) name: Option<String>,
-    /// The trace to write (compressed where it ends in .gz); with --calibration the timing table (CSV).
+    /// The trace (recorded path) to write, compressed if the name ends in .gz; with --calibration, the timing
+    /// table (CSV).
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Continue an interrupted recording.
     #[arg(long, conflicts_with = "calibration")]
     pub(crate) resume: bool,
-    /// Ray steps of the grid at full image size, reference steps, ascending; at least two. Smaller images are
-    /// drawn only if the steps are the default ones.
+    /// Ray steps of the grid at full image size, in reference steps: at least two, ascending. Smaller images
+    /// are drawn only if the steps are the default ones.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
     pub(crate) steps: Vec<f32>,
-    /// Number of renderings of every point of the grid.
+    /// Number of renderings of each point of the grid.
     #[arg(long, default_value_t = 2, value_name = "R")]
     pub(crate) repeats: usize,
     /// Image size, pixels.
@@ -86,7 +88,7 @@ pub(crate) struct Options {
     /// The clock of frame times.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: Clock,
-    /// Enlarge the volumes by this factor, trilinearly.
+    /// Enlarge the volumes trilinearly by this factor along each axis.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
 }

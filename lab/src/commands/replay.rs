@@ -57,16 +57,17 @@ impl Paths {
     }
 }
 
-/// Replay recorded time curves under every controller and target, beside an oracle that knows them.
+/// Replay recorded paths under every controller and target, beside an oracle that knows the recorded times.
 ///
-/// Every trace (see `entire-lab record`) is replayed under every controller with every target that an allowed
-/// step meets exactly in at least half of the frames, and with a series of these targets. A trace without
-/// such a target gets its own target: the geometric mean of its median frame times at the finest and at the
-/// coarsest step. If allowed steps meet this target exactly in fewer than half of the frames, the trace is
-/// not played, and the command fails after it has written the results of the other traces. The predictor is
-/// fitted to a timing table of other volumes. Rules that act on image resolution get the times of smaller
-/// images at the reference step; if a trace has no smaller images, these rules act on the ray step for all
-/// traces, and the report says so. DIR gets report.html, scores.json and frames.csv.
+/// Every trace (recorded path, see `entire-lab record`) is replayed under every controller with every target
+/// that an allowed step meets exactly in at least half of the frames, and with a series of these targets. A
+/// trace without such a target gets a target of its own: the geometric mean of its median frame times at the
+/// finest and at the coarsest step. If allowed steps meet this target, too, exactly in fewer than half of the
+/// frames, the trace is not played, and the command fails after it has written the results of the other
+/// traces. The predictor is fitted to a timing table of other volumes. Controllers that act on image
+/// resolution get the times of smaller images at the reference step. If one trace has no smaller images,
+/// these controllers act on the ray step in all traces, and the report says so. Writes report.html,
+/// scores.json and frames.csv into DIR.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab replay data/steer/traces/*.json.gz \\

@@ -20,10 +20,10 @@ const LONG_RUN: u64 = 1_000_000;
 
 /// Play the stress scenes: scripts in which methods of holding a frame time are known to fail.
 ///
-/// Scenes run on a scripted clock, the same in every run, and each has a rule for passing. Prints the matrix
-/// of scenes and methods, writes report.html and verdicts.json into DIR, and fails when entire's controller
-/// fails a scene. The goals (bars) cover all scenes. They decide the exit status only if all scenes are
-/// played; otherwise they are printed as missed.
+/// The clock of the scenes is scripted, so all runs give the same times. Each scene has a rule for passing.
+/// Prints the matrix of scenes and methods, writes report.html and verdicts.json into DIR, and fails when
+/// entire's controller fails a scene. The goals (bars) cover all scenes. If only some scenes are played,
+/// goals are printed as missed, but do not change the exit status.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab stress --out out/stress
@@ -33,7 +33,7 @@ pub(crate) struct Options {
     /// Numbers of the scenes; default: all.
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     pub(crate) scenes: Vec<usize>,
-    /// Also play, on this device and with its clock, the scenes that work on a real renderer.
+    /// Also play the scenes that work on a real renderer on this device, timed by --clock.
     #[arg(long, value_enum)]
     pub(crate) device: Option<Device>,
     /// Clock of frame times on that device.

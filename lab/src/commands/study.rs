@@ -12,7 +12,7 @@ use entire_io::options::thread_pool;
 use entire_io::progress::templated_bar;
 use std::path::PathBuf;
 
-/// Train and test every predictor of a study; write one report with accuracy against latency.
+/// Train and test every predictor of a study; write one report of accuracy against latency.
 ///
 /// Predictors that were already trained on the same data are taken from OUT/models, so a stopped study
 /// continues where it was.
@@ -36,10 +36,10 @@ pub(crate) struct Options {
     /// The value of a goal that could not be measured is -.
     #[arg(long)]
     pub(crate) bars: bool,
-    /// Write the predictors that the study ships, each with its card, into this folder.
+    /// Write the predictors that the study names for shipping, each with its model card, into this folder.
     #[arg(long, value_name = "FOLDER")]
     pub(crate) ship: Option<PathBuf>,
-    /// Threads; default: all logical processors.
+    /// Number of threads; default: one per logical processor.
     #[arg(long)]
     pub(crate) threads: Option<usize>,
 }

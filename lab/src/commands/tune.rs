@@ -23,11 +23,11 @@ type Played = ([Replayable; 3], Calibrated);
 /// Search for better constants of the controller on recorded paths.
 ///
 /// Every path is replayed with every target that an allowed step meets exactly in at least half of its
-/// frames, by a predictor fitted to frames of other volumes and by sessions without a model that start at
-/// several frames. The search takes a value when it lowers the cost of the paths by more than two standard
-/// errors. It changes no file but --out: enter the found values in `steer/src/control/constants.rs` and
-/// `steer/src/adapt/constants.rs`. The gains of PID, which our controller is compared with, are searched in
-/// the same way; their place is `cli/src/steering/rivals/algorithm1.rs`.
+/// frames: once with a predictor fitted to frames of other volumes, and several times without a model, each
+/// time from another frame on. The search accepts a value if it lowers the cost of the paths by more than two
+/// standard errors. The command changes no file but --out: enter the found values in
+/// `steer/src/control/constants.rs` and `steer/src/adapt/constants.rs`. The gains of the controller PID are
+/// searched in the same way; enter them in `cli/src/steering/rivals/algorithm1.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab tune data/steer/training/*.json.gz \\

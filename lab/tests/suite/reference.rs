@@ -5,8 +5,8 @@ use entire_lab::command_line::command;
 
 #[test]
 fn the_book_names_every_option() {
-    let intro = "`make reference` makes this page from the program. `entire-lab COMMAND --help` tells \
-         more of each option, and gives examples.";
+    let intro = "`make reference` generates this page. `entire-lab COMMAND --help` also explains the values \
+                 of options, and gives examples.";
     check_page("options-lab.md", command(), intro);
 }
 

@@ -96,8 +96,8 @@ pub struct Recipe {
         default_value = "64,64"
     )]
     pub layers: Vec<usize>,
-    /// Layers of the paper, such as 0C256, 4C64 or 12C256, which is inputs → 256, 12 × (256 → 256), then
-    /// widths halved down to 16, then 1.
+    /// Layers in the paper's notation, such as 0C256, 4C64 or 12C256. 12C256 is inputs → 256, 12 × (256 →
+    /// 256), then widths halved down to 16, then 1.
     #[arg(long, conflicts_with = "fine_tune")]
     pub preset: Option<String>,
     /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size,
@@ -134,7 +134,7 @@ pub struct Recipe {
     /// Frames per gradient step.
     #[arg(long, default_value_t = 256)]
     pub batch: usize,
-    /// Initial learning rate; it falls along half a cosine. Default: 1e-4 with --preset (as in the paper) and
+    /// Initial learning rate; it falls along half a cosine. Default: 1e-4 with --preset (as in the paper) or
     /// --fine-tune, else 1e-3.
     #[arg(long)]
     pub learning_rate: Option<f64>,
@@ -144,7 +144,7 @@ pub struct Recipe {
     /// Largest norm of the gradient.
     #[arg(skip = 1.0)]
     pub clip: f64,
-    /// Epochs without a better validation loss after which training stops.
+    /// Number of successive epochs without a lower validation loss after which training stops.
     #[arg(long, default_value_t = 50)]
     pub patience: usize,
     /// Seed of the split, the weights and the order of frames.
@@ -156,8 +156,8 @@ pub struct Recipe {
     /// Model file whose weights training starts from; default: random weights.
     #[arg(skip)]
     pub fine_tune: Option<PathBuf>,
-    /// Sort the Gaussian lobes of `transfer_function` by center: their sum does not depend on the order, and
-    /// a network on sorted lobes need not learn that.
+    /// Sort the Gaussian lobes of the input group transfer_function by center. Their sum does not depend on
+    /// their order, which the network then need not learn.
     #[arg(long, conflicts_with = "fine_tune")]
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub sorted_lobes: bool,

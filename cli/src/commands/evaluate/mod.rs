@@ -44,14 +44,14 @@ pub(crate) struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub(crate) data: Vec<PathBuf>,
-    /// Clock of the measured seconds; `auto`: the clock that the models state. Models of another clock are
-    /// refused.
+    /// Clock of the measured seconds; `auto`: the clock that the models state. A model that states another
+    /// clock is refused.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub(crate) clock: Clock,
     /// Only frames with this shading: none, local, scatter or local-scatter.
     #[arg(long)]
     pub(crate) shade: Option<entire_core::scene::Shading>,
-    /// Leave out frames of groups that a model was trained or validated on, as its file says.
+    /// Leave out frames of members or volumes that a model was trained or validated on, as its file states.
     #[arg(long)]
     pub(crate) unseen: bool,
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
@@ -60,18 +60,17 @@ pub(crate) struct Options {
     /// Also evaluate each model with its weights stored as f32, f16, bf16 or int8.
     #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
     pub(crate) storage: Vec<Storage>,
-    /// Also evaluate each model in a session, which observes every frame after predicting it and so corrects
-    /// its later predictions. The first FRAMES frames are left out of these errors. The volume files are
-    /// needed.
+    /// Also evaluate each model in a session, which corrects later predictions by the measured time of each
+    /// frame. The first FRAMES frames are left out of these errors. Needs the volume files.
     #[arg(long, value_name = "FRAMES")]
     pub(crate) observed: Option<usize>,
-    /// Seed of the choice of frames whose mean time is the constant baseline.
+    /// Seed of the random choice of frames whose mean time is the prediction of the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
     /// Folder of the tables' volumes, if it is neither the working folder nor the folder of the table.
     #[arg(long, value_name = "FOLDER")]
     pub(crate) root: Option<PathBuf>,
-    /// Threads; default: all logical processors.
+    /// Number of threads; default: one per logical processor.
     #[arg(long)]
     pub(crate) threads: Option<usize>,
 }

@@ -55,8 +55,8 @@ impl Steering for Predicts {
         let mut out = format!("predicted by {}{corrected}", self.model.title());
         if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
             out += &format!(
-                "; the model predicts {} seconds, the window measures {} seconds: the factor between them is \
-                 learned from the first frames",
+                "; the model predicts {} seconds, but the window measures {} seconds: the factor between the \
+                 two clocks is learned from the first frames",
                 clock.name(),
                 WINDOW.name()
             );
