@@ -328,8 +328,9 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         let paths = r.frames.get("paths").map_or(0, |f| f[2]);
         let caption = format!(
             "All controllers play {paths} recorded paths of {} with up to four targets. The quality is the \
-             oracle's ray step (or reduction of the image) divided by that of the controller. The oracle \
-             knows the recorded time of every ray step.",
+             oracle's ray step divided by the controller's, at most 1, averaged over frames. For a \
+             controller of the image resolution, the quality is the smallest image reduction that meets the \
+             target, divided by the controller's. The oracle knows the recorded time of every ray step.",
             r.set
         );
         s.tables.push((table, caption));
@@ -341,7 +342,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
                 drawn = drawn.series(Series::new(&c.name, Mark::Line(c.points.clone())).color(color));
             }
             if !shown.is_empty() {
-                s.charts.push((drawn, "The chart shows one of the paths, frame by frame.".into()));
+                s.charts.push((drawn, "One of the paths, frame by frame.".into()));
             }
         }
         s.pictures.extend(

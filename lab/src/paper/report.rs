@@ -147,27 +147,35 @@ pub(crate) fn write_book(paper: &Paper, material: &Material, pages: &Path) -> Re
     make_folder(&images)?;
     let mut out = String::from(
         "# The paper's tables\n\n\
-         This page has every table and figure of the paper that was measured for this project. The words\n\
-         *In the paper* stand above the paper's numbers; all other numbers, charts and pictures are ours.\n\
+         This page has every table and figure of the paper that was measured for this project. The paper's\n\
+         numbers are under the words *In the paper*. All other numbers, charts and pictures are of this\n\
+         project.\n\
          [The paper](paper.md#what-the-comparison-says) explains the results. Hardware and volumes differ\n\
          from the paper's, so compare ratios, not seconds.\n\n\
          | word | meaning |\n\
          |---|---|\n\
-         | RMSE | root mean squared error, in seconds of processor time |\n\
+         | RMSE | root mean squared error, in seconds of processor time (in the study \
+         on a GPU: of the GPU's time) |\n\
          | SD | standard deviation |\n\
          | run | one of several trainings that differ in the seed |\n\
          | the network | the paper's PredNet on features of a VolumeNet |\n\
          | ours | entire's predictor: the time of an analytic model, multiplied by a learned factor |\n\
          | mean of 15 % | constant prediction: the mean time of a random 15 % of the test frames |\n\
-         | LVRP | time of rendering the volume reduced to 64³ voxels, scaled by a linear fit |\n\
-         | 12C256 | PredNet with 12 layers 256 → 256, before layers that narrow to one output |\n\
-         | 128³F2 | VolumeNet with an input of 128³ voxels and 2 features |\n\n",
+         | LVRP | time of rendering the volume reduced to 64³ voxels (study on a GPU: \
+         24³), converted by a linear fit |\n\
+         | 12C256 | PredNet with 12 layers 256 → 256, followed by layers of 128, 64, 32, 16 and 1 outputs |\n\
+         | 128³F2 | VolumeNet with an input of 128³ voxels and 2 features |\n\
+         | shipped encoder | VolumeNet in `models/`, trained on members of all three data sets, \
+         without the test members |\n\
+         | left-out member | ensemble member (one simulation) whose volumes are used only for the test |\n\
+         | lobes | Gaussian lobes whose sum is the opacity of the transfer function |\n\n",
     );
     let _ = write!(
         out,
         "{}\n\n\
-         `make bars-paper` writes the whole report from the results that are kept in the repository.\n\
-         `entire-lab paper report --kept data/timings/paper-results.json.gz --book docs/src` writes this page.\n",
+         `make bars-paper` writes the whole report from the stored results.\n\
+         `entire-lab paper report --kept data/timings/paper-results.json.gz --book docs/src` writes \
+         this page.\n",
         interval::sentence()
     );
     let mut missing: Vec<&Label> = Vec::new();

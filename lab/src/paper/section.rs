@@ -75,7 +75,7 @@ pub(super) fn over(v: Option<f64>, interval: Option<(f64, f64)>, own: bool) -> S
 pub(super) fn errors_table(r: &Results) -> Table {
     let mut table = Table::headed(
         "tested on | predictor | #RMSE, s | #SD of the RMSE over runs, s | #runs | #RMSE / SD of the times | \
-         #RMSE / that of the mean of 15 % | #RMSE / that of LVRP | #median error, % | \
+         #RMSE / RMSE of the mean of 15 % | #RMSE / RMSE of LVRP | #median error, % | \
          #time of a prediction, ms | #test frames",
     );
     for row in &r.rows {
@@ -97,7 +97,8 @@ pub(super) fn errors_table(r: &Results) -> Table {
 }
 
 /// The paper's rule for test volumes, for captions.
-const TEST_RULE: &str = "random volumes of MAESTROeX, and a left-out ensemble member each of Nyx and Castro";
+const TEST_RULE: &str =
+    "random volumes of MAESTROeX, and one left-out ensemble member each for Nyx and Castro";
 
 /// Adds the tables and the chart of prediction errors by data set and renderer.
 pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
@@ -111,7 +112,7 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     let mut others = Vec::new();
     let other = errors_by_data_set(paper, of, Rule::other, &mut others);
     if !others.is_empty() {
-        let what = "The test volumes follow the other split of each data set, on which the paper does not \
+        let what = "The test volumes are those of each data set's other split, on which the paper does not \
                     test: random volumes of Nyx and Castro, and a left-out member of MAESTROeX.";
         s.tables.push((other, what.into()));
     }
@@ -133,8 +134,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
         let mut caption = format!("{}: errors by split.", title(paper, r));
         if r.encoder != stated {
             caption += &format!(
-                " {}. In the other split, the network uses the shipped encoder. Scans are predicted by the \
-                 models of the split by random volumes.",
+                " {}. In the other split, the network uses the shipped encoder. The models of the split \
+                 by random volumes also predict the scans.",
                 r.encoder
             );
             stated = r.encoder.as_str();

@@ -52,7 +52,8 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
     if s.there() {
         for (device, machines) in devices {
             let machines: Vec<_> = machines.into_iter().collect();
-            s.notes.push(format!("The device `{device}` drew frames on: {}.", machines.join("; ")));
+            let machines = machines.join("; ");
+            s.notes.push(format!("Machines that rendered frames with the device `{device}`: {machines}."));
         }
     }
     s
@@ -78,8 +79,8 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section) {
         });
         let more = match r.panel {
             Panel::Varied => {
-                " The test frames are those of four experiments; the column `tested on` names the parameter \
-                 that varies."
+                " The table has the test frames of four experiments, each with one parameter that varies; \
+                 the column `tested on` names this parameter."
             }
             Panel::Samples => {
                 " A number in the column `predictor` is the share of the training frames on which the \
@@ -189,7 +190,7 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
         let mut table = Table::headed(
             "encoder | #PSNR of training volumes, dB | #PSNR of validation volumes, dB | \
              #PSNR of test volumes, dB | #time to encode a volume, ms | #RMSE of PredNet, s | \
-             #SD of the RMSE over runs, s | #RMSE / that of the mean of 15 % | #epochs of the encoder",
+             #SD of the RMSE over runs, s | #RMSE / RMSE of the mean of 15 % | #epochs of the encoder",
         );
         for row in r.rows.iter().filter(|x| x.more.contains_key("size")) {
             let db = |k: &str| row.more.get(k).map(|v| format!("{v:.2}"));
@@ -218,7 +219,8 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
     }
     let mut table = Table::headed(
         "data set | encoder | channels | #PSNR of training volumes, dB | #PSNR of validation volumes, dB | \
-         #PSNR of test volumes, dB | #epochs | #duration of the training, s | reason for its end",
+         #PSNR of test volumes, dB | #epochs | #duration of the training, s | \
+         reason for the end of the training",
     );
     let mut best = Vec::new();
     for r in &material.reconstructions {
@@ -368,8 +370,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
         }
         if !r.curves.is_empty() {
             let what = "Each model was trained on some frames of the renderer, device or data set in the \
-                        column `target`. `fine-tuned` is the pre-trained network, and `from nothing` is a \
-                        new network. The RMSE is the median of the runs.";
+                        column `target`. `fine-tuned` continues the training of the pre-trained network; \
+                        `from nothing` is a new network. The RMSE is the median of the runs.";
             s.tables.push((few, format!("{what}{machine}")));
         }
     }
@@ -385,8 +387,8 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
         for name in &names {
             let chart = Chart::new(*name, Axis::linear(SORTED), Axis::log("seconds"));
             let chart = lines(chart, r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name));
-            let what = "Each chart has the measured times of the test frames of one renderer, device or data \
-                        set, and the times that the models of the first training run predict.";
+            let what = "Each chart shows test frames of one renderer, device or data set: their measured \
+                        times, and the times that the models of the first training run predict.";
             s.charts.push((chart, what.into()));
         }
         all.extend(names);

@@ -24,8 +24,12 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
         let changed =
             r.rows.iter().filter(|x| x.split == TOGETHER && x.name != CONSTANT && x.name != LVRP).count();
         if changed > 1 {
-            let what = "The first row has the network that was trained by the paper's recipe on measured \
-                        frames. For each other row, one part of the recipe was changed.";
+            let what = "The network of the first row was trained by the paper's recipe (inputs, \
+                        loss, training settings) on measured frames. Each other row changes one \
+                        part of the recipe; the last row changes three. `lobes in every order` \
+                        trains on each frame once for each order of its lobes. `weights of the \
+                        last epochs` takes the epoch with the lowest training loss, without \
+                        validation frames.";
             procedure.tables.push(trials_table(r, what, "change"));
         }
     }
@@ -52,7 +56,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
     let all = [
         (["The recipe, one change at a time", "make paper-procedure", "trial-procedure"], procedure),
         (["Training on predicted frame times", "make paper-frames DATA=FOLDER", "trial-frames"], frames),
-        (["The network with what the experiments showed", "make paper-improved", "trial-improved"], improved),
+        (["Networks with a better recipe or more frames", "make paper-improved", "trial-improved"], improved),
     ];
     all.into_iter().filter(|(_, section)| section.there()).collect()
 }
@@ -61,8 +65,8 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
 fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     let mut table = Table::headed(&format!(
         "{name} | #training frames | #validation frames | #epochs | #epoch of the chosen weights | #RMSE, s \
-         | #SD of the RMSE over runs, s (runs) | #RMSE / SD of the times | #RMSE / that of the mean of 15 % \
-         | #RMSE / that of LVRP | #RMSE / that of the first row"
+         | #SD of the RMSE over runs, s (runs) | #RMSE / SD of the times | #RMSE / RMSE of the mean of 15 % \
+         | #RMSE / RMSE of LVRP | #RMSE / RMSE of the first row"
     ));
     let rows = || r.rows.iter().filter(|x| x.split == TOGETHER && x.more.contains_key("epochs"));
     let first = rows().next();
@@ -98,8 +102,8 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
 fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
     let mut table = Table::headed(
         "data set, renderer | #test volumes | #test frames | predictor | #trainings | #RMSE, s | \
-         #RMSE / SD of the times | #RMSE / that of the mean of 15 % | #RMSE / that of LVRP | \
-         #RMSE / that of LVRP with a 512th of the voxels",
+         #RMSE / SD of the times | #RMSE / RMSE of the mean of 15 % | #RMSE / RMSE of LVRP | \
+         #RMSE / RMSE of LVRP with a 512th of the voxels",
     );
     let mut any = false;
     for r in of {
@@ -124,14 +128,15 @@ fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
         }
     }
     let caption = format!(
-        "Every network was trained on all three data sets and tested on left-out members of each: m05 of Nyx \
-         and Castro, m03 of MAESTROeX; `all three` has m04 of Nyx and Castro too. `{AS_IT_IS}` is the \
-         paper's recipe on measured frames. `{}` takes the logarithm of seconds, every order of the lobes, \
-         and the weights of the last epochs. `{DISTILLED}` is the shipped network, which was trained on \
-         440000 frame times that its teacher predicted; the teacher was fitted to measured frames of the \
-         same 44 volumes. LVRP with a 512th of the voxels renders 24³ of 192³ voxels (Nyx, Castro), and \
-         18³ of 128 × 128 × 192 voxels (MAESTROeX: a 539th). Its unshaded frames were timed on another \
-         machine than all other frames of the unshaded rows; a linear fit scales them.",
+        "Every network was trained on all three data sets. The test frames are of left-out members: m05 of \
+         Nyx and Castro, and m03 of MAESTROeX; the rows `all three` also have m04 of Nyx and Castro. \
+         `{AS_IT_IS}` is the paper's recipe on measured frames. `{}` predicts the logarithm of seconds, \
+         trains on every order of the lobes, and takes the weights of the last epochs. `{DISTILLED}` is a \
+         shipped network that was trained on 440000 frame times. Its teacher predicted these times; the \
+         teacher was fitted to measured frames of the same 44 volumes. `{LVRP_AS_PAPER}` renders 24³ of 192³ \
+         voxels (Nyx, Castro), and 18³ of 128 × 128 × 192 voxels (MAESTROeX: a 539th). In the unshaded \
+         rows, its frames were timed on another machine than all other frames, and converted by its linear \
+         fit.",
         paper.trials.changes.last().map_or("", |c| c.name.as_str())
     );
     any.then_some((table, caption))
@@ -152,13 +157,13 @@ fn study(paper: &Paper, material: &Material) -> Section {
     let mut parts = Vec::new();
     let errors = errors_by_data_set(paper, &of(Panel::Overall), |rule| rule, &mut parts);
     if !parts.is_empty() {
-        let clock = if paper.clock == "device" { "of the device" } else { "of the processor" };
-        let text = format!("The test volumes follow the paper's rule. Times are {clock}.");
+        let clock = if paper.clock == "device" { "device" } else { "processor" };
+        let text = format!("The test volumes follow the paper's rule. Frame times are {clock} times.");
         s.tables.push((errors, text));
     }
     let mut vectors = Table::headed(
         "data set, renderer | #training frames | #test frames | \
-         #share of the variance of ln(time per pixel) between volumes | #network: RMSE, s | \
+         #share of the variance of ln(time per pixel) that lies between volumes | #network: RMSE, s | \
          #without feature vector: RMSE, s | #RMSE without / with feature vector",
     );
     let mut any = false;
@@ -192,9 +197,10 @@ fn study(paper: &Paper, material: &Material) -> Section {
     if !joint.is_empty() {
         let sets: Vec<_> =
             paper.data_sets.iter().filter(|d| d.modes.iter().any(|m| m == BASE_MODE)).collect();
-        let columns: String =
-            sets.iter().map(|d| format!(" | #{}: training | #validation | #test", d.title)).collect();
-        let mut table = Table::headed(&format!("encoder{columns} | #epochs | reason for the end"));
+        let of_set = |title: &str| format!(" | #{title}: training | #{title}: validation | #{title}: test");
+        let columns: String = sets.iter().map(|d| of_set(&d.title)).collect();
+        let mut table =
+            Table::headed(&format!("encoder{columns} | #epochs | reason for the end of the training"));
         for r in joint {
             let mut cells = vec![format!("{}³F{}", r.encoder.size, r.encoder.features).into()];
             for d in &sets {
@@ -205,9 +211,9 @@ fn study(paper: &Paper, material: &Material) -> Section {
             cells.push(r.record.provenance.stopped.as_str().into());
             table.row(cells);
         }
-        let text = "VolumeNets that were trained on all data sets together: mean PSNR of the reconstructed \
-                    volumes, dB. No network was trained on their features: every network of this study uses \
-                    a 128³F2 of one data set.";
+        let text = "Mean PSNR, in dB, of volumes that VolumeNets reconstruct. Each VolumeNet was trained on \
+                    all data sets together. No PredNet uses their features: every PredNet of this study \
+                    uses a VolumeNet 128³F2 of one data set.";
         s.tables.push((table, text.into()));
     }
     s
