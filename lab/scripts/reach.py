@@ -55,6 +55,7 @@ MINUTES_FROM_NOTHING, MINUTES_KEPT = 40, 12
 SLICER, LAST_SLICER = ROOT / ".ci/slicer.csv", ROOT / "out/python/slicer.csv"
 SLICER_OVER, SLICER_RATIO = 2, 2
 SLICER_CLOCKS = ("wall", "cpu")
+SLICER_KEY = ("machine", "clock", "volume", "size", "rule")
 # Upper limit of the mean of |frame time - target| / target in the newest version of VTK, divided by that in the oldest one.
 VTK_RATIO = 1.1
 VTK_RATIOS = {f"vtk-9.6-over-9.1-{mapper}-{name}": (mapper, name) for mapper in ("fixed", "gpu") for name in ("calibrated", "cold")}
@@ -264,10 +265,10 @@ def of_version(rows, program, version):
 
 
 def slicer_rows():
-    """Rows of the comparison with Slicer's rule: the kept ones, without those of a clock by which it was measured here."""
-    last = read(LAST_SLICER) if LAST_SLICER.exists() else []
-    here = {row["clock"] for row in last}
-    return last + [row for row in (read(SLICER) if SLICER.exists() else []) if row["clock"] not in here]
+    """Rows of the comparison with Slicer's rule: the kept ones, replaced by those of the last runs here by machine and clock.
+    Rows of an older format are left out."""
+    rows = [row for path in (SLICER, LAST_SLICER) if path.exists() for row in read(path)]
+    return list({tuple(row[k] for k in SLICER_KEY): row for row in rows if row.keys() >= set(SLICER_KEY)}.values())
 
 
 def slicer_bars(out):
