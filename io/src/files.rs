@@ -1,17 +1,14 @@
-//! Reading and writing of the commands' files: models, volumes, and whole files; also notes on standard
-//! error.
+//! Reading and writing of whole files, among them models; numbers as text, and notes on standard error.
 
 use crate::quiet::is_quiet;
-use crate::volume::{Reading, Stream, Volume, Watcher, numbers_in, without_mark};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{File, TryLockError};
+use std::collections::BTreeMap;
+use std::fs::{File, Metadata, TryLockError};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Component, Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// Maximum size of a model file, in bytes.
 const MAX_MODEL_BYTES: u64 = 4 << 30;
@@ -29,7 +26,7 @@ pub fn read_model_bytes(path: &Path) -> Result<Vec<u8>> {
         path.exists(),
         "cannot read {shown}: no such file; check the path, or make a model with `entire calibrate`"
     );
-    Stream::open(path, None)?.all(MAX_MODEL_BYTES).with_context(|| format!("{shown}"))
+    read_at_most(path, MAX_MODEL_BYTES).with_context(|| format!("{shown}"))
 }
 
 /// Returns the model in the bytes of a file.
@@ -264,12 +261,75 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
     Ok(out)
 }
 
+/// Opens a regular file, and returns its length too.
+///
+/// # Errors
+/// When the file is missing, unreadable or not a regular file; the error names the path.
+pub(crate) fn open_regular(path: &Path) -> Result<(File, u64)> {
+    let shown = path.display();
+    let refused = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
+        _ => anyhow!("{shown}: cannot be opened: {error}"),
+    };
+    // Opening a FIFO waits for its writer, so the kind of the file is checked first.
+    check_regular(path, &std::fs::metadata(path).map_err(refused)?)?;
+    let file = File::open(path).map_err(refused)?;
+    let metadata = file.metadata().with_context(|| format!("{shown}"))?;
+    check_regular(path, &metadata)?;
+    Ok((file, metadata.len()))
+}
+
+/// Refuses folders, and files that may have no end or wait for a writer: FIFOs, sockets, devices.
+fn check_regular(path: &Path, metadata: &Metadata) -> Result<()> {
+    let shown = path.display();
+    ensure!(!metadata.is_dir(), "{shown}: is a folder; name a file in it");
+    if metadata.is_file() {
+        return Ok(());
+    }
+    let kind = kind_of(metadata);
+    bail!("{shown}: is {kind}, not a regular file; save its content to a file and name that file")
+}
+
+#[cfg(unix)]
+fn kind_of(metadata: &Metadata) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    let kind = metadata.file_type();
+    if kind.is_fifo() {
+        "a FIFO"
+    } else if kind.is_socket() {
+        "a socket"
+    } else if kind.is_char_device() || kind.is_block_device() {
+        "a device"
+    } else {
+        "something else"
+    }
+}
+
+#[cfg(not(unix))]
+fn kind_of(_: &Metadata) -> &'static str {
+    "something else"
+}
+
+/// Returns the bytes of a regular file of at most `most` bytes. Bytes that are appended to the file later are
+/// not read.
+fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let (file, length) = open_regular(path)?;
+    ensure!(length <= most, "is longer than the {most} bytes accepted here");
+    let mut bytes = Vec::new();
+    ensure!(
+        bytes.try_reserve_exact(length as usize).is_ok(),
+        "{length} bytes do not fit into this machine's memory"
+    );
+    file.take(length).read_to_end(&mut bytes).context("reading")?;
+    Ok(bytes)
+}
+
 /// Reads a regular file of at most 4 GiB.
 ///
 /// # Errors
 /// When the file is no regular file, is larger than 4 GiB, or cannot be read.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    Stream::open(path, None)?.all(MAX_TABLE_BYTES)
+    read_at_most(path, MAX_TABLE_BYTES)
 }
 
 /// Returns the text of a regular file of at most `most` bytes, without a byte order mark.
@@ -278,7 +338,15 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
 /// When the file is no regular file, is larger, cannot be read, or is neither UTF-8 nor UTF-16 with a byte
 /// order mark.
 pub fn read_text(path: &Path, most: u64) -> Result<String> {
-    Ok(decode_text(&Stream::open(path, None)?.all(most)?)?.into_owned())
+    Ok(decode_text(&read_at_most(path, most)?)?.into_owned())
+}
+
+/// Byte order mark that some editors put before UTF-8 text.
+pub(crate) const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
+
+/// Returns text without its byte order mark, if it has one.
+pub(crate) fn without_mark(text: &[u8]) -> &[u8] {
+    text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
 }
 
 /// Decodes text: UTF-8 with or without a byte order mark, or UTF-16 with a byte order mark, which some
@@ -333,39 +401,6 @@ pub fn fnv1a_text(bytes: &[u8]) -> String {
     format!("{:016x}", fnv1a(bytes))
 }
 
-/// Reads a volume file and prints its notes ([`Volume::notes`]) on standard error.
-///
-/// # Errors
-/// Those of [`Volume::open_as`].
-pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
-    open_watched_volume(path, reading, None)
-}
-
-/// Reads a volume file as [`open_volume`] does; the watcher may observe the progress and stop the reading.
-///
-/// # Errors
-/// Those of [`Volume::open_as`].
-pub fn open_watched_volume(
-    path: &Path,
-    reading: &Reading,
-    watcher: Option<Arc<dyn Watcher>>,
-) -> Result<Volume> {
-    let volume = Volume::open_as(path, reading, watcher)?;
-    say_notes(&volume);
-    Ok(volume)
-}
-
-/// Prints the notes of a volume's reader on standard error, each only once.
-fn say_notes(volume: &Volume) {
-    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
-    for text in volume.notes() {
-        let text = format!("{}: {text}", volume.source().display());
-        if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
-            note(&text);
-        }
-    }
-}
-
 /// Prints a note on standard error, unless the program [is quiet](is_quiet).
 pub fn note(text: &str) {
     if is_quiet() {
@@ -373,6 +408,16 @@ pub fn note(text: &str) {
     }
     // A closed standard error is no reason to fail.
     let _ = writeln!(std::io::stderr().lock(), "note: {text}");
+}
+
+/// Parses numbers separated by commas.
+///
+/// # Errors
+/// When an entry is not a number.
+pub fn numbers_in(text: &str) -> Result<Vec<f32>, String> {
+    text.split(',')
+        .map(|word| word.trim().parse().map_err(|_| format!("{:?} is not a number", word.trim())))
+        .collect()
 }
 
 /// Reads exactly `N` comma-separated numbers.

@@ -328,7 +328,7 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         )
     })?;
     let reading = table.manifest.as_ref().map(Manifest::reading).transpose()?.unwrap_or_default();
-    let volume = entire_io::files::open_volume(&path, &reading)?;
+    let volume = entire_io::volume::open_volume(&path, &reading)?;
     if let Some(manifest) = &table.manifest
         && let Some(what) = manifest.changed(name, &path)?
     {

@@ -6,14 +6,12 @@ use crate::collection::{
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
-use entire_io::files::{
-    ensure_distinct, fnv1a_text, make_folder_of, note, open_watched_volume, parse_model, read_model_bytes,
-};
+use entire_io::files::{ensure_distinct, fnv1a_text, make_folder_of, note, parse_model, read_model_bytes};
 use entire_io::identity::{self, Identity};
 use entire_io::options::{RenderArgs, check_termination};
 use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
-use entire_io::volume::Reading;
+use entire_io::volume::{Reading, open_watched_volume};
 use entire_io::{device, interrupt, machine};
 use entire_train::split::Split;
 use entire_train::teacher::Teacher;

@@ -3,9 +3,9 @@
 use anyhow::{Context, Result, bail};
 use entire_core::kernels::Executor;
 use entire_core::nn::VolumeNet;
-use entire_io::files::{digits, open_model, open_volume};
+use entire_io::files::{digits, open_model};
 use entire_io::options::thread_pool;
-use entire_io::volume::Reading;
+use entire_io::volume::{Reading, open_volume};
 use std::path::PathBuf;
 
 /// Compute the feature vector of a volume by a VolumeNet.

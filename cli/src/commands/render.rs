@@ -3,11 +3,11 @@
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction};
 use entire_io::device;
-use entire_io::files::{ensure_not_input, make_folder_of, note, open_volume, parse_numbers, write_whole};
+use entire_io::files::{ensure_not_input, make_folder_of, note, numbers_in, parse_numbers, write_whole};
 use entire_io::metrics::median;
 use entire_io::options::{RenderArgs, parse_size};
 use entire_io::path::camera;
-use entire_io::volume::{Reading, numbers_in};
+use entire_io::volume::{Reading, open_volume};
 use entire_report::encode_png;
 use entire_vk_raycaster::Rendered;
 use serde_json::json;

@@ -9,16 +9,14 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::{Clock, Scene, Writer};
 use entire_io::enlarge::enlarge;
-use entire_io::files::{
-    ensure_not_input, ensure_not_own, make_folder_of, note, open_model, open_volume, write_json,
-};
+use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, open_model, write_json};
 use entire_io::machine::Provenance;
 use entire_io::options::{
     DrawSettings, RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
 };
 use entire_io::path::{FlightPath, Generated, parse_target};
 use entire_io::scenes::RandomScene;
-use entire_io::volume::{Reading, Volume};
+use entire_io::volume::{Reading, Volume, open_volume};
 use entire_io::{device, identity, interrupt};
 use entire_steer::control::StepLimits;
 use serde_json::json;

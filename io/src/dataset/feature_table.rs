@@ -10,8 +10,7 @@
 //! and I is the feature's index.
 
 use super::TimedFrame;
-use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
-use crate::volume::without_mark;
+use crate::files::{fnv1a, gzip, read_decompressed, without_mark, write_whole};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::nn::VolumeNetParts;
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};

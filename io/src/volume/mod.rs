@@ -42,17 +42,18 @@ mod stream;
 mod vti;
 
 pub(crate) use element::{Element, Endian};
-pub use reading::numbers_in;
 pub use reading::{Fill, Range, Reading};
-pub(crate) use stream::{Companions, Folder, without_mark};
+pub(crate) use stream::{Companions, Folder};
 pub use stream::{Stream, Watcher};
 
+use crate::files::{note, without_mark};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 use reading::{hide_fill, narrow, non_finite};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Owned voxels in one of the types that the core takes.
 #[derive(Clone, Debug, PartialEq)]
@@ -327,6 +328,39 @@ impl Volume {
     /// The file that the volume was read from; empty for a volume made in memory.
     pub fn source(&self) -> &Path {
         &self.source
+    }
+}
+
+/// Reads a volume file and prints its notes ([`Volume::notes`]) on standard error.
+///
+/// # Errors
+/// Those of [`Volume::open_as`].
+pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
+    open_watched_volume(path, reading, None)
+}
+
+/// Reads a volume file as [`open_volume`] does; the watcher may observe the progress and stop the reading.
+///
+/// # Errors
+/// Those of [`Volume::open_as`].
+pub fn open_watched_volume(
+    path: &Path,
+    reading: &Reading,
+    watcher: Option<Arc<dyn Watcher>>,
+) -> Result<Volume> {
+    let volume = Volume::open_as(path, reading, watcher)?;
+    say_notes(&volume);
+    Ok(volume)
+}
+
+/// Prints the notes of a volume's reader on standard error, each only once.
+fn say_notes(volume: &Volume) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    for text in volume.notes() {
+        let text = format!("{}: {text}", volume.source().display());
+        if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
+            note(&text);
+        }
     }
 }
 

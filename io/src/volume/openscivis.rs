@@ -10,8 +10,9 @@
 //! case.
 
 use super::element::{expect_end, read_voxels};
-use super::stream::{Companions, Stream, without_mark};
+use super::stream::{Companions, Stream};
 use super::{Element, Endian, Parts, checked_dims, strip_ending, three_axes};
+use crate::files::without_mark;
 use anyhow::{Context, Result, anyhow, bail};
 use serde_json::Value;
 

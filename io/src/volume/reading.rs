@@ -1,6 +1,7 @@
 //! Options of reading a volume file: the array, the fill values, the range that maps to [0, 1].
 
 use super::VolumeData;
+use crate::files::numbers_in;
 use anyhow::{Result, ensure};
 use entire_core::scene::{Scalars, VolumeView};
 use serde::{Deserialize, Serialize};
@@ -73,16 +74,6 @@ pub enum Range {
     Data,
     /// From the first to the second number: two numbers separated by a comma.
     Given(f32, f32),
-}
-
-/// Parses numbers separated by commas.
-///
-/// # Errors
-/// When an entry is not a number.
-pub fn numbers_in(text: &str) -> Result<Vec<f32>, String> {
-    text.split(',')
-        .map(|word| word.trim().parse().map_err(|_| format!("{:?} is not a number", word.trim())))
-        .collect()
 }
 
 impl FromStr for Fill {

@@ -1,9 +1,9 @@
 //! Byte streams with a known upper bound on their length, from any source.
 
+use crate::files::{BYTE_ORDER_MARK, open_regular};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use bzip2::bufread::MultiBzDecoder;
 use flate2::bufread::{GzDecoder, ZlibDecoder};
-use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -19,14 +19,6 @@ const BZIP2_GROWTH: u64 = 1 << 22;
 /// Maximum number of decompressed bytes of a bzip2 stream, unless [`DEFLATE_GROWTH`] allows more. Without
 /// this limit, a file of a few kilobytes could fill any memory.
 const BZIP2_MOST: u64 = 4 << 30;
-
-/// Byte order mark that some editors put before UTF-8 text.
-const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
-
-/// Returns text without its byte order mark, if it has one.
-pub(crate) fn without_mark(text: &[u8]) -> &[u8] {
-    text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
-}
 
 /// Maximum length of a header's line, in bytes.
 const MAX_LINE: usize = 1 << 16;
@@ -87,17 +79,7 @@ impl<'a> Stream<'a> {
     /// # Errors
     /// When the file is missing, unreadable or not a regular file; the error names the path.
     pub(crate) fn open(path: &Path, watcher: Option<&Arc<dyn Watcher>>) -> Result<Stream<'static>> {
-        let shown = path.display();
-        let refused = |error: io::Error| match error.kind() {
-            io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
-            _ => anyhow!("{shown}: cannot be opened: {error}"),
-        };
-        // Opening a FIFO waits for its writer, so the kind of the file is checked first.
-        check_regular(path, &std::fs::metadata(path).map_err(refused)?)?;
-        let file = File::open(path).map_err(refused)?;
-        let metadata = file.metadata().with_context(|| format!("{shown}"))?;
-        check_regular(path, &metadata)?;
-        let length = metadata.len();
+        let (file, length) = open_regular(path)?;
         if let Some(watcher) = watcher {
             watcher.expect(length);
         }
@@ -352,37 +334,6 @@ impl<R: BufRead> Read for Hexadecimal<R> {
         }
         Ok(out.len())
     }
-}
-
-/// Refuses folders, and files that may have no end or wait for a writer: FIFOs, sockets, devices.
-fn check_regular(path: &Path, metadata: &Metadata) -> Result<()> {
-    let shown = path.display();
-    ensure!(!metadata.is_dir(), "{shown}: is a folder; name a file in it");
-    if metadata.is_file() {
-        return Ok(());
-    }
-    let kind = kind_of(metadata);
-    bail!("{shown}: is {kind}, not a regular file; save its content to a file and name that file")
-}
-
-#[cfg(unix)]
-fn kind_of(metadata: &Metadata) -> &'static str {
-    use std::os::unix::fs::FileTypeExt;
-    let kind = metadata.file_type();
-    if kind.is_fifo() {
-        "a FIFO"
-    } else if kind.is_socket() {
-        "a socket"
-    } else if kind.is_char_device() || kind.is_block_device() {
-        "a device"
-    } else {
-        "something else"
-    }
-}
-
-#[cfg(not(unix))]
-fn kind_of(_: &Metadata) -> &'static str {
-    "something else"
 }
 
 impl Read for Stream<'_> {

@@ -10,8 +10,9 @@
 //! default.
 
 use super::element::{byte_count, grow, parse_voxels, read_voxels};
-use super::stream::{Stream, without_mark};
+use super::stream::Stream;
 use super::{Element, Endian, Parts, VolumeData, checked_dims};
+use crate::files::without_mark;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;

@@ -3,8 +3,8 @@
 use anyhow::{Context, Result};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Shading, Skipping, TransferFunction};
 use entire_io::device::{self, Device};
-use entire_io::files::{open_volume, write_whole};
-use entire_io::volume::Reading;
+use entire_io::files::write_whole;
+use entire_io::volume::{Reading, open_volume};
 use entire_report::encode_png;
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::{Deserialize, Serialize};

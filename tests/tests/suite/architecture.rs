@@ -196,10 +196,10 @@ const STEER: &Rooms = &[
 
 const IO: &Rooms = &[
     ("child", &[]),
-    ("volume", &[]),
     ("quiet", &[]),
     ("progress", &["quiet"]),
-    ("files", &["quiet", "volume"]),
+    ("files", &["quiet"]),
+    ("volume", &["files"]),
     ("device", &["files"]),
     ("identity", &["files", "volume"]),
     ("interrupt", &["volume"]),
