@@ -244,7 +244,7 @@ impl Drive<'_, '_> {
         }
         let interrupted = interrupt::requested(&stop) && !self.planner.is_over();
         if self.full.is_some() {
-            // The message below says why the run ends.
+            // The run ends with the error in `full`, whether `cancel` succeeds or not.
             let _ = self.engine.cancel();
         } else if interrupted {
             show.note(&format!(

@@ -61,7 +61,7 @@ pub(crate) struct Settings {
     pub(crate) frames: usize,
     /// Shortest and longest image side, pixels.
     pub(crate) sizes: (u32, u32),
-    /// Ray steps, reference steps.
+    /// Ray steps, in reference steps.
     pub(crate) steps: Vec<f32>,
     pub(crate) seed: u64,
 }

@@ -223,8 +223,8 @@ fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
     chart
 }
 
-/// Returns the indices of the controllers that charts and pictures show: all, but of the three rules that
-/// convert recent frame times by G only OLP if it was played. Their curves would hide each other.
+/// Returns the indices of the controllers that charts and pictures show. Three rules convert recent frame
+/// times by G, and their curves would hide each other: if OLP was played, the other two are left out.
 fn shown(names: &[String]) -> Vec<usize> {
     use ControllerKind::{LargerOfTwo, Last, Olp};
     let is = |name: &String, kinds: &[ControllerKind]| kinds.iter().any(|k| k.name() == name);

@@ -176,7 +176,8 @@ pub trait Simd: Copy + 'static {
     fn xor_i(self, a: Self::I, b: Self::I) -> Self::I;
     /// Mask of the lanes that are not zero.
     fn nonzero(self, a: Self::I) -> Self::M;
-    /// Stores the lanes of `m` contiguously and returns their number. `to` must have at least 16 elements.
+    /// Stores the lanes of `v` that `m` selects, contiguously, and returns their number. `to` must have at
+    /// least 16 elements.
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize;
 
     /// One bit per pair of bounds, set where `low` ≤ `last` and `high` ≥ `first`.

@@ -4,9 +4,9 @@
 //! read.
 //!
 //! A spacing of NaN, or a direction of `none` or NaN, is unknown; the spacing is then taken from the other
-//! field: directions if the spacing is unknown, spacings if the directions of all axes are. If both are
-//! unknown, the spacing is 1, with a note. A direction of `none` or NaN beside directions of other axes marks
-//! an axis that is not spatial.
+//! field: directions if the spacing is unknown, spacings if the directions of all axes are unknown. If both
+//! are unknown, the spacing is 1, with a note. A direction of `none` or NaN beside directions of other axes
+//! marks an axis that is not spatial.
 //!
 //! The project has its own reader, since the crate that reads NRRD, `bioformats` 0.1, reserves as much memory
 //! as a header claims, and has no 64-bit integers.

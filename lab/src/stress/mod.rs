@@ -111,7 +111,7 @@ pub(crate) struct Verdict {
     pub(crate) missed: f64,
     /// Largest number of consecutive feasible frames that took longer than 1.1 times the target.
     pub(crate) run: usize,
-    /// Mean of the oracle's step divided by the chosen step; each ratio is at most 1.
+    /// Mean of the oracle's step divided by the chosen step; ratios above 1 count as 1.
     pub(crate) quality: f64,
     /// Largest true frame time divided by the target, among feasible frames.
     pub(crate) worst: f64,

@@ -11,7 +11,8 @@ use entire_train::evaluation::probe_means;
 use entire_train::split::TimedFrames;
 use std::collections::BTreeMap;
 
-/// Evaluates the constant baseline: the mean time of a share of each volume's frames predicts all of its frames.
+/// Evaluates the constant baseline: the mean time of a share of each volume's frames predicts all of its
+/// frames.
 pub(super) fn constant(on: &OnSet<'_>, out: &mut Findings) {
     let set = on.set;
     for (split, part) in set.splits.iter().zip(&on.data.splits) {
@@ -47,8 +48,9 @@ impl Line {
 /// Seconds of the frames as rendered by the low-resolution proxy, by table and frame number.
 pub(crate) type Low = BTreeMap<(usize, u64), f64>;
 
-/// The line by which the low-resolution proxy predicts: seconds as a linear function of the seconds at low resolution,
-/// fitted to the training frames. `None` if too few training frames were rendered at low resolution.
+/// The line by which the low-resolution proxy predicts: seconds as a linear function of the seconds at low
+/// resolution, fitted to the training frames. `None` if too few training frames were rendered at low
+/// resolution.
 pub(crate) fn line_of(low: &Low, training: &TimedFrames<'_>) -> Option<Line> {
     let pairs: Vec<(f64, f64)> = training
         .frames
@@ -97,7 +99,8 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &Low, out: &mut Findings) -> Result<()>
     Ok(())
 }
 
-/// Seconds of the frames of `tables` on 64³ voxels, by table and frame number; empty without such tables.
+/// Seconds of the frames of `tables` when they are rendered with 64³ voxels, by table and frame number.
+/// Frames of a table for which `set.low_resolution` names no file are left out.
 pub(super) fn low_resolution(set: &Set, tables: &[Table], clock: Clock) -> Result<Low> {
     let mut low = Low::new();
     for (index, table) in tables.iter().enumerate() {
@@ -111,8 +114,8 @@ fn file_name(table: &Table) -> String {
     table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Reads the low-resolution table at `path` and adds the seconds of its frames to `low`. The key is the index of the
-/// full-resolution table and the number of that table's frame of the same scene.
+/// Reads the low-resolution table at `path` and adds the seconds of its frames to `low`. The key is the index
+/// of the full-resolution table and the number of that table's frame of the same scene.
 ///
 /// # Errors
 /// When the table at `path` cannot be read, or shows a scene that the full-resolution table lacks.

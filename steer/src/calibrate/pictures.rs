@@ -616,7 +616,8 @@ mod tests {
         assert!(most(0) > 1.05 * excess(&TRUTH, &TRUTH), "{draws:?}");
         assert!(most(1) < 1.02 * excess(&TRUTH, &TRUTH), "{draws:?}");
 
-        // The prior is the law of another renderer. Few scenes improve on it, and many find the true law.
+        // The prior is the law of another renderer. A fit to few scenes improves on this prior, and a fit to
+        // many scenes finds the true law.
         let other = Quality { image_weight: 0.2, image_exponent: 2.5, ..TRUTH };
         let fitted = |scenes| fit_quality(&scattered(&TRUTH, scenes, 5), Some(other)).unwrap();
         let [few, many] = [fitted(8), fitted(300)];

@@ -156,9 +156,9 @@ pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 /// frames of two machines.
 const WAITING_TRANSPARENT: f64 = 4.0;
 
-/// Factor in the number of shadow samples during which ended rays wait, for rays far apart. This number is
-/// the product of the factor, the number of all shadow samples, the share of rays that end early, and
-/// [`Probe::ends_apart`]. The factor was fitted to training frames of two machines.
+/// Factor on the number of shadow samples for which rays far apart wait because they have already ended. The
+/// number is the product of this factor, the number of all shadow samples, the share of rays that end early,
+/// and [`Probe::ends_apart`]. The factor was fitted to training frames of two machines.
 const WAITING_ENDED: f64 = 10.0;
 
 /// Features of a camera's view of a volume under a transfer function, measured once per frame.

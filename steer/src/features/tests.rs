@@ -454,8 +454,8 @@ fn what_needs_no_probe_is_known_without_one() {
 
 #[test]
 fn quantities_depend_on_the_step_where_the_table_says_so() {
-    // A volume of bytes, and one of integers that lookup tables must shift, each with a mostly opaque and a
-    // mostly transparent transfer function, seen from outside and inside.
+    // A volume of bytes, and one of negative and positive integers, each with a mostly opaque and a mostly
+    // transparent transfer function, seen from outside and inside.
     let bytes: Vec<u8> = ball().map(|v| (255.0 * v) as u8).collect();
     let shorts: Vec<i16> = ball().map(|v| (3000.0 * v) as i16 - 1000).collect();
     let volumes = [Scalars::U8(&bytes), Scalars::I16(&shorts)]

@@ -150,8 +150,8 @@ mod tests {
         assert!(held(&range, [f32::NAN, 6.0])[0].is_nan());
         range.extend(&[-4.0, 6.0], 2);
         assert_eq!(held(&range, [-9.0, 99.0]), [-4.0, 9.0]);
-        // The second input is free, so it is not clamped. Inputs without a finite value are not clamped
-        // either.
+        // The second input is free, so it is not clamped. An input that has no finite value in the training
+        // rows is not clamped either.
         let free = InputRange::of_rows(&[1.0], 1, 1);
         assert_eq!(held(&free, [7.0, 1e30]), [1.0, 1e30]);
         assert_eq!(held(&InputRange::of_rows(&[f32::NAN, 1.0], 2, 0), [3.0, 3.0]), [3.0, 1.0]);

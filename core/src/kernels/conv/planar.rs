@@ -208,9 +208,9 @@ impl Kernel for Rows<'_> {
                     channels: group,
                     width: first.shape.output,
                 };
-                // SAFETY: every tap plus the width, rounded up to whole steps, stays inside the prepared
-                // planes (phases are long enough); the group's rows stay inside the output plane, which no
-                // other thread writes.
+                // SAFETY: from the offset of each tap on, `run_row` reads the width, rounded up to whole
+                // vectors; the prepared planes are long enough for these reads. The group's rows stay inside
+                // the output plane, which no other thread writes.
                 unsafe { tiles::run_row(s, &row) };
             }
         }
