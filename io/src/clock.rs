@@ -9,6 +9,43 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_vk_raycaster::Renderer;
 
+/// Choice of a clock by an option.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ClockChoice {
+    /// The clock that the text of this option names for `auto`; without such a text, the device's timestamps
+    /// if all frames have them, else wall time.
+    #[default]
+    Auto,
+    /// Device timestamps.
+    Device,
+    /// Wall time on the host.
+    Wall,
+    /// Process CPU time, all threads.
+    Cpu,
+}
+
+impl ClockChoice {
+    /// The chosen clock; `None` for `auto`.
+    pub fn clock(self) -> Option<Clock> {
+        match self {
+            Self::Auto => None,
+            Self::Device => Some(Clock::Device),
+            Self::Wall => Some(Clock::Wall),
+            Self::Cpu => Some(Clock::Cpu),
+        }
+    }
+}
+
+impl From<Clock> for ClockChoice {
+    fn from(clock: Clock) -> Self {
+        match clock {
+            Clock::Device => Self::Device,
+            Clock::Wall => Self::Wall,
+            Clock::Cpu => Self::Cpu,
+        }
+    }
+}
+
 /// Returns the clock that a model states: under [`Key::Clock`], else in its provenance. `None` if it states
 /// no clock.
 pub fn of(model: &Model) -> Option<Clock> {
@@ -18,7 +55,7 @@ pub fn of(model: &Model) -> Option<Clock> {
         Some(provenance.get("clock")?.as_str()?.to_owned())
     };
     let name = model.metadata.get(Key::Clock.name()).cloned().or_else(of_provenance)?;
-    Clock::from_str(&name, false).ok().filter(|c| *c != Clock::Auto)
+    name.parse().ok()
 }
 
 /// Writes the clock into a model file.
@@ -29,18 +66,18 @@ pub fn set(file: &mut ModelFile, clock: Clock) {
 /// Returns the parser of an option for the clocks that a model can state: all but `auto`, which depends on
 /// the device.
 pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
-    let fixed = Clock::value_variants().iter().filter(|c| **c != Clock::Auto);
+    let fixed = ClockChoice::value_variants().iter().filter(|c| c.clock().is_some());
     PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
-        .try_map(|name| Clock::from_str(&name, false))
+        .try_map(|name| name.parse::<Clock>())
 }
 
-/// Returns the clock that [`Clock::Auto`] means for these frames: device time if every repeat has it, wall
-/// time if no repeat has it. Other clocks are returned unchanged.
+/// Returns the chosen clock; for `auto`, device time if every repeat of the frames has it, wall time if no
+/// repeat has it.
 ///
 /// # Errors
 /// When only some repeats have device timestamps: their times are not comparable.
-pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFrame>) -> Result<Clock> {
-    if clock != Clock::Auto {
+pub fn concrete<'a>(asked: ClockChoice, frames: impl IntoIterator<Item = &'a TimedFrame>) -> Result<Clock> {
+    if let Some(clock) = asked.clock() {
         return Ok(clock);
     }
     let (mut all, mut with) = (0usize, 0usize);
@@ -56,37 +93,33 @@ pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFram
     Ok(if with > 0 { Clock::Device } else { Clock::Wall })
 }
 
-/// Returns the clock that `auto` means for a renderer: device timestamps on a GPU that has them, else wall
-/// time. Other clocks are returned unchanged.
-pub fn waited_for(clock: Clock, renderer: &dyn Renderer) -> Clock {
+/// Returns the chosen clock; for `auto`, device timestamps on a GPU that has them, else wall time.
+pub fn waited_for(asked: ClockChoice, renderer: &dyn Renderer) -> Clock {
     let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
-    match clock {
-        Clock::Auto if device::is_software(renderer) || !timestamps => Clock::Wall,
-        Clock::Auto => Clock::Device,
-        named => named,
-    }
+    let auto = if timestamps && !device::is_software(renderer) { Clock::Device } else { Clock::Wall };
+    asked.clock().unwrap_or(auto)
 }
 
 /// Returns the clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and
 /// clock of the model that training starts from), else CPU time. If `asked` is not given and some frames have
-/// no time by the chosen clock, the clock that [`Clock::Auto`] means for the frames is returned instead, and
+/// no time by the chosen clock, the clock that `auto` means for the frames is returned instead, and
 /// a note is printed.
 ///
 /// # Errors
 /// Those of [`concrete`].
 pub fn for_training<'a>(
-    asked: Option<Clock>,
+    asked: Option<ClockChoice>,
     base: Option<(&str, Clock)>,
     frames: impl IntoIterator<Item = &'a TimedFrame> + Clone,
 ) -> Result<Clock> {
     let clock = match asked {
-        Some(clock) => concrete(clock, frames)?,
+        Some(asked) => concrete(asked, frames)?,
         None => {
             let wanted = base.map_or(Clock::Cpu, |b| b.1);
             if frames.clone().into_iter().all(|f| f.seconds(wanted).is_some()) {
                 wanted
             } else {
-                let found = concrete(Clock::Auto, frames)?;
+                let found = concrete(ClockChoice::Auto, frames)?;
                 crate::files::note(&format!(
                     "some frames have no {} time, so the model predicts {} seconds; to choose another \
                      clock, use --clock",
@@ -116,11 +149,8 @@ pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<S
 }
 
 /// Returns a note that names the models that state no clock; their predictions count as seconds of `clock`.
-/// `None` if every model states a clock, or if `clock` is [`Clock::Auto`].
+/// `None` if every model states a clock.
 pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
-    if clock == Clock::Auto {
-        return None;
-    }
     let names: Vec<&str> = models.into_iter().filter(|m| of(m.1).is_none()).map(|m| m.0).collect();
     (!names.is_empty()).then(|| {
         format!(
@@ -136,18 +166,22 @@ pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a
 ///
 /// # Errors
 /// When models and the requested clock disagree; the error names the remedy.
-pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Result<Clock> {
+pub fn agreed<'a>(
+    asked: ClockChoice,
+    models: impl IntoIterator<Item = (&'a str, &'a Model)>,
+) -> Result<ClockChoice> {
     let mut found: Option<(&str, Clock)> = None;
     for (name, model) in models {
         let Some(clock) = of(model) else { continue };
+        let other = asked.clock().filter(|c| *c != clock);
         ensure!(
-            asked == Clock::Auto || clock == asked,
+            other.is_none(),
             "{name} predicts {} seconds, but --clock asks for {}; leave --clock out, or make a model for \
              the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine or, \
              with --data TABLE.csv, to a table",
             clock.name(),
-            asked.name(),
-            asked.name()
+            other.map_or("auto", Clock::name),
+            other.map_or("auto", Clock::name)
         );
         if let Some((other, theirs)) = found {
             ensure!(
@@ -159,7 +193,7 @@ pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a M
         }
         found = Some((name, clock));
     }
-    Ok(found.map_or(asked, |f| f.1))
+    Ok(found.map_or(asked, |f| f.1.into()))
 }
 
 #[cfg(test)]
@@ -197,12 +231,12 @@ mod tests {
     fn models_and_commands_that_disagree_are_refused_with_a_remedy() {
         let (cpu, wall, none) =
             (model(Some(Clock::Cpu), None), model(Some(Clock::Wall), None), model(None, None));
-        assert_eq!(agreed(Clock::Auto, [("a", &cpu), ("c", &none)]).unwrap(), Clock::Cpu);
-        assert_eq!(agreed(Clock::Wall, [("b", &wall)]).unwrap(), Clock::Wall);
-        assert_eq!(agreed(Clock::Wall, [("c", &none)]).unwrap(), Clock::Wall);
-        let text = agreed(Clock::Wall, [("a", &cpu)]).unwrap_err().to_string();
+        assert_eq!(agreed(ClockChoice::Auto, [("a", &cpu), ("c", &none)]).unwrap(), ClockChoice::Cpu);
+        assert_eq!(agreed(ClockChoice::Wall, [("b", &wall)]).unwrap(), ClockChoice::Wall);
+        assert_eq!(agreed(ClockChoice::Wall, [("c", &none)]).unwrap(), ClockChoice::Wall);
+        let text = agreed(ClockChoice::Wall, [("a", &cpu)]).unwrap_err().to_string();
         assert!(text.contains("a predicts cpu seconds") && text.contains("--clock wall"), "{text}");
-        let text = agreed(Clock::Auto, [("a", &cpu), ("b", &wall)]).unwrap_err().to_string();
+        let text = agreed(ClockChoice::Auto, [("a", &cpu), ("b", &wall)]).unwrap_err().to_string();
         assert!(text.contains("a predicts cpu seconds and b wall seconds"), "{text}");
     }
 
@@ -212,7 +246,6 @@ mod tests {
         let text = unstated(Clock::Wall, [("a", &cpu), ("b", &none), ("c", &none)]).unwrap();
         assert!(text.contains("by b, c;") && text.contains("wall seconds"), "{text}");
         assert_eq!(unstated(Clock::Wall, [("a", &cpu)]), None);
-        assert_eq!(unstated(Clock::Auto, [("b", &none)]), None);
         let text = started_from("a", of(&cpu), Clock::Wall).unwrap();
         assert!(text.contains("a predicts cpu seconds") && text.contains("predicts wall seconds"), "{text}");
         assert_eq!(started_from("a", of(&cpu), Clock::Cpu), None);
@@ -243,10 +276,10 @@ mod tests {
     fn auto_becomes_the_clock_that_all_frames_have() {
         let wall = Timing { wall: Some(0.1), ..Timing::default() };
         let both = Timing { device: Some(0.1), cpu: Some(0.2), ..wall };
-        assert_eq!(concrete(Clock::Auto, [&frame(&[wall])]).unwrap(), Clock::Wall);
-        assert_eq!(concrete(Clock::Auto, [&frame(&[both])]).unwrap(), Clock::Device);
-        assert_eq!(concrete(Clock::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
-        let mixed = concrete(Clock::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
+        assert_eq!(concrete(ClockChoice::Auto, [&frame(&[wall])]).unwrap(), Clock::Wall);
+        assert_eq!(concrete(ClockChoice::Auto, [&frame(&[both])]).unwrap(), Clock::Device);
+        assert_eq!(concrete(ClockChoice::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
+        let mixed = concrete(ClockChoice::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
         assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
         // The default is CPU time. A fine-tuned model keeps its clock. If frames have no time by the chosen
         // clock, a clock that all frames have replaces it.
@@ -254,7 +287,7 @@ mod tests {
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);
         assert_eq!(
-            for_training(Some(Clock::Wall), Some(("m", Clock::Device)), &frames).unwrap(),
+            for_training(Some(ClockChoice::Wall), Some(("m", Clock::Device)), &frames).unwrap(),
             Clock::Wall
         );
         assert_eq!(for_training(None, None, &[frame(&[wall])]).unwrap(), Clock::Wall);

@@ -83,7 +83,7 @@ impl Calibrated {
 pub(crate) fn samples_by_volume(tables: &[PathBuf]) -> Result<Vec<(String, Sample)>> {
     let tables = read_tables(tables)?;
     let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();
-    let clock = [Clock::Cpu, Clock::Auto]
+    let clock = [Clock::Cpu, Clock::Device, Clock::Wall]
         .into_iter()
         .find(|c| frames.iter().all(|f| f.seconds(*c).is_some()))
         .context(

@@ -113,12 +113,6 @@ pub fn can_be_prior(file: &ModelFile) -> bool {
     prior_costs(std::slice::from_ref(file), &UnitCosts::SOFTWARE).is_ok()
 }
 
-/// Refuses [`Clock::Auto`]: a model states one clock.
-fn ensure_fixed(clock: Clock) -> Result<()> {
-    ensure!(clock != Clock::Auto, "a model predicts one clock's seconds; name cpu, wall or device, not auto");
-    Ok(())
-}
-
 /// The model files of the priors, and their names, joined by commas; `None` for the names if there are no
 /// priors.
 fn named(priors: &[NamedPrior]) -> (Vec<ModelFile>, Option<String>) {
@@ -143,7 +137,7 @@ fn too_short(seconds: f64, choosing: f64) -> String {
 /// and fits a model to them. [`prior_costs`] makes the prior from the models `priors`.
 ///
 /// # Errors
-/// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or
+/// When volumes cannot be read, the renderer fails or lacks the clock, or
 /// fewer than [`FEWEST_FRAMES`] were drawn.
 pub(crate) fn calibrate(
     settings: &Settings,
@@ -153,7 +147,6 @@ pub(crate) fn calibrate(
     stop: &dyn Fn() -> bool,
     bar: &ProgressBar,
 ) -> Result<Calibrated> {
-    ensure_fixed(settings.clock)?;
     let start = Instant::now();
     let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(0.0));
     bar.set_length(settings.seconds.ceil() as u64);
@@ -260,7 +253,7 @@ pub fn calibrate_to_frames(
 /// `pictures`, if given. If a table has no stored scene features, its volumes are opened.
 ///
 /// # Errors
-/// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, the clock is [`Clock::Auto`], or inputs
+/// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, or inputs
 /// cannot be computed.
 pub fn calibrate_to_tables(
     tables: &[Table],
@@ -269,7 +262,6 @@ pub fn calibrate_to_tables(
     pictures: Option<Pictures>,
     threads: &rayon::ThreadPool,
 ) -> Result<(ModelFile, Report)> {
-    ensure_fixed(clock)?;
     let start = Instant::now();
     let (frames, seconds): (Vec<&TimedFrame>, Vec<f64>) = timed(tables, clock, Some(shading))?
         .into_iter()

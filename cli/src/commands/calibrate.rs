@@ -9,6 +9,7 @@ use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use entire_core::scene::{Shading, Skipping};
+use entire_io::clock::ClockChoice;
 use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables, read_pictures, shaded};
 use entire_io::device::{self, Device};
 use entire_io::files::{
@@ -76,8 +77,8 @@ pub(crate) struct Options {
     pub(crate) shade: String,
     /// Clock of the predicted seconds: `cpu` is processor time of all threads, `wall` is wall time, `device`
     /// is the device's timestamps; `auto` is `device` on a GPU, else `wall`.
-    #[arg(long, value_enum, default_value_t = Clock::Auto)]
-    pub(crate) clock: Clock,
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) clock: ClockChoice,
     /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Default:
     /// machine-MODE.safetensors in the folder entire of the user's data folder.
     #[arg(long, value_name = "FILE.safetensors")]
@@ -287,7 +288,7 @@ fn from_tables(options: &Options) -> Result<()> {
         table.manifest.as_ref().is_some_and(|m| device::names_software(&m.renderer, &m.device))
     };
     let asked = match options.clock {
-        Clock::Auto if tables.iter().all(software) => Clock::Wall,
+        ClockChoice::Auto if tables.iter().all(software) => ClockChoice::Wall,
         clock => clock,
     };
     let used = modes.iter().flat_map(|&shading| shaded(&tables, Some(shading)));

@@ -17,7 +17,7 @@ use crate::steering::rivals::PID_GAINS;
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
-use entire_io::dataset::Clock;
+use entire_io::clock::ClockChoice;
 use entire_io::enlarge::enlarge;
 use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
@@ -82,7 +82,7 @@ pub(crate) struct Options {
     /// The clock of frame times. `auto`: the clock of the machine's model (`entire calibrate`), else the
     /// device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t)]
-    pub(crate) clock: Clock,
+    pub(crate) clock: ClockChoice,
     /// Enlarge the volume trilinearly by this factor along each axis; default: 2 for volumes of fewer than
     /// 160³ voxels, else 1.
     #[arg(long, value_name = "FACTOR")]

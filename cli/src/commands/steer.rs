@@ -7,7 +7,8 @@ use crate::steering::race::{Race, machine_model_for, prepare, run as play, steer
 use crate::steering::report::{FILES, Story, make_report_folder, table, write};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::VolumeView;
-use entire_io::dataset::{Clock, Scene, Writer};
+use entire_io::clock::ClockChoice;
+use entire_io::dataset::{Scene, Writer};
 use entire_io::enlarge::enlarge;
 use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, open_model, write_json};
 use entire_io::machine::Provenance;
@@ -115,7 +116,7 @@ pub(crate) struct Options {
     /// else the device's timestamps on a GPU, else wall time. A --model of another clock is refused; the
     /// machine's model is ignored if it states another clock.
     #[arg(long, value_enum, default_value_t)]
-    pub(crate) clock: Clock,
+    pub(crate) clock: ClockChoice,
     /// Finest and coarsest allowed step, in reference steps. Controllers that act on image resolution have
     /// their own ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
@@ -173,7 +174,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let named = options.model.as_ref().map(|p| p.display().to_string());
     let given = named.as_deref().zip(model.as_ref());
     let clock = entire_io::clock::agreed(options.clock, given)?;
-    if let Some(text) = entire_io::clock::unstated(clock, given) {
+    if let Some(text) = clock.clock().and_then(|clock| entire_io::clock::unstated(clock, given)) {
         note(&text);
     }
     // The path is checked before the volumes are read, which may take minutes.

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
+use entire_io::clock::ClockChoice;
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, manifests_of, mixed, noise_floor, open_tables,
     shaded, timed,
@@ -73,7 +74,7 @@ pub(crate) struct Options {
     /// auto for frames of a GPU and cpu (processor time) for other frames. If some frame has no time by the
     /// default clock, auto is used instead.
     #[arg(long, value_enum)]
-    pub(crate) clock: Option<Clock>,
+    pub(crate) clock: Option<ClockChoice>,
     /// Only frames with this shading: none, local, scatter or local-scatter.
     #[arg(long)]
     pub(crate) shade: Option<entire_core::scene::Shading>,
@@ -314,8 +315,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Returns the requested clock, else the clock of the model that training starts from, else [`Clock::Auto`]
-/// for frames of a GPU and processor time for others, as [`entire_io::clock::for_training`] chooses.
+/// Returns the requested clock, else the clock of the model that training starts from, else `auto` for
+/// frames of a GPU and processor time for others, as [`entire_io::clock::for_training`] chooses.
 fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>, Model)>) -> Result<Clock> {
     let base = base.and_then(|(name, model)| Some((name.to_string(), entire_io::clock::of(model)?)));
     let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
@@ -324,7 +325,7 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
     let on_gpu = manifests_of(tables, &frames)
         .iter()
         .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
-    let asked = options.clock.or((base.is_none() && on_gpu).then_some(Clock::Auto));
+    let asked = options.clock.or((base.is_none() && on_gpu).then_some(ClockChoice::Auto));
     entire_io::clock::for_training(asked, base, shaded(tables, options.shade))
 }
 

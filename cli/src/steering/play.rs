@@ -403,7 +403,7 @@ mod tests {
             shading: Shading::None,
             skipping: Skipping::Blocks,
             termination: 0.99,
-            clock: Clock::Auto,
+            clock: Clock::Wall,
         };
         let path = path();
         let shown = [Shown { view: &view, summary, volume_features: None }];

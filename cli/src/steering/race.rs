@@ -11,6 +11,7 @@ use crate::shipped::shipped_model;
 use anyhow::{Context, Result};
 use entire_core::model::{Model, ModelFile};
 use entire_core::scene::{Shading, VolumeView};
+use entire_io::clock::ClockChoice;
 use entire_io::dataset::Clock;
 use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
@@ -80,14 +81,14 @@ pub(crate) fn steering_model(
 }
 
 /// Returns the machine's model for a shading mode, with its name, and the clock of frame times, which for
-/// [`Clock::Auto`] is the clock that this model states. The model is ignored, with a note, if it states no
+/// `auto` is the clock that this model states. The model is ignored, with a note, if it states no
 /// clock or another clock than the requested one. It is also ignored if it was calibrated on a GPU and a
 /// renderer in software draws, or the reverse.
 pub(crate) fn machine_model_for(
     shading: Shading,
-    asked: Clock,
+    asked: ClockChoice,
     renderer: &dyn Renderer,
-) -> Result<(Option<(String, ModelFile)>, Clock)> {
+) -> Result<(Option<(String, ModelFile)>, ClockChoice)> {
     let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
     if let Some(why) = of_another_kind(&path, &file, renderer.backend(), &renderer.device()) {
         entire_io::files::note(&format!(
@@ -96,19 +97,17 @@ pub(crate) fn machine_model_for(
         ));
         return Ok((None, asked));
     }
-    let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
+    let Some(clock) = stated.filter(|c| asked.clock().is_none_or(|a| a == *c)) else {
         entire_io::files::note(&format!("{} {}", path.display(), ignored(shading, stated, asked)));
         return Ok((None, asked));
     };
-    Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
+    Ok((Some((format!("{}, of this machine", path.display()), file)), clock.into()))
 }
 
 /// Returns the reason why the machine's model is ignored, and the remedy.
-fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
-    let remedy = match asked {
-        Clock::Auto => String::new(),
-        named => format!(" --clock {}", named.name()),
-    };
+fn ignored(shading: Shading, stated: Option<Clock>, asked: ClockChoice) -> String {
+    let asked = asked.clock().map(Clock::name);
+    let remedy = asked.map_or(String::new(), |name| format!(" --clock {name}"));
     match stated {
         None => format!(
             "is ignored: it states no clock (`entire calibrate --shade {shading}{remedy}` makes a model that \
@@ -118,7 +117,7 @@ fn ignored(shading: Shading, stated: Option<Clock>, asked: Clock) -> String {
             "is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
              --shade {shading}{remedy}` makes a model of that clock)",
             stated.name(),
-            asked.name()
+            asked.unwrap_or("auto")
         ),
     }
 }
@@ -253,11 +252,11 @@ mod tests {
 
     #[test]
     fn a_model_that_is_ignored_can_be_made_again_by_the_command_in_the_note() {
-        let said = ignored(Shading::None, Some(Clock::Cpu), Clock::Wall);
+        let said = ignored(Shading::None, Some(Clock::Cpu), ClockChoice::Wall);
         assert!(said.contains("predicts cpu time") && said.contains("--shade none --clock wall`"), "{said}");
         for (asked, command) in [
-            (Clock::Auto, "`entire calibrate --shade local`"),
-            (Clock::Wall, "`entire calibrate --shade local --clock wall`"),
+            (ClockChoice::Auto, "`entire calibrate --shade local`"),
+            (ClockChoice::Wall, "`entire calibrate --shade local --clock wall`"),
         ] {
             let said = ignored(Shading::Local, None, asked);
             assert!(said.contains("states no clock") && said.contains(command), "{said}");

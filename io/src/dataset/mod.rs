@@ -19,12 +19,13 @@ mod timing;
 mod writer;
 
 pub use compared::read_pictures;
+pub use entire_steer::predict::Clock;
 pub use groups::Groups;
 pub use manifest::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE};
 pub(crate) use scene::format_lobes;
 pub use scene::{Scene, parse_lobes};
 pub use table::{COLUMNS, Table, open_tables, parse as parse_table, read_tables};
 pub use timing::{
-    Clock, NoiseFloor, Timed, TimedFrame, Timing, left_out, manifests_of, mixed, noise_floor, shaded, timed,
+    NoiseFloor, Timed, TimedFrame, Timing, left_out, manifests_of, mixed, noise_floor, shaded, timed,
 };
 pub use writer::{Writer, ensure_no_table};

@@ -51,10 +51,10 @@ fn a_written_table_reads_back_bit_for_bit() {
     assert_eq!(table.frames[0].repeats, [measured(0.1), measured(0.3), measured(0.2)]);
     assert_eq!(table.frames[1].scene, bare);
     assert_eq!(table.frames[1].repeats, [lone]);
-    assert_eq!(table.frames[0].seconds(Clock::Auto), Some(0.2));
+    assert_eq!(table.frames[0].seconds(Clock::Wall), Some(0.2));
     assert_eq!(table.frames[0].seconds(Clock::Cpu), Some(0.2 * 1.7));
     assert_eq!(table.frames[0].seconds(Clock::Device), None);
-    assert_eq!(table.frames[1].seconds(Clock::Auto), Some(1e-7));
+    assert_eq!(table.frames[1].seconds(Clock::Device), Some(1e-7));
     assert!(writer.append(9, &bare, &[lone]).unwrap_err().to_string().contains("already"));
     assert!(Writer::create(&path).unwrap_err().to_string().contains("resume"));
     // Tables whose names differ only in .csv and .gz would share one manifest. Tables are written without

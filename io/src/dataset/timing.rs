@@ -2,13 +2,12 @@
 
 use super::{Manifest, Scene, Table, parse_lobes};
 use crate::metrics::{median, percentile};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use entire_core::scene::{Arcball, Shading, Skipping};
-use entire_steer::predict::LONGEST_FRAME;
+use entire_steer::predict::{Clock, LONGEST_FRAME};
 use entire_vk_raycaster::{FrameTime, WorkCounts};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::str::FromStr;
 
 /// One repeat of a frame: seconds by each available clock, and work counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -32,7 +31,6 @@ impl Timing {
     /// Returns the seconds by a clock; `None` if the clock was not read.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {
         match clock {
-            Clock::Auto => self.device.or(self.wall),
             Clock::Device => self.device,
             Clock::Wall => self.wall,
             Clock::Cpu => self.cpu,
@@ -55,37 +53,6 @@ impl Timing {
             "there is no time; at least one of seconds_device, seconds_wall, seconds_cpu is needed"
         );
         Ok(())
-    }
-}
-
-/// Clock that gives a frame's time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Clock {
-    /// The clock that the text of this option names for `auto`; without such a text, the device's timestamps
-    /// if all frames have them, else wall time.
-    #[default]
-    Auto,
-    /// Device timestamps.
-    Device,
-    /// Wall time on the host.
-    Wall,
-    /// Process CPU time, all threads.
-    Cpu,
-}
-
-entire_core::names! { Clock:
-    Auto "auto",
-    Device "device",
-    Wall "wall",
-    Cpu "cpu",
-}
-
-impl FromStr for Clock {
-    type Err = anyhow::Error;
-
-    fn from_str(name: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|c| c.name().eq_ignore_ascii_case(name));
-        found.with_context(|| format!("clock {name:?}; auto, device, wall or cpu is expected"))
     }
 }
 

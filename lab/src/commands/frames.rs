@@ -4,6 +4,7 @@
 use crate::bars::Bar;
 use anyhow::{Context, Result, ensure};
 use entire_cli::calibrate::{NamedPrior, calibrate_to_frames, calibrate_to_tables};
+use entire_io::clock::fixed_parser;
 use entire_io::dataset::{Clock, Manifest, Table as TimingTable, read_tables};
 use entire_io::files::{make_folder, read_model_file, write_whole};
 use entire_io::interrupt;
@@ -59,7 +60,7 @@ pub(crate) struct Options {
     #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
     pub(crate) priors: Vec<PathBuf>,
     /// Clock of the frame times.
-    #[arg(long, value_enum, default_value_t = Clock::Cpu)]
+    #[arg(long, value_parser = fixed_parser(), default_value = "cpu")]
     pub(crate) clock: Clock,
     /// Folder for the results.
     #[arg(long, default_value = "out/frames", value_name = "DIR")]

@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_cli::steering::calibrate::measure;
 use entire_cli::steering::race::calibration_scenes;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
+use entire_io::clock::{ClockChoice, waited_for};
 use entire_io::dataset::{Clock, Scene, Timing, Writer};
 use entire_io::device;
 use entire_io::files::make_folder_of;
@@ -87,7 +88,7 @@ pub(crate) struct Options {
     pub(crate) render: RenderArgs,
     /// The clock of frame times.
     #[arg(long, value_enum, default_value_t)]
-    pub(crate) clock: Clock,
+    pub(crate) clock: ClockChoice,
     /// Enlarge the volumes trilinearly by this factor along each axis.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
@@ -119,7 +120,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         (None, Some(kind)) => kind.path(&volumes[0].view(), options.frames)?,
         (None, None) => bail!("give --path or --generate"),
     };
-    let draw = DrawSettings::new(options.size, &options.render, options.clock);
+    let mut renderer = device::open(options.render.device)?;
+    let clock = waited_for(options.clock, renderer.as_ref());
+    let draw = DrawSettings::new(options.size, &options.render, clock);
     let name = options.name.clone().unwrap_or_else(|| {
         let file = options.out.file_name().unwrap_or_default().to_string_lossy();
         file.trim_end_matches(".gz").trim_end_matches(".json").to_owned()
@@ -138,7 +141,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let recording = Recording { empty, volumes: &volumes, steps: &options.steps, repeats: options.repeats };
     let begun = begun(options, &recording)?;
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.render.device)?;
     make_folder_of(&options.out)?;
     let bar = progress_bar("record");
     let trace = record(
@@ -181,15 +183,15 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
 /// Writes a timing table of random scenes; each scene is rendered at all six ray steps of a calibration.
 fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
-    let timing: fn(f64) -> Timing = match options.clock {
+    let mut renderer = device::open(options.render.device)?;
+    let clock = waited_for(options.clock, renderer.as_ref());
+    let timing: fn(f64) -> Timing = match clock {
         Clock::Cpu => |seconds| Timing { cpu: Some(seconds), ..Timing::default() },
         Clock::Device => |seconds| Timing { device: Some(seconds), ..Timing::default() },
         Clock::Wall => |seconds| Timing { wall: Some(seconds), ..Timing::default() },
-        Clock::Auto => bail!("--calibration needs --clock device, wall or cpu"),
     };
-    let draw = DrawSettings::new(options.size, &options.render, options.clock);
+    let draw = DrawSettings::new(options.size, &options.render, clock);
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.render.device)?;
     make_folder_of(&options.out)?;
     let mut table = Writer::create(&options.out)?;
     let mut rows = Vec::new();

@@ -5,6 +5,7 @@ use crate::stress::{self, Verdict, bars_on_device, harmless};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
+use entire_io::clock::{ClockChoice, waited_for};
 use entire_io::dataset::Clock;
 use entire_io::device::{self, Device};
 use entire_io::files::{make_folder, write_json};
@@ -38,7 +39,7 @@ pub(crate) struct Options {
     pub(crate) device: Option<Device>,
     /// Clock of frame times on that device.
     #[arg(long, value_enum, default_value_t, requires = "device")]
-    pub(crate) clock: Clock,
+    pub(crate) clock: ClockChoice,
     /// Folder for the results.
     #[arg(long, default_value = "out/stress", value_name = "DIR")]
     pub(crate) out: PathBuf,
@@ -64,8 +65,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let real_methods = [ControllerKind::Olp, ControllerKind::Hybrid];
     if let Some(device) = options.device {
         let mut renderer = device::open(device)?;
-        real = play(&real_methods, Some((renderer.as_mut(), options.clock)))?;
-        name = format!("{name}; real: {}, clock {}", renderer.device(), options.clock.name());
+        let clock = waited_for(options.clock, renderer.as_ref());
+        real = play(&real_methods, Some((renderer.as_mut(), clock)))?;
+        name = format!("{name}; real: {}, clock {}", renderer.device(), clock.name());
     }
     make_folder(&options.out)?;
     let found = json!({ "scripted": verdicts, "real": real });

@@ -5,6 +5,7 @@ use crate::ship::ship;
 use crate::study::report::{fits_table, main_table, write};
 use crate::study::{self, Runner, by_rule, read};
 use anyhow::{Result, ensure};
+use entire_io::clock::fixed_parser;
 use entire_io::dataset::Clock;
 use entire_io::files::note;
 use entire_io::interrupt;
@@ -29,7 +30,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FOLDER", default_value = "out/study")]
     pub(crate) out: PathBuf,
     /// Clock of the predicted seconds, instead of the study's.
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = fixed_parser())]
     pub(crate) clock: Option<Clock>,
     /// Print one line per goal, `bar NAME VALUE LIMIT ok|short`, and fail when one is missed (short).
     ///

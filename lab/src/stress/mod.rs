@@ -284,7 +284,7 @@ mod tests {
             run(scenes, &[ControllerKind::Hybrid], 0, Some((&mut twin, clock)), &bar)
         };
         // Real times of a shared machine may pass or fail; every number must be finite.
-        let verdicts = play(&[1, 7], Clock::Auto).unwrap();
+        let verdicts = play(&[1, 7], Clock::Wall).unwrap();
         assert_eq!(verdicts.len(), 1);
         let v = &verdicts[0];
         assert!(v.scene == 7 && v.quality > 0.0 && v.worst.is_finite());

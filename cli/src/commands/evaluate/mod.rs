@@ -6,10 +6,8 @@ use crate::calibrate::place::shading_of;
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Storage;
 use entire_core::model::Model;
-use entire_io::clock::{agreed, concrete, unstated};
-use entire_io::dataset::{
-    Clock, TimedFrame, ensure_no_table, left_out, noise_floor, open_tables, shaded, timed,
-};
+use entire_io::clock::{ClockChoice, agreed, concrete, unstated};
+use entire_io::dataset::{TimedFrame, ensure_no_table, left_out, noise_floor, open_tables, shaded, timed};
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
 use entire_io::metrics::{Metrics, intervals_by_group};
@@ -46,8 +44,8 @@ pub(crate) struct Options {
     pub(crate) data: Vec<PathBuf>,
     /// Clock of the measured seconds; `auto`: the clock that the models state. A model that states another
     /// clock is refused.
-    #[arg(long, value_enum, default_value_t = Clock::Auto)]
-    pub(crate) clock: Clock,
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) clock: ClockChoice,
     /// Only frames with this shading: none, local, scatter or local-scatter.
     #[arg(long)]
     pub(crate) shade: Option<entire_core::scene::Shading>,
