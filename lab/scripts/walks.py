@@ -419,7 +419,7 @@ is_some_and is_none_or ok err context with_context unwrap expect min max abs wri
 parse join exists display file_name parent with_extension extension lock send recv wait fold all any find position
 sort sort_by to_lowercase trim lines split starts_with ends_with transpose map_or map_or_else unwrap_or_else then keys
 values entry remove clear retain next rev sum product min_by max_by total_cmp start end set name eq cmp fmt from new
-default""".split())
+default clamp""".split())
 
 
 def elements(tokens):
