@@ -133,3 +133,17 @@ fn orders_are_those_of_a_plain_search() {
         waits[longest as usize] = false;
     }
 }
+
+#[test]
+fn a_copy_draws_the_same_random_numbers() {
+    let mut random = Random(ChaCha8Rng::seed_from_u64(3));
+    // A number has two words, and the generator makes blocks of 16 words or more at once: the copies begin at
+    // all places of a block.
+    for _ in 0..70 {
+        let mut copy = random.clone();
+        let drawn: Vec<u64> = (0..100).map(|_| copy.0.next_u64()).collect();
+        let mut again = random.clone();
+        assert!(drawn.iter().all(|n| again.0.next_u64() == *n));
+        assert_eq!(random.0.next_u64(), drawn[0]);
+    }
+}

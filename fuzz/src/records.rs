@@ -24,7 +24,9 @@ pub fn check_table(input: &[u8]) {
             assert!(frame.seconds(clock).is_none_or(|s| s.is_finite() && s > 0.0));
         }
     }
-    let _ = noise_floor(&frames, Clock::Wall, |_| 1);
+    for clock in Clock::ALL {
+        let _ = noise_floor(&frames, clock, |_| 1);
+    }
 }
 
 /// Checks that every column of an accepted feature table is found by its name, and that the row of frame 1,

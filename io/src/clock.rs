@@ -3,7 +3,7 @@
 
 use crate::dataset::{Clock, TimedFrame};
 use crate::device;
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use clap::ValueEnum;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
@@ -173,16 +173,16 @@ pub fn agreed<'a>(
     let mut found: Option<(&str, Clock)> = None;
     for (name, model) in models {
         let Some(clock) = of(model) else { continue };
-        let other = asked.clock().filter(|c| *c != clock);
-        ensure!(
-            other.is_none(),
-            "{name} predicts {} seconds, but --clock asks for {}; leave --clock out, or make a model for \
+        if let Some(other) = asked.clock().filter(|c| *c != clock) {
+            bail!(
+                "{name} predicts {} seconds, but --clock asks for {}; leave --clock out, or make a model for \
              the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine or, \
              with --data TABLE.csv, to a table",
-            clock.name(),
-            other.map_or("auto", Clock::name),
-            other.map_or("auto", Clock::name)
-        );
+                clock.name(),
+                other.name(),
+                other.name()
+            );
+        }
         if let Some((other, theirs)) = found {
             ensure!(
                 theirs == clock,

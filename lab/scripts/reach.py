@@ -265,8 +265,8 @@ def of_version(rows, program, version):
 
 
 def slicer_rows():
-    """Rows of the comparison with Slicer's rule: the kept ones, replaced by those of the last runs here by machine and clock.
-    Rows of an older format are left out."""
+    """Rows of the comparison with Slicer's rule: the kept ones, replaced by those of the last runs here with the same
+    machine, clock, volume and size. Rows of an older format are left out."""
     rows = [row for path in (SLICER, LAST_SLICER) if path.exists() for row in read(path)]
     return list({tuple(row[k] for k in SLICER_KEY): row for row in rows if row.keys() >= set(SLICER_KEY)}.values())
 

@@ -261,7 +261,7 @@ class Walk:
             if not passed and not on_value:
                 continue
             path = [t for t in body[start:name_at] if WORD.match(t)] if not method else []
-            for callee in self.resolve(function, name, path, receiver if method else None, types):
+            for callee in self.resolve(function, name, path, receiver if method else None, types, len(arguments)):
                 own = [p for p, _ in callee.parameters]
                 shift = 1 if method and callee.receiver else 0
                 received = {own[n + shift]: fields for n, fields in passed.items() if n + shift < len(own)}
@@ -372,12 +372,12 @@ class Walk:
                 i += 2
         return kind if i >= len(chain) else None
 
-    def resolve(self, function, name, path, receiver, types):
-        """Returns the first-party functions that a call means: one, or none."""
+    def resolve(self, function, name, path, receiver, types, arguments):
+        """Returns the first-party functions that a call with a number of arguments means: one, or none."""
         source = self.source
         if receiver is not None:
             kind = self.type_of(receiver, types)
-            candidates = [f for f in source.methods[name] if f.receiver]
+            candidates = [f for f in source.methods[name] if f.receiver and len(f.parameters) == arguments + 1]
             if kind:
                 exact = [f for f in candidates if f.owner == kind]
                 return self.nearest(function, exact)
@@ -419,7 +419,7 @@ is_some_and is_none_or ok err context with_context unwrap expect min max abs wri
 parse join exists display file_name parent with_extension extension lock send recv wait fold all any find position
 sort sort_by to_lowercase trim lines split starts_with ends_with transpose map_or map_or_else unwrap_or_else then keys
 values entry remove clear retain next rev sum product min_by max_by total_cmp start end set name eq cmp fmt from new
-default clamp""".split())
+default""".split())
 
 
 def elements(tokens):

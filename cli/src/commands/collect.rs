@@ -309,7 +309,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let frames = Table::read_without_features(&options.out, 0)?.frames;
     let mut noise = serde_json::Map::new();
     let mut said = Vec::new();
-    for clock in [concrete(ClockChoice::Auto, &frames)?, Clock::Cpu] {
+    for clock in concrete(ClockChoice::Auto, &frames).into_iter().chain([Clock::Cpu]) {
         if let Some(floor) = noise_floor(&frames, clock, |_| protocol.passes as usize) {
             said.push(format!("{} time: {}", clock.name(), floor.describe()));
             noise.insert(clock.name().into(), json!(floor));

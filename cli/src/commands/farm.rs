@@ -52,8 +52,8 @@ pub(crate) struct Options {
     #[arg(long, value_enum, default_value_t)]
     pub(crate) engine: EngineOption,
     /// Number of bundles (groups of tasks) that run at once: local workers, HyperQueue workers or Slurm
-    /// nodes. Default: the number of processors of this machine; for Slurm without --dry-run and --openjd,
-    /// the number of nodes that Slurm lists.
+    /// nodes. Default: the number of processors of this machine; for Slurm with neither --dry-run
+    /// nor --openjd, the number of nodes that Slurm lists.
     #[arg(long, value_name = "N")]
     pub(crate) slots: Option<usize>,
     /// Continue an unfinished database.

@@ -13,11 +13,11 @@ use std::path::{Path, PathBuf};
 
 /// Predict frame times, in seconds, from a table of model inputs.
 ///
-/// The columns of the table are the model's inputs, in the model's order. Inputs are used as given. In
-/// contrast, sessions and `entire evaluate` clamp them to the range of the training frames, if the model
-/// states this range. Prints one line per row: seconds, at least 1e-6, with 9 significant digits. If any row
-/// is invalid, nothing is printed. If the model states the clock of its seconds, a note on standard error
-/// names the clock.
+/// The table has one row per frame and no header. Its columns are the model's inputs, in the model's order,
+/// separated by commas. Inputs are used as given. In contrast, sessions and `entire evaluate` clamp them to
+/// the range of the training frames, if the model states this range. Prints one line per row: seconds, at
+/// least 1e-6, with 9 significant digits. If any row is invalid, nothing is printed. If the model states the
+/// clock of its seconds, a note on standard error names the clock.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs inputs.csv

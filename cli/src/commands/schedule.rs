@@ -18,8 +18,8 @@ use std::path::PathBuf;
   entire schedule tasks.json --speeds 1,1,2,0.5 --method queue --out q.json")]
 pub(crate) struct Options {
     /// The task list: CSV with a header line, or a JSON array of objects (.json). Columns: `predicted_s`,
-    /// `measured_s` or both, in seconds; optionally `task` (a name), `volume`, and `load_s`, the seconds to
-    /// load the volume.
+    /// `measured_s` or both, in seconds on a node of speed 1; optionally `task` (a name), `volume`, and
+    /// `load_s`, the seconds to load the volume.
     #[arg(value_name = "TASKS")]
     pub(crate) tasks: PathBuf,
     /// Number of nodes, all of equal speed.

@@ -108,16 +108,15 @@ pub(crate) fn machine_model_for(
 fn ignored(shading: Shading, stated: Option<Clock>, asked: ClockChoice) -> String {
     let asked = asked.clock().map(Clock::name);
     let remedy = asked.map_or(String::new(), |name| format!(" --clock {name}"));
-    match stated {
-        None => format!(
+    match (stated, asked) {
+        (Some(stated), Some(asked)) => format!(
+            "is ignored: it predicts {} time, but frames are timed by the clock {asked} (`entire calibrate \
+             --shade {shading}{remedy}` makes a model of that clock)",
+            stated.name()
+        ),
+        _ => format!(
             "is ignored: it states no clock (`entire calibrate --shade {shading}{remedy}` makes a model that \
              states its clock)"
-        ),
-        Some(stated) => format!(
-            "is ignored: it predicts {} time, but frames are timed by the clock {} (`entire calibrate \
-             --shade {shading}{remedy}` makes a model of that clock)",
-            stated.name(),
-            asked.unwrap_or("auto")
         ),
     }
 }

@@ -86,7 +86,7 @@ pub(crate) struct Options {
     /// Rendering options.
     #[command(flatten)]
     pub(crate) render: RenderArgs,
-    /// The clock of frame times.
+    /// The clock of frame times; `auto`: the device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) clock: ClockChoice,
     /// Enlarge the volumes trilinearly by this factor along each axis.

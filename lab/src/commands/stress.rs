@@ -37,7 +37,7 @@ pub(crate) struct Options {
     /// Also play the scenes that work on a real renderer on this device, timed by --clock.
     #[arg(long, value_enum)]
     pub(crate) device: Option<Device>,
-    /// Clock of frame times on that device.
+    /// Clock of frame times on that device; `auto`: the device's timestamps on a GPU, else wall time.
     #[arg(long, value_enum, default_value_t, requires = "device")]
     pub(crate) clock: ClockChoice,
     /// Folder for the results.

@@ -23,10 +23,15 @@ names! { Clock:
 }
 
 impl Clock {
+    /// Returns the clock with this name; `None` for any other text.
+    pub(crate) fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|c| c.name() == name)
+    }
+
     /// Returns the clock whose seconds a model predicts, from [`Key::Clock`] of its file; `None` if the file
     /// states no clock.
     pub(crate) fn of(model: &Model) -> Option<Self> {
-        model.metadata.get(Key::Clock.name())?.parse().ok()
+        Self::named(model.metadata.get(Key::Clock.name())?)
     }
 }
 
@@ -34,7 +39,7 @@ impl FromStr for Clock {
     type Err = Error;
 
     fn from_str(name: &str) -> Result<Self> {
-        let Some(clock) = Self::ALL.into_iter().find(|c| c.name() == name) else {
+        let Some(clock) = Self::named(name) else {
             bail!(InvalidArgument, "clock {name:?}; cpu, wall or device is expected")
         };
         Ok(clock)

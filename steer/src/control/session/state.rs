@@ -79,7 +79,7 @@ impl Session {
     /// model's file does not state it.
     #[must_use]
     pub fn clocks(&self) -> [Option<Clock>; 2] {
-        [self.timing[1].parse().ok(), self.predictor.clock()]
+        [Clock::named(&self.timing[1]), self.predictor.clock()]
     }
 
     /// Compares the two clocks; the result is true if both are known and differ. If the result has changed
