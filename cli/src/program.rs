@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 
 /// Texts of the error of writing into a closed pipe; the codes are those of Windows.
-const CLOSED: [&str; 3] = ["Broken pipe", "(os error 109)", "(os error 232)"];
+const CLOSED_PIPE_TEXTS: [&str; 3] = ["Broken pipe", "(os error 109)", "(os error 232)"];
 
 /// Runs a command. Exit status: 0, or 1 for an error or a panic (one line on standard error with cause and
 /// remedy). A standard output that its reader has closed is no error.
@@ -50,8 +50,8 @@ pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> Exi
     ExitCode::from(1)
 }
 
-/// Prints a line on standard output, for a command that has more to do. If the reader of the output has closed
-/// it, the line is dropped and the command goes on.
+/// Prints a line on standard output, for a command that has more to do. If the reader of the output has
+/// closed it, the line is dropped and the command goes on.
 pub(crate) fn print_line(line: impl Display) -> Result<()> {
     match writeln!(std::io::stdout().lock(), "{line}") {
         Err(error) if is_broken_pipe(&error) => Ok(()),
@@ -66,7 +66,7 @@ fn is_broken_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
 /// True if the reader of standard output has closed it. `why`: text of a panic after "failed printing to ". A
 /// closed standard error does not count, since the command has not finished then.
 fn is_closed_stdout(why: &str) -> bool {
-    why.starts_with("stdout") && CLOSED.iter().any(|closed| why.contains(closed))
+    why.starts_with("stdout") && CLOSED_PIPE_TEXTS.iter().any(|closed| why.contains(closed))
 }
 
 #[cfg(test)]

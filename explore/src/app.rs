@@ -5,7 +5,7 @@ mod frame;
 mod idle;
 
 use crate::host::{Host, Options};
-use crate::loading::{Job, Loading, Wake};
+use crate::loading::{Load, Loading, Wake};
 use crate::log::Log;
 use crate::present::{Presenter, surface_extensions};
 use crate::refine::Refinement;
@@ -228,7 +228,7 @@ impl App {
         self.lost = Some(Instant::now());
         let loading = self.loading.take().inspect(Loading::cancel);
         let again = match self.scene.take() {
-            Some(scene) if loading.is_none() => Some(Job {
+            Some(scene) if loading.is_none() => Some(Load {
                 source: Some(scene.whole),
                 range: scene.range,
                 crop: scene.crop,
@@ -255,13 +255,13 @@ impl App {
 
     /// Returns the job that loads a whole volume file in the current modes, with a preset as transfer
     /// function.
-    fn job(&self, path: PathBuf, index: usize) -> Job {
+    fn job(&self, path: PathBuf, index: usize) -> Load {
         let (shading, skipping) = (self.state.shading, self.state.skipping);
-        Job { path, index, shading, skipping, ..Job::default() }
+        Load { path, index, shading, skipping, ..Load::default() }
     }
 
     /// Starts a load; a running load is canceled.
-    fn start(&mut self, job: Job) -> Result<()> {
+    fn start(&mut self, job: Load) -> Result<()> {
         let device = self.device.as_ref().context("there is no device")?;
         if let Some(before) = self.loading.take() {
             before.cancel();

@@ -22,7 +22,7 @@ const FORMAT: &str = "entire-transfer-1";
 pub(crate) const MOST_BYTES: u64 = 16 << 20;
 
 /// Number of linear pieces that replace a curved segment between two of ParaView's nodes.
-const BENT: usize = 16;
+const SEGMENT_PIECES: usize = 16;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -157,8 +157,8 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
         let bent = node.midpoint != 0.5 || node.sharpness != 0.0;
         if let (Some(next), true) = (opacity_nodes.get(i + 1), bent) {
             let (s, end) = (s.clamp(0.0, 1.0), normal(next.position).clamp(0.0, 1.0));
-            for k in (1..BENT).filter(|_| s < end) {
-                let s = s + (end - s) * k as f32 / BENT as f32;
+            for k in (1..SEGMENT_PIECES).filter(|_| s < end) {
+                let s = s + (end - s) * k as f32 / SEGMENT_PIECES as f32;
                 points.push((s, at(s)));
             }
         }

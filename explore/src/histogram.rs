@@ -7,7 +7,7 @@ pub(crate) const BINS: usize = 256;
 
 /// Number of voxels that the histogram needs. Of a volume with at least twice as many voxels, only every n-th
 /// voxel is read.
-const SAMPLED: u64 = 4_000_000;
+const HISTOGRAM_VOXELS: u64 = 4_000_000;
 
 /// Counts of normalized values.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,10 +16,11 @@ pub(crate) struct Histogram {
 }
 
 impl Histogram {
-    /// Returns the histogram of all voxels, or of every n-th voxel if there are at least twice [`SAMPLED`].
+    /// Returns the histogram of all voxels, or of every n-th voxel if there are at least twice
+    /// [`HISTOGRAM_VOXELS`].
     pub(crate) fn of(view: &VolumeView<'_>) -> Self {
         let [nx, ny, _] = view.shape().dims;
-        let stride = (view.shape().voxels / SAMPLED).max(1);
+        let stride = (view.shape().voxels / HISTOGRAM_VOXELS).max(1);
         // An odd stride has no common factor with row lengths that are powers of two, so all columns are
         // read.
         let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };

@@ -25,7 +25,7 @@ pub(crate) struct Wake;
 
 /// A volume to load.
 #[derive(Clone, Default)]
-pub(crate) struct Job {
+pub(crate) struct Load {
     pub(crate) path: PathBuf,
     /// Index in a time series.
     pub(crate) index: usize,
@@ -56,7 +56,7 @@ pub(crate) struct Loaded {
 const STAGES: [&str; 4] = ["reading", "summarizing", "uploading to the device", "first picture"];
 
 pub(crate) struct Loading {
-    pub(crate) job: Job,
+    pub(crate) job: Load,
     /// Time of the request.
     pub(crate) asked: Instant,
     progress: Arc<Progress>,
@@ -66,7 +66,7 @@ pub(crate) struct Loading {
 impl Loading {
     /// Starts a thread that loads the volume and then wakes the event loop.
     pub(crate) fn start(
-        job: Job,
+        job: Load,
         host: &Arc<dyn Host>,
         device: &SharedDevice,
         options: &VulkanOptions,
@@ -107,7 +107,7 @@ impl Loading {
 }
 
 fn load(
-    job: Job,
+    job: Load,
     host: &dyn Host,
     device: &SharedDevice,
     options: VulkanOptions,

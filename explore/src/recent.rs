@@ -5,7 +5,7 @@ use entire_io::files::{make_folder_of, write_whole};
 use std::path::{Path, PathBuf};
 
 /// Maximum number of files in the list.
-const MOST: usize = 12;
+const MAX_FILES: usize = 12;
 
 /// Paths, the most recent first, stored in the user's state folder.
 #[derive(Clone, Debug, Default)]
@@ -27,7 +27,7 @@ impl Recent {
     fn read(file: Option<PathBuf>) -> Self {
         let text = file.as_ref().and_then(|f| std::fs::read_to_string(f).ok());
         let mut paths: Vec<PathBuf> = text.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
-        paths.truncate(MOST);
+        paths.truncate(MAX_FILES);
         Self { file, paths }
     }
 
@@ -37,7 +37,7 @@ impl Recent {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         self.paths.retain(|p| *p != path);
         self.paths.insert(0, path);
-        self.paths.truncate(MOST);
+        self.paths.truncate(MAX_FILES);
         if let Some(file) = &self.file {
             let keep = || -> Result<()> {
                 make_folder_of(file)?;

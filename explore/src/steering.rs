@@ -12,7 +12,7 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 /// Number of frames in the graph.
-pub(crate) const REMEMBERED: usize = 300;
+pub(crate) const GRAPH_FRAMES: usize = 300;
 
 /// Number of recent frames from which a frame's time for work other than ray casting is estimated.
 const OTHER_WORK: usize = 15;
@@ -246,7 +246,7 @@ impl Steer {
             self.other.pop_front();
         }
         self.other.push_back(rest);
-        if self.history.len() == REMEMBERED {
+        if self.history.len() == GRAPH_FRAMES {
             self.history.pop_front();
         }
         self.history.push_back(record);

@@ -12,7 +12,7 @@ const MAX_BUNDLE_TASKS: usize = 4096;
 /// Maximum and minimum ratio of a bundle's expected seconds to the seconds of its overhead and loading.
 const WORK_PER_OVERHEAD: (f64, f64) = (50.0, 3.0);
 /// Minimum number of bundles into which the remaining work per slot is cut.
-const CUTS: f64 = 4.0;
+const BUNDLES_PER_SLOT: f64 = 4.0;
 
 pub(crate) struct Ask<'a> {
     pub(crate) held: Option<usize>,
@@ -287,12 +287,12 @@ impl Dispatcher {
         };
         let cost = ask.overhead + if ask.held == Some(volume) { 0.0 } else { (ask.load)(volume) };
         let share = total / slots;
-        let worth = (share / CUTS)
+        let worth = (share / BUNDLES_PER_SLOT)
             .min(WORK_PER_OVERHEAD.0 * cost)
             .max((WORK_PER_OVERHEAD.1 * cost).min(share.max(cost)));
         let limit = (0.5 * ask.limit).min(ask.limit - cost);
         let target = if ask.blind { limit } else { worth.min(limit) };
-        let fair = (self.pending as f64 / (slots * CUTS)).ceil() as usize;
+        let fair = (self.pending as f64 / (slots * BUNDLES_PER_SLOT)).ceil() as usize;
         let most = if ask.blind { fair.min(MAX_BUNDLE_TASKS) } else { MAX_BUNDLE_TASKS };
         let (mut bundle, mut sum) = (Vec::new(), 0.0);
         while bundle.len() < most {

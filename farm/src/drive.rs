@@ -2,7 +2,7 @@
 
 use super::database::{Database, Options, planner};
 use super::dispatch::Order;
-use super::engine::{self, Bundle, Engine, Event, Properties, STILLBORN};
+use super::engine::{self, Bundle, Engine, Event, MAX_FRUITLESS_STARTS, Properties};
 use super::job::Job;
 use super::planner::{Planner, Setting, State};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, unix_now};
@@ -493,7 +493,7 @@ impl Drive<'_, '_> {
         if !self.at.contains_key(&bundle) && !why.is_empty() {
             self.stillborn += 1;
             ensure!(
-                self.stillborn <= STILLBORN * self.engine.properties().slots,
+                self.stillborn <= MAX_FRUITLESS_STARTS * self.engine.properties().slots,
                 "{} bundles in a row ended before a worker began a task; the last one: {why}",
                 self.stillborn
             );

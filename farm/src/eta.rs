@@ -10,12 +10,12 @@ use std::collections::BinaryHeap;
 
 /// Maximum number of tasks whose times are drawn for the expected end. If there are more tasks, every n-th
 /// one is drawn.
-const DRAWN: usize = 4096;
+const MAX_DRAWN_TASKS: usize = 4096;
 const DRAWS: usize = 400;
 /// Minimum effective number of weighted draws.
-const COUNTING: f64 = 40.0;
+const MIN_EFFECTIVE_DRAWS: f64 = 40.0;
 /// Maximum number of tasks for which the estimate of the end simulates loading and bundles.
-const PLAYED: usize = 20_000;
+const MAX_PLAYED_TASKS: usize = 20_000;
 
 struct UnderWay<'a> {
     running: &'a Running,
@@ -35,7 +35,7 @@ impl Planner {
     pub fn eta(&self, now: f64) -> [f64; 3] {
         // Tasks that were measured since the last fit tend to be long; without them, the predicted end would
         // be too early.
-        if !self.learner.is_fresh() && self.learner.observed() <= PLAYED {
+        if !self.learner.is_fresh() && self.learner.observed() <= MAX_PLAYED_TASKS {
             let mut copy = self.clone();
             copy.learner.refit();
             return copy.eta(now);
@@ -54,7 +54,7 @@ impl Planner {
             tasks.clear();
             tasks.extend(keys.iter().map(|k| *k as u32));
         }
-        let stride = all.div_ceil(DRAWN).max(1);
+        let stride = all.div_ceil(MAX_DRAWN_TASKS).max(1);
         let scale = all as f64 / all.div_ceil(stride).max(1) as f64;
         let drawn: Vec<u32> = tasks.iter().copied().skip(stride / 2).step_by(stride).collect();
         let speeds: Vec<f64> = (0..self.slots.len())
@@ -130,13 +130,13 @@ impl Planner {
     }
 
     /// Returns the seconds by which loading and dispatch delay the end. `plain`: seconds until the end of a
-    /// queue without loading and dispatch. Simulates the plan with expected times; with more than [`PLAYED`]
-    /// tasks, only estimates the delay.
+    /// queue without loading and dispatch. Simulates the plan with expected times; with more than
+    /// [`MAX_PLAYED_TASKS`] tasks, only estimates the delay.
     fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
         if all == 0 {
             return 0.0;
         }
-        if all > PLAYED {
+        if all > MAX_PLAYED_TASKS {
             let mean = self.dispatcher.work() / all as f64;
             let per_bundle = (50.0 * self.overhead / mean.max(1e-9)).clamp(1.0, 4096.0);
             return all as f64 / per_bundle * self.overhead / speeds.len().max(1) as f64;
@@ -178,14 +178,14 @@ fn busy(under_way: &[UnderWay<'_>], slots: usize, mut rest: impl FnMut(&UnderWay
 }
 
 /// Returns the quantiles 0.05, 0.5 and 0.95 of ends, which are given with their log weights. If the effective
-/// number of draws is below [`COUNTING`], the log weights are scaled towards 0.
+/// number of draws is below [`MIN_EFFECTIVE_DRAWS`], the log weights are scaled towards 0.
 fn quantiles(mut ends: Vec<(f64, f64)>) -> [f64; 3] {
     let most = ends.iter().map(|e| e.1).fold(f64::NEG_INFINITY, f64::max);
     let weights = |power: f64| -> Vec<f64> { ends.iter().map(|e| (power * (e.1 - most)).exp()).collect() };
     let counting = |w: &[f64]| w.iter().sum::<f64>().powi(2) / w.iter().map(|w| w * w).sum::<f64>();
     let mut power = 1.0;
     let mut found = weights(power);
-    while counting(&found) < COUNTING && power > 1e-3 {
+    while counting(&found) < MIN_EFFECTIVE_DRAWS && power > 1e-3 {
         power *= 0.7;
         found = weights(power);
     }

@@ -20,9 +20,9 @@ use rayon::prelude::*;
 
 /// Number of features of a task without its transfer function: a constant, ln base, ln pixels, ln step, ln
 /// distance, absolute x and y components of the view direction, and the squares of both.
-const FIXED: usize = 9;
-/// Prior standard deviations of the coefficients of the [`FIXED`] features.
-const PRIOR: [f64; FIXED] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
+const BASE_FEATURES: usize = 9;
+/// Prior standard deviations of the coefficients of the [`BASE_FEATURES`] features.
+const PRIOR: [f64; BASE_FEATURES] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
 /// Prior standard deviation of the constant (ln of a common factor) if no model or list gives base times.
 const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
 /// Prior standard deviation of the constant if a model or list, perhaps of another machine, gives base times.
@@ -77,7 +77,7 @@ pub struct Shape {
     /// Index of each task's row in `terms`, which leaves out the base and the transfer function.
     row: Vec<u32>,
     transfer: Vec<u16>,
-    terms: Vec<[f32; FIXED]>,
+    terms: Vec<[f32; BASE_FEATURES]>,
     volumes: usize,
     transfers: usize,
     constant: f64,
@@ -152,7 +152,7 @@ impl Shape {
         let base = base_seconds.iter().map(|s| s.max(1e-9).ln() as f32).collect();
         let volumes = volume.iter().max().map_or(1, |v| v + 1);
         let n = base_seconds.len();
-        let mut terms = [0.0; FIXED];
+        let mut terms = [0.0; BASE_FEATURES];
         terms[0] = 1.0;
         Self {
             base,
@@ -225,7 +225,7 @@ pub(crate) struct Draw {
 
 impl Learner {
     pub(crate) fn new(shape: Shape) -> Self {
-        let d = FIXED + shape.transfers;
+        let d = BASE_FEATURES + shape.transfers;
         let mean_base = shape.base.iter().map(|b| f64::from(*b)).sum::<f64>() / shape.len().max(1) as f64;
         let volumes = shape.volumes;
         let before = if shape.has_model() { VOLUME_SD_WITH_MODEL } else { PRIOR_SDS.0 };
@@ -278,23 +278,23 @@ impl Learner {
     fn x(&self, task: usize, out: &mut [f64]) {
         out.fill(0.0);
         let row = &self.shape.terms[self.shape.row[task] as usize];
-        for k in 0..FIXED {
+        for k in 0..BASE_FEATURES {
             out[k] = f64::from(row[k]);
         }
         out[1] = f64::from(self.shape.base[task]) - self.mean_base;
         if self.shape.transfers > 0 {
-            out[FIXED + self.shape.transfer[task] as usize] = 1.0;
+            out[BASE_FEATURES + self.shape.transfer[task] as usize] = 1.0;
         }
     }
 
     fn log_of(&self, beta: &[f64], effects: &[f64], task: usize) -> f64 {
         let row = &self.shape.terms[self.shape.row[task] as usize];
         let mut sum = (f64::from(self.shape.base[task]) - self.mean_base) * beta[1];
-        for k in 0..FIXED {
+        for k in 0..BASE_FEATURES {
             sum += f64::from(row[k]) * beta[k];
         }
         if self.shape.transfers > 0 {
-            sum += beta[FIXED + self.shape.transfer[task] as usize];
+            sum += beta[BASE_FEATURES + self.shape.transfer[task] as usize];
         }
         sum + effects[self.shape.volume(task)]
     }
@@ -507,8 +507,8 @@ impl Learner {
             let expected = self.sigma2 / size as f64;
             // If tasks are independent, the sum of the squared means divided by their variance has a χ²
             // distribution with 7 degrees of freedom. Drift is assumed only above its 0.95 quantile, 14.07.
-            const LIKELY: f64 = 14.07 / (PARTS - 1) as f64;
-            if variance > LIKELY * expected {
+            const DRIFT_LIMIT: f64 = 14.07 / (PARTS - 1) as f64;
+            if variance > DRIFT_LIMIT * expected {
                 self.drift = (variance - expected).sqrt();
             }
         }
@@ -560,7 +560,7 @@ impl Learner {
         let calm = self.calm(task);
         let least = (seconds.ln() - log) * calm;
         // Lower bound on the returned probability, since a task may hang for reasons outside the model.
-        const LEAST: f64 = 1e-3;
+        const MIN_PROBABILITY: f64 = 1e-3;
         let probable = if self.residuals.len() >= 50 {
             let beyond = self.residuals.iter().filter(|r| f64::from(**r) > least).count();
             beyond as f64 / self.residuals.len() as f64
@@ -570,12 +570,12 @@ impl Learner {
         for _ in 0..64 {
             let drawn = self.drawn_seconds(draw, task, rng);
             if drawn > seconds {
-                return (drawn, probable.max(LEAST));
+                return (drawn, probable.max(MIN_PROBABILITY));
             }
         }
         // No draw was longer than `seconds`. The returned time exceeds `seconds` by a relative amount: half
         // of the standard deviation of ln(the task's time).
-        (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
+        (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(MIN_PROBABILITY))
     }
 
     /// Upper bound at `level`, by random draws, on the total seconds of some tasks on a node of speed 1.

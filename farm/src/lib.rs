@@ -33,6 +33,6 @@ pub mod worker;
 
 pub use command::quoted;
 pub use list::{
-    By, Method, Plan, Span, Task, Timeline, parse_tasks, plan, play, read_tasks, simulate_queue, times,
+    By, Method, Schedule, Span, Task, Timeline, parse_tasks, plan, play, read_tasks, simulate_queue, times,
     volume_numbers,
 };

@@ -12,7 +12,7 @@ pub(crate) use eta::queue_end;
 /// While less than this share of the tasks is finished, some requests are answered with a task that is chosen
 /// so that the model of times learns about every volume. Second number: interval of these answers, in
 /// requests.
-const EXPLORED: (f64, u32) = (0.1, 4);
+const EXPLORATION: (f64, u32) = (0.1, 4);
 
 /// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -246,7 +246,7 @@ impl Planner {
     pub fn next(&mut self, slot: Option<usize>, now: f64) -> Option<Sent> {
         self.refresh();
         self.next_stage();
-        let early = (self.done as f64) < EXPLORED.0 * self.wanted as f64;
+        let early = (self.done as f64) < EXPLORATION.0 * self.wanted as f64;
         let explores = early && self.setting.learn && self.setting.order == Order::Longest;
         let (learner, loads, slots) = (&self.learner, &self.loads, &self.slots);
         let of_slot = slot.map(|s| &slots[s]);
@@ -260,7 +260,7 @@ impl Planner {
             slots: slots.len(),
             limit: self.setting.limit.unwrap_or(f64::INFINITY),
             blind: self.is_blind(),
-            explore: if explores { EXPLORED.1 } else { 0 },
+            explore: if explores { EXPLORATION.1 } else { 0 },
         };
         let tasks = self.dispatcher.next(&ask)?;
         let volume = learner.shape().volume(tasks[0] as usize);

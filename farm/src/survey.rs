@@ -7,7 +7,7 @@ use super::show::duration;
 use entire_report::Table;
 
 /// Maximum number of nodes that is considered.
-const MOST: usize = 4096;
+const MAX_NODES: usize = 4096;
 
 /// A number of nodes, with its end and cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,7 +28,7 @@ fn offer(plan: &dyn Fn(usize) -> Planner, nodes: usize) -> Offer {
 /// Returns the smallest number of nodes that meets a deadline in 95 of 100 cases; `None` if no number is
 /// enough. The search assumes that more nodes never end later.
 fn cheapest(plan: &dyn Fn(usize) -> Planner, tasks: usize, deadline: f64) -> Option<Offer> {
-    let (mut low, mut high) = (1, MOST.min(tasks.max(1)));
+    let (mut low, mut high) = (1, MAX_NODES.min(tasks.max(1)));
     let enough = |o: &Offer| o.end[2] <= deadline;
     let mut best = offer(plan, high);
     if !enough(&best) {
@@ -115,7 +115,7 @@ pub fn text(
                 out += &format!(
                     "even with {} nodes, the job does not end within {} (95 % quantile); the longest task, \
                      with the loading of its volume, may take longer than the deadline\n",
-                    MOST.min(all - done),
+                    MAX_NODES.min(all - done),
                     duration(deadline)
                 );
             }

@@ -1,10 +1,11 @@
 //! Reserve memory for when the system has none, so that small allocations (handles, texts, tables of a model)
 //! do not end the host's process.
 //!
-//! This library's allocator is the system's. If the system refuses a piece of at most [`LARGEST`] bytes, the
-//! piece comes from a reserve in the library's static memory. Code that requests larger pieces returns
-//! ENTIRE_OUT_OF_MEMORY if the system refuses them. Calls that make a handle or a file, or that keep further
-//! memory, first check that half of the reserve is free ([`check`]), so that an admitted call can finish.
+//! This library's allocator is the system's. If the system refuses a piece of at most [`LARGEST_PIECE`]
+//! bytes, the piece comes from a reserve in the library's static memory. Code that requests larger pieces
+//! returns ENTIRE_OUT_OF_MEMORY if the system refuses them. Calls that make a handle or a file, or that keep
+//! further memory, first check that half of the reserve is free ([`check`]), so that an admitted call can
+//! finish.
 //!
 //! The reserve is cut into blocks. A lock-free flag per block marks it as held; a piece is a run of blocks.
 
@@ -17,7 +18,7 @@ use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
 /// Size in bytes of the largest piece that the reserve provides. (Under Miri, which is about a thousand times
 /// slower than native code, this size and the reserve are smaller.)
-const LARGEST: usize = if cfg!(miri) { 1 << 12 } else { 1 << 16 };
+const LARGEST_PIECE: usize = if cfg!(miri) { 1 << 12 } else { 1 << 16 };
 /// Size of a block in bytes, and largest alignment that the reserve provides.
 const BLOCK: usize = 256;
 /// Number of blocks in the reserve, which has 1 MiB.
@@ -60,7 +61,7 @@ impl Reserve {
     /// A piece for `layout`, or NULL if it is too large or no long enough run of blocks is free.
     #[cold]
     fn take(&self, layout: Layout) -> *mut u8 {
-        if layout.size() > LARGEST || layout.align() > BLOCK {
+        if layout.size() > LARGEST_PIECE || layout.align() > BLOCK {
             return null_mut();
         }
         let wanted = layout.size().div_ceil(BLOCK).max(1);
@@ -201,7 +202,7 @@ mod tests {
     fn pieces_are_apart_aligned_and_given_back() {
         static RESERVE: Reserve = Reserve::new();
         let reserve = &RESERVE;
-        let sizes = [1, 255, 256, 257, 4096, LARGEST];
+        let sizes = [1, 255, 256, 257, 4096, LARGEST_PIECE];
         let mut pieces: Vec<(*mut u8, usize)> = Vec::new();
         for size in sizes {
             let piece = reserve.take(layout(size, 64));
@@ -227,15 +228,15 @@ mod tests {
     fn what_is_too_large_or_not_there_is_refused() {
         static RESERVE: Reserve = Reserve::new();
         let reserve = &RESERVE;
-        assert!(reserve.take(layout(LARGEST + 1, 1)).is_null());
+        assert!(reserve.take(layout(LARGEST_PIECE + 1, 1)).is_null());
         assert!(reserve.take(layout(1, 2 * BLOCK)).is_null());
-        let full = BLOCKS * BLOCK / LARGEST;
-        let pieces: Vec<*mut u8> = (0..full).map(|_| reserve.take(layout(LARGEST, 1))).collect();
+        let full = BLOCKS * BLOCK / LARGEST_PIECE;
+        let pieces: Vec<*mut u8> = (0..full).map(|_| reserve.take(layout(LARGEST_PIECE, 1))).collect();
         assert!(pieces.iter().all(|piece| !piece.is_null()));
         assert!(reserve.take(layout(1, 1)).is_null());
         // SAFETY: `take` returned the piece for this size, and it is given back once.
-        unsafe { reserve.give(pieces[3], LARGEST) };
-        assert_eq!(reserve.take(layout(LARGEST, 1)), pieces[3]);
+        unsafe { reserve.give(pieces[3], LARGEST_PIECE) };
+        assert_eq!(reserve.take(layout(LARGEST_PIECE, 1)), pieces[3]);
         let other = 1u8;
         assert!(!reserve.owns(&raw const other));
     }

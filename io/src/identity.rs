@@ -13,7 +13,7 @@ use std::path::Path;
 use std::time::UNIX_EPOCH;
 
 /// Size of the largest file that is hashed whole, bytes.
-const WHOLE: u64 = 16 << 20;
+const MAX_WHOLE_BYTES: u64 = 16 << 20;
 
 /// Number of bytes that are hashed at each of three places of a larger file: beginning, middle and end.
 const PART: u64 = 1 << 20;
@@ -52,7 +52,7 @@ impl Identity {
         let mut file = File::open(path)?;
         let metadata = file.metadata()?;
         let bytes = metadata.len();
-        let whole = bytes <= WHOLE;
+        let whole = bytes <= MAX_WHOLE_BYTES;
         let (mut fnv, mut crc) = (fnv1a(&[]), crc32fast::Hasher::new());
         let last = bytes.saturating_sub(PART);
         let places = [0, last / 2, last];
@@ -313,7 +313,7 @@ mod tests {
     fn a_large_file_is_its_ends_its_middle_and_its_time() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("large.raw");
-        let mut bytes = vec![7u8; WHOLE as usize + 8];
+        let mut bytes = vec![7u8; MAX_WHOLE_BYTES as usize + 8];
         let write = |bytes: &[u8], milliseconds: u64| {
             std::fs::write(&path, bytes).unwrap();
             let time = UNIX_EPOCH + std::time::Duration::from_millis(milliseconds);

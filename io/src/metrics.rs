@@ -7,11 +7,11 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// The shortest prediction, seconds; it replaces smaller predictions and NaN.
-pub const SHORTEST: f64 = 1e-6;
+pub const SHORTEST_PREDICTION: f64 = 1e-6;
 
-/// Returns the prediction; [`SHORTEST`] if the prediction is smaller or NaN.
+/// Returns the prediction; [`SHORTEST_PREDICTION`] if the prediction is smaller or NaN.
 pub fn usable(predicted: f64) -> f64 {
-    if predicted > SHORTEST { predicted } else { SHORTEST }
+    if predicted > SHORTEST_PREDICTION { predicted } else { SHORTEST_PREDICTION }
 }
 
 /// Errors of predictions over some frames.

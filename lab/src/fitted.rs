@@ -31,14 +31,14 @@ pub(crate) fn no_volume() -> Result<VolumeView<'static>> {
 
 /// A predictor with its errors on held-out calibration frames.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct Calibrated {
+pub(crate) struct FittedPredictor {
     pub(crate) title: String,
     pub(crate) held_out: Quality,
     #[serde(skip)]
     pub(crate) model: SteeringModel,
 }
 
-impl Calibrated {
+impl FittedPredictor {
     /// Fits the analytic model to the samples that are not held out.
     pub(crate) fn fit(samples: &[Sample]) -> Result<Self> {
         let (judged, learned): (Vec<&Sample>, Vec<&Sample>) = samples.iter().partition(|s| held_out(s));

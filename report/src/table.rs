@@ -37,7 +37,7 @@ impl<T: Into<Self>> From<Option<T>> for Cell {
 }
 
 /// Largest number of columns at normal text size; wider tables have smaller text, so that they fit the page.
-const WIDE: usize = 8;
+const MAX_COLUMNS: usize = 8;
 
 /// A table. Each row has as many cells as the heading.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -183,6 +183,8 @@ mod tests {
     #[test]
     fn tables_of_many_columns_are_set_smaller() {
         let of = |n: usize| Table::headed(&vec!["#n"; n].join(" | ")).to_html();
-        assert!(of(WIDE).contains("<table>") && of(WIDE + 1).contains("<table class=\"wide\">"));
+        assert!(
+            of(MAX_COLUMNS).contains("<table>") && of(MAX_COLUMNS + 1).contains("<table class=\"wide\">")
+        );
     }
 }

@@ -37,7 +37,7 @@ pub fn of(model: &Model) -> Option<UpperBound> {
 mod tests {
     use super::*;
     use entire_core::model::ModelFile;
-    use entire_io::metrics::SHORTEST;
+    use entire_io::metrics::SHORTEST_PREDICTION;
 
     #[test]
     fn a_bound_holds_for_its_share_of_the_frames_that_gave_it() {
@@ -84,7 +84,7 @@ mod tests {
     #[test]
     fn what_is_no_prediction_counts_as_the_shortest() {
         let r = log_residuals(&[0.0, f64::NAN, -1.0, 1.0], &[1.0; 4]);
-        assert!(r[..3].iter().all(|r| (r - (1.0 / SHORTEST).ln()).abs() < 1e-12));
+        assert!(r[..3].iter().all(|r| (r - (1.0 / SHORTEST_PREDICTION).ln()).abs() < 1e-12));
         assert_eq!(r[3], 0.0);
     }
 }

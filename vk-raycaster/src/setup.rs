@@ -21,7 +21,7 @@ pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
 const MOST_SAMPLES: f64 = 16_777_216.0;
 
 /// Sample number beyond the last sample of every ray.
-pub(crate) const FAR: f32 = 3.0e38;
+pub(crate) const NO_SAMPLE: f32 = 3.0e38;
 
 /// A frame's parameters for its rays. Laid out as the shader's struct: seventeen rows of 16 bytes.
 #[repr(C)]
@@ -65,7 +65,7 @@ pub(crate) struct FrameSetup {
     pub(crate) tile_height: u32,
     /// 0 starts the rays; 1 continues them where the previous dispatch stopped.
     pub(crate) resume: u32,
-    /// Number of the sample at which the dispatch stops; with [`FAR`], the dispatch takes all remaining
+    /// Number of the sample at which the dispatch stops; with [`NO_SAMPLE`], the dispatch takes all remaining
     /// samples.
     pub(crate) window_end: f32,
     /// Number of cells along a block's edge.
@@ -124,7 +124,7 @@ impl FrameSetup {
             light_inverse: light.map(|l| 1.0 / (l as f32)),
             tile_width: frame.width,
             tile_height: frame.height,
-            window_end: FAR,
+            window_end: NO_SAMPLE,
             block_edge: BLOCK_EDGE as f32,
             blocks: volume.blocks().map(|n| n as u32),
             block_shift: BLOCK_EDGE.trailing_zeros(),

@@ -17,7 +17,7 @@ use entire_vk_raycaster::{
 use libtest_mimic::{Arguments, Failed, Trial};
 
 /// Upper bound of the difference of a channel between device and CPU version, in units of 1/255.
-const LARGEST: u8 = 2;
+const MAX_DIFFERENCE: u8 = 2;
 /// Upper bound of the mean difference over all channels of an image, in units of 1/255.
 const MEAN: f64 = 0.1;
 
@@ -50,8 +50,8 @@ fn expect_silence(gpu: &VulkanRaycaster) -> Outcome {
     Ok(())
 }
 
-/// Scenes (name, frame, transfer function) with various cameras, sizes and steps; the tests draw each in every
-/// mode.
+/// Scenes (name, frame, transfer function) with various cameras, sizes and steps; the tests draw each in
+/// every mode.
 fn scenes() -> Vec<(&'static str, Frame, TransferTable)> {
     let mut all = vec![];
     let mut add = |name, frame: Frame, table| all.push((name, frame, table));
@@ -153,11 +153,12 @@ impl Both {
     }
 
     /// Draws a frame on the device and on the CPU version. Panics if a channel differs by more than
-    /// [`LARGEST`], or if the mean difference over all channels exceeds `mean`; both are in units of 1/255.
+    /// [`MAX_DIFFERENCE`], or if the mean difference over all channels exceeds `mean`; both are in units of
+    /// 1/255.
     fn draw(&mut self, name: &str, frame: &Frame, mean: f64) -> Result<(Rendered, Rendered), Failed> {
         let (a, b) = (self.gpu.render(frame)?, self.twin.render(frame)?);
         let (largest, off) = difference(&a.image.rgba, &b.image.rgba);
-        let alike = largest <= LARGEST && off <= mean;
+        let alike = largest <= MAX_DIFFERENCE && off <= mean;
         assert!(alike, "{name}: differs by up to {largest}/255, mean {off:.3}/255");
         Ok((a, b))
     }
@@ -460,8 +461,8 @@ fn validation_layer_was_heard() -> Outcome {
     expect_silence(&gpu)?;
     let shared = gpu.shared_device();
     let unknown = vk::FenceCreateInfo::default().flags(vk::FenceCreateFlags::from_raw(1 << 20));
-    // SAFETY: the device is alive, and no work uses the fence. The flag is the error that the layer must find;
-    // drivers ignore unknown flags.
+    // SAFETY: the device is alive, and no work uses the fence. The flag is the error that the layer must
+    // find; drivers ignore unknown flags.
     unsafe {
         let fence = shared.device().create_fence(&unknown, None)?;
         shared.device().destroy_fence(fence, None);

@@ -20,7 +20,7 @@ use std::time::Instant;
 
 /// Shortest frame time, in wall seconds, at which no warm-up is discarded: the first rendering of such a
 /// frame is not slower than the second one.
-const LONG: f64 = 0.12;
+const WARM_UP_LIMIT: f64 = 0.12;
 
 /// Noise of a round (see [`Measuring::spread`]) below which the round gets no further pass, once it had the
 /// minimum number of passes.
@@ -104,7 +104,7 @@ impl<'a> Measuring<'a> {
         match wall {
             w if w < 0.006 => (2, 3),
             w if w < 0.03 => (1, 2),
-            w if w < LONG => (1, 1),
+            w if w < WARM_UP_LIMIT => (1, 1),
             _ => (0, 1),
         }
     }
@@ -197,7 +197,7 @@ impl<'a> Measuring<'a> {
     fn keep(&mut self, stretches: &Joined, seen: &mut Vec<(usize, Vec<Timing>)>) {
         let (wall, others) = stretches.mean();
         self.others.add(wall, others);
-        let disturbed = others.is_some_and(|o| o > super::others::DISTURBED);
+        let disturbed = others.is_some_and(|o| o > super::others::DISTURBED_PROCESSORS);
         for (i, repeats) in seen.drain(..) {
             self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
         }
@@ -239,7 +239,7 @@ impl<'a> Measuring<'a> {
         // The frame's measured time, from an earlier pass, is more exact than the expected time.
         let seen = self.visits.get(&i).and_then(|v| v.first()?.repeats.first()?.wall);
         let (discarded, timed) = match self.visits.get(&i) {
-            Some(v) => (u32::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),
+            Some(v) => (u32::from(seen.is_none_or(|s| s < WARM_UP_LIMIT)), v[0].repeats.len()),
             None => Self::renderings(self.wall(i)),
         };
         let (stop, deadline) = (self.stop, self.deadline);

@@ -96,7 +96,7 @@ impl Settings {
     }
 }
 
-pub(crate) struct Calibrated {
+pub(crate) struct MachineModel {
     pub(crate) file: ModelFile,
     /// Inputs of the fit, and its error on held-out volumes.
     pub(crate) report: Report,
@@ -146,7 +146,7 @@ pub(crate) fn calibrate(
     threads: &rayon::ThreadPool,
     stop: &dyn Fn() -> bool,
     bar: &ProgressBar,
-) -> Result<Calibrated> {
+) -> Result<MachineModel> {
     let start = Instant::now();
     let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(0.0));
     bar.set_length(settings.seconds.ceil() as u64);
@@ -203,7 +203,7 @@ pub(crate) fn calibrate(
     let mut file = chosen.file;
     report.write_into(&mut file, (renderer.backend(), &renderer.device()), &observed, &chosen.crossed)?;
     bar.finish_and_clear();
-    Ok(Calibrated { file, report, frames })
+    Ok(MachineModel { file, report, frames })
 }
 
 /// Fits a model to timed frames of any renderer. Returns the fit, and the frames as inputs of the fit.

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 /// Mean number of processors used by other programs above which a stretch of rendering counts as disturbed.
-pub(crate) const DISTURBED: f64 = 0.25;
+pub(crate) const DISTURBED_PROCESSORS: f64 = 0.25;
 
 /// A point in time: processor seconds that the machine and this process had used by then.
 #[derive(Clone, Copy, Debug)]
@@ -25,9 +25,9 @@ impl CpuSnapshot {
         }
     }
 
-    /// Returns the wall seconds since the snapshot, and the processor seconds that other programs used; `None`
-    /// instead of the processor seconds where the system does not report them. The counters have a resolution
-    /// of 0.01 s, so the processor seconds of a short stretch may be negative.
+    /// Returns the wall seconds since the snapshot, and the processor seconds that other programs used;
+    /// `None` instead of the processor seconds where the system does not report them. The counters have a
+    /// resolution of 0.01 s, so the processor seconds of a short stretch may be negative.
     pub(crate) fn others(&self) -> (f64, Option<f64>) {
         let now = Self::now();
         let wall = now.at.duration_since(self.at).as_secs_f64();
@@ -36,7 +36,7 @@ impl CpuSnapshot {
 }
 
 /// Shortest stretch of rendering for which the counters are fine enough, wall seconds.
-const SHORTEST: f64 = 0.1;
+const MIN_STRETCH: f64 = 0.1;
 
 /// Successive stretches of rendering, joined until they are long enough for the counters.
 #[derive(Clone, Copy, Debug)]
@@ -53,13 +53,13 @@ impl Joined {
     pub(crate) fn add(&mut self, (wall, others): (f64, Option<f64>)) -> bool {
         self.wall += wall;
         self.others = self.others.zip(others).map(|(a, b)| a + b);
-        self.wall > SHORTEST
+        self.wall > MIN_STRETCH
     }
 
     /// Returns the wall seconds, and the mean number of processors that other programs used; `None` for this
     /// number if it is not known or the stretches are too short.
     pub(crate) fn mean(&self) -> (f64, Option<f64>) {
-        let known = self.others.filter(|_| self.wall > SHORTEST);
+        let known = self.others.filter(|_| self.wall > MIN_STRETCH);
         (self.wall, known.map(|o| (o / self.wall).max(0.0)))
     }
 }
@@ -86,7 +86,7 @@ fn own_seconds(text: &str) -> Option<f64> {
 pub struct BackgroundLoad {
     /// Wall seconds of the stretches of rendering whose load is known.
     pub seconds: f64,
-    /// Part of `seconds` in which other programs used more than [`DISTURBED`] processors.
+    /// Part of `seconds` in which other programs used more than [`DISTURBED_PROCESSORS`] processors.
     pub disturbed: f64,
     /// Mean number of processors that other programs used; `None` where the system does not report it.
     pub mean: Option<f64>,
@@ -102,7 +102,7 @@ impl BackgroundLoad {
         let before = self.mean.unwrap_or(0.0) * self.seconds;
         self.seconds += wall;
         self.mean = Some((before + others * wall) / self.seconds.max(1e-9));
-        if others > DISTURBED {
+        if others > DISTURBED_PROCESSORS {
             self.disturbed += wall;
         }
     }

@@ -124,7 +124,7 @@ impl Report {
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,
-                super::others::DISTURBED
+                super::others::DISTURBED_PROCESSORS
             ));
         }
         if let Some(drift) = self.noise.and_then(|n| n.drift).filter(|d| d.exp_m1() > DRIFT) {

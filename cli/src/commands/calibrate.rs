@@ -2,7 +2,7 @@
 
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::report::{Pictures, Report};
-use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
+use crate::calibrate::{MachineModel, NamedPrior, Settings, calibrate, calibrate_to_tables};
 use crate::collection::{ensure_utf8, manifest_of};
 use crate::program::print_line;
 use crate::shipped::shipped_priors;
@@ -231,7 +231,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         };
         let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
         let stopped = || interrupt::requested(&stop);
-        let Calibrated { file, report, frames } =
+        let MachineModel { file, report, frames } =
             calibrate(&settings, &priors, renderer.as_mut(), &threads, &stopped, &bar)?;
         write_whole(out, &file.to_bytes()?)?;
         if let Some(table) = &mut table {

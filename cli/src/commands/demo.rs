@@ -2,9 +2,9 @@
 
 use crate::calibrate::place::{DATA_FOLDER, calibrated_on, volumes_in};
 use crate::calibrate::pool::SMALL_VOLUME;
-use crate::calibrate::{Calibrated, Settings, calibrate};
+use crate::calibrate::{MachineModel, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
-use crate::commands::steer::{INTERRUPTED, describe};
+use crate::commands::steer::{INTERRUPTED_MESSAGE, describe};
 use crate::program::print_line;
 use crate::shipped::shipped_priors;
 use crate::steering::calibrate::CALIBRATION_STEPS;
@@ -131,7 +131,7 @@ fn calibrated(
     let priors = shipped_priors(draw.shading, &typical_costs(renderer.backend(), &renderer.device()))?;
     let threads = thread_pool(None)?;
     let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
-    let Calibrated { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;
+    let MachineModel { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;
     for warning in report.warnings() {
         print_line(format!("{:<11}{warning}", "note"))?;
     }
@@ -156,12 +156,12 @@ fn fit_size(
     renderer.set_transfer(&transfer)?;
     let camera = Camera::from_arcball(Arcball { rx: 15.0, ry: 30.0, dz: 2.2 })?;
     let frame = Frame { step: 2.0, ..draw.frame(camera)? }.checked()?;
-    ensure!(!stop(), INTERRUPTED);
+    ensure!(!stop(), INTERRUPTED_MESSAGE);
     renderer.render(&frame)?;
     const TRIALS: u32 = 4;
     let begin = Instant::now();
     for _ in 0..TRIALS {
-        ensure!(!stop(), INTERRUPTED);
+        ensure!(!stop(), INTERRUPTED_MESSAGE);
         renderer.render(&frame)?;
     }
     let seconds = begin.elapsed().as_secs_f64() / f64::from(TRIALS) * renderings;
@@ -235,7 +235,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     print_line(format!("clock      {}", clock.name()))?;
     let asked = DrawSettings::new(options.size, &options.render, clock);
     let renderings =
-        (7 * options.scenes + (ControllerKind::USUAL.len() + 1) * options.frames as usize) as f64;
+        (7 * options.scenes + (ControllerKind::DEFAULT_SET.len() + 1) * options.frames as usize) as f64;
     let draw = fit_size(asked, &view, renderings, renderer.as_mut(), &stop)?;
     let shrunk = draw != asked;
     print_line(format!(
@@ -253,7 +253,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             .context("cannot calibrate")?
             .or(machines),
     };
-    ensure!(!stop(), INTERRUPTED);
+    ensure!(!stop(), INTERRUPTED_MESSAGE);
     let made = machines.as_ref().map(|(_, file)| file.to_bytes()).transpose()?;
     let (steers, log_sd) = steering_model(None, machines, draw.shading, &view)?;
     let race = Race {
@@ -265,12 +265,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         seed: options.seed,
         draw,
         scenes: (options.scenes, 1),
-        controllers: &ControllerKind::USUAL,
+        controllers: &ControllerKind::DEFAULT_SET,
         target: None,
         model: &steers,
         log_sd,
     };
-    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
     print_line(format!("predictor  {}", prepared.predictor.sentence()))?;
     print_line(format!(
         "reference  {:.1} ms at the reference step, median of {} random scenes",
@@ -285,7 +285,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     ))?;
 
     let keep = path.switches();
-    let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    let playback =
+        play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
         "Each frame was drawn under every controller before the next frame began. The order of the \
@@ -367,7 +368,7 @@ mod tests {
 
     #[test]
     fn the_verdict_says_who_won_whoever_did() {
-        let names: Vec<String> = ControllerKind::USUAL.iter().map(|k| k.name().to_owned()).collect();
+        let names: Vec<String> = ControllerKind::DEFAULT_SET.iter().map(|k| k.name().to_owned()).collect();
         let say = |errors: [f64; 7]| verdict(&names, &errors.map(metrics));
         assert!(
             say([0.9, 0.5, 0.7, 0.8, 0.6, 0.2, 0.1])

@@ -50,7 +50,7 @@ const PACKAGES: [(&str, &str); 9] = [
 
 /// Versions with which the adapters passed all of their tests: lines of a name and of versions, each of two
 /// numbers. `make versions` writes the file.
-const TESTED: &str = include_str!("tested-versions.txt");
+const TESTED_VERSIONS: &str = include_str!("tested-versions.txt");
 
 /// The version of a part, or the command that installs a missing part.
 type Finding = Result<String, &'static str>;
@@ -115,7 +115,7 @@ fn found(name: &str, text: &str) {
     println!("  {name:<21} {text}");
 }
 
-/// Prints a line of the report. `part` is the part's name in [`TESTED`].
+/// Prints a line of the report. `part` is the part's name in [`TESTED_VERSIONS`].
 fn print(name: &str, part: &str, used_for: &str, finding: &Finding) {
     match finding {
         Ok(version) => found(name, &format!("{version}: {used_for}{}", tested_with(part, version))),
@@ -124,9 +124,10 @@ fn print(name: &str, part: &str, used_for: &str, finding: &Finding) {
 }
 
 /// Returns the end of a found part's line, which says if its version was tested, or else names the tested
-/// versions. Empty if no version of the part is in [`TESTED`].
+/// versions. Empty if no version of the part is in [`TESTED_VERSIONS`].
 fn tested_with(part: &str, version: &str) -> String {
-    let Some(versions) = TESTED.lines().filter_map(|l| l.split_once(": ")).find(|(name, _)| *name == part)
+    let Some(versions) =
+        TESTED_VERSIONS.lines().filter_map(|l| l.split_once(": ")).find(|(name, _)| *name == part)
     else {
         return String::new();
     };
@@ -269,7 +270,8 @@ mod tests {
 
     #[test]
     fn tested_versions_are_told_from_others() {
-        let (name, versions) = TESTED.lines().next().expect("a line").split_once(": ").expect("a name");
+        let (name, versions) =
+            TESTED_VERSIONS.lines().next().expect("a line").split_once(": ").expect("a name");
         let first = versions.split(' ').next().expect("a version");
         for text in [format!("{first}.7"), format!("{name} version {first}.0"), first.to_owned()] {
             assert_eq!(tested_with(name, &text), "; tested with this version", "{text}");
@@ -282,7 +284,7 @@ mod tests {
         }
         assert_eq!(tested_with("entire", "0.1.0"), "");
         // Names of the file are those that the report uses.
-        for name in TESTED.lines().filter_map(|l| Some(l.split_once(": ")?.0)) {
+        for name in TESTED_VERSIONS.lines().filter_map(|l| Some(l.split_once(": ")?.0)) {
             assert!(["VTK", "ParaView"].contains(&name) || PACKAGES.iter().any(|p| p.0 == name), "{name}");
         }
     }

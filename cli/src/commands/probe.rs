@@ -47,7 +47,7 @@ fn parse_milliseconds(text: &str) -> Result<f64, String> {
 }
 
 /// Limit of the largest difference from the CPU version's picture, on a scale of 0 to 255.
-const LARGEST: u8 = 2;
+const MAX_DIFFERENCE: u8 = 2;
 
 /// Limit of the mean difference from the CPU version's picture, on a scale of 0 to 255.
 const MEAN: f64 = 0.1;
@@ -61,7 +61,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     println!("{text}");
     let (largest, mean) = (found.agreement.largest, found.agreement.mean);
     anyhow::ensure!(
-        largest <= LARGEST && mean <= MEAN,
+        largest <= MAX_DIFFERENCE && mean <= MEAN,
         "{} draws another picture than the CPU version: difference up to {largest}/255, mean {mean:.3}/255; \
          update its driver, choose another device (ENTIRE_DEVICE), or render with --device cpu",
         found.device

@@ -85,7 +85,7 @@ pub(crate) struct Options {
         long,
         value_enum,
         value_delimiter = ',',
-        default_values_t = ControllerKind::USUAL,
+        default_values_t = ControllerKind::DEFAULT_SET,
         value_name = "NAME,…"
     )]
     pub(crate) controllers: Vec<ControllerKind>,
@@ -138,7 +138,7 @@ const MAX_IMAGE_SAMPLE_DISTANCE: f32 = 4.0;
 /// Number of switches whose pictures are kept for the report.
 const PICTURED_SWITCHES: usize = 20;
 
-pub(super) const INTERRUPTED: &str = "interrupted; no report was written";
+pub(super) const INTERRUPTED_MESSAGE: &str = "interrupted; no report was written";
 
 pub(crate) fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
@@ -245,11 +245,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let mut timings =
         options.table.as_ref().map(|file| begin_table(file, &options.out, &path)).transpose()?;
-    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
     let mut keep = path.switches();
     keep.truncate(PICTURED_SWITCHES);
     keep.extend(&options.pictures);
-    let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    let playback =
+        play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
     let story = Story {
         title: "Steering a frame time".into(),
         lead: format!(

@@ -62,17 +62,17 @@ pub(crate) struct Options {
     /// Group of frames that stays together in the 80/10/10 split into training, validation and test frames.
     #[arg(long, value_enum, default_value_t = GroupBy::Member)]
     pub(crate) split: GroupBy,
-    /// Members or volumes (see --split) for validation. Without this option and --test-groups, a random tenth
-    /// of the groups is used for validation and another tenth for testing. With only one of the two options,
-    /// the other part is empty.
+    /// Members or volumes (see --split) for validation. With neither this option nor --test-groups, a random
+    /// tenth of the groups is used for validation and another tenth for testing. With only one of the two
+    /// options, the other part is empty.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub(crate) validation_groups: Vec<String>,
     /// Members or volumes for testing; see --validation-groups.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub(crate) test_groups: Vec<String>,
-    /// Clock of the learned seconds. Default: the clock of the model of --fine-tune; without --fine-tune,
-    /// auto for frames of a GPU and cpu (processor time) for other frames. If some frame has no time by the
-    /// default clock, auto is used instead.
+    /// Clock of the learned seconds. Default: the clock that the model of --fine-tune states; without such a
+    /// model, auto for frames of a GPU and cpu (processor time) for other frames. If some frame has no time
+    /// by the default clock, auto is used instead.
     #[arg(long, value_enum)]
     pub(crate) clock: Option<ClockChoice>,
     /// Only frames with this shading: none, local, scatter or local-scatter.
@@ -94,7 +94,7 @@ pub(crate) struct Options {
 
 /// Standard deviation of ln(median time of a frame's repeats) above which a note says that the data are
 /// noisy.
-const NOISY: f64 = 0.2;
+const NOISE_LIMIT: f64 = 0.2;
 
 pub(crate) fn run(options: &Options) -> Result<()> {
     let started = Instant::now();
@@ -230,7 +230,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     results.sort_by_key(|r| r.0);
     upper.store(&mut fitted.file)?;
     let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
-    if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
+    if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISE_LIMIT) {
         let other = if clock == Clock::Cpu { "" } else { ", or try --clock cpu" };
         note(&format!(
             "repeats of one frame differ by {:.0} %; collect on a quieter machine, with more --repeats{other}",

@@ -56,7 +56,7 @@ entire_core::names! { ControllerKind:
 
 impl ControllerKind {
     /// The controllers that are compared by default.
-    pub(crate) const USUAL: [Self; 7] =
+    pub(crate) const DEFAULT_SET: [Self; 7] =
         [Self::Fixed, Self::Olp, Self::Last, Self::LargerOfTwo, Self::Pid, Self::Algorithm1, Self::Hybrid];
 
     /// The title in charts and tables.

@@ -374,7 +374,7 @@ mod tests {
     }
 
     fn play_scripted(noise: f64, bias: f64, stop_at: Option<u64>) -> Option<Playback> {
-        play_scripted_with(&ControllerKind::USUAL, noise, bias, stop_at, 1.0)
+        play_scripted_with(&ControllerKind::DEFAULT_SET, noise, bias, stop_at, 1.0)
     }
 
     fn play_scripted_with(
@@ -462,7 +462,7 @@ mod tests {
     #[test]
     fn who_chooses_the_size_meets_the_target_with_a_better_picture() {
         let plain = play_scripted(0.02, 1.1, None).unwrap();
-        let sized = play_scripted_with(&ControllerKind::USUAL, 0.02, 1.1, None, 2.0).unwrap();
+        let sized = play_scripted_with(&ControllerKind::DEFAULT_SET, 0.02, 1.1, None, 2.0).unwrap();
         let hybrid = 6;
         // Only contenders that may choose the image size change it.
         assert!(plain.records.iter().flatten().all(|r| r.image_sample_distance == 1.0));

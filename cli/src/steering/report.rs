@@ -440,7 +440,7 @@ mod tests {
             shown(&names).into_iter().map(|c| kinds[c]).collect::<Vec<_>>()
         };
         use ControllerKind::{Algorithm1, Fixed, Hybrid, LargerOfTwo, Last, Olp, Pid};
-        assert_eq!(shown_of(&ControllerKind::USUAL), [Fixed, Olp, Pid, Algorithm1, Hybrid]);
+        assert_eq!(shown_of(&ControllerKind::DEFAULT_SET), [Fixed, Olp, Pid, Algorithm1, Hybrid]);
         assert_eq!(shown_of(&[LargerOfTwo, Last, Hybrid]), [LargerOfTwo, Last, Hybrid]);
     }
 }

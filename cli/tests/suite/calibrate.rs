@@ -25,7 +25,7 @@ fn run(folder: &Path, line: &str) -> Output {
     entire_in(folder, &[("XDG_DATA_HOME", folder.join("home").to_str().unwrap())], &words(line))
 }
 
-const QUICK: &str = "--device cpu --seconds 9 --frames 30 --max-size 64 --quiet --threads 1";
+const QUICK_OPTIONS: &str = "--device cpu --seconds 9 --frames 30 --max-size 64 --quiet --threads 1";
 
 #[test]
 fn a_machines_model_is_made_found_and_says_its_clock() {
@@ -38,7 +38,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let none = run(at, "predict --inputs rows.csv");
     assert!(!none.status.success() && stderr(&none).contains("entire calibrate --shade none"), "{none:?}");
 
-    let made = run(at, &format!("calibrate --clock cpu --table frames.csv {QUICK}"));
+    let made = run(at, &format!("calibrate --clock cpu --table frames.csv {QUICK_OPTIONS}"));
     assert!(made.status.success(), "{}", stderr(&made));
     let said = stdout(&made);
     for part in
@@ -217,7 +217,7 @@ fn what_cannot_be_calibrated_is_said() {
     // --root is for tables alone.
     fails(at, "calibrate a.nrrd --root . --out m.safetensors", 2, &["--root"]);
     // The CPU version has no time stamps.
-    let line = format!("calibrate a.nrrd --clock device --out m.safetensors {QUICK}");
+    let line = format!("calibrate a.nrrd --clock device --out m.safetensors {QUICK_OPTIONS}");
     fails(at, &line, 1, &["has no timestamps", "--clock"]);
     let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";
     fails(at, twice, 1, &["./a.nrrd is given twice, first as a.nrrd"]);

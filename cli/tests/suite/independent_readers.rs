@@ -63,7 +63,7 @@ fn stored(data: &VolumeData) -> (&'static str, Vec<u8>) {
 }
 
 /// Files in which default reading finds fill values and replaces them.
-const FILLED: [&str; 5] = [
+const FILES_WITH_FILL: [&str; 5] = [
     "reports/fill-1e20.nrrd",
     "reports/fill-ct.nrrd",
     "reports/fill-minus-9999.nrrd",
@@ -72,7 +72,7 @@ const FILLED: [&str; 5] = [
 ];
 
 /// Returns the difference between a file as it is read and its row; `None` if they agree. Also compares the
-/// voxels of default reading, which replaces fill values in [`FILLED`] alone.
+/// voxels of default reading, which replaces fill values in [`FILES_WITH_FILL`] alone.
 fn difference(name: &str, row: &Row) -> Option<String> {
     let stored_values = Reading { fill: Fill::None, ..Reading::default() };
     let volume = match Volume::open_as(fixtures().join(name), &stored_values, None) {
@@ -106,7 +106,7 @@ fn difference(name: &str, row: &Row) -> Option<String> {
         Ok(usual) => {
             let like_stored = stored(usual.data()) == (kind, bytes)
                 && (usual.dims(), usual.spacing()) == (volume.dims(), volume.spacing());
-            (like_stored == FILLED.contains(&name)).then(|| {
+            (like_stored == FILES_WITH_FILL.contains(&name)).then(|| {
                 format!("default reading: like the stored values: {like_stored}; {:?}", usual.notes())
             })
         }

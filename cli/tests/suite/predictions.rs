@@ -1,7 +1,7 @@
 //! Predictions of shipped models for every committed table, and for a hundred thousand random inputs,
 //! ordinary and extreme. All predicted seconds are finite and positive. The networks' raw outputs are
 //! positive for every frame of the tables. For random inputs, the number of raw outputs that are zero in
-//! single precision is at most that in `KNOWN`; the predictor replaces such outputs.
+//! single precision is at most that in `KNOWN_ZEROS`; the predictor replaces such outputs.
 
 use crate::support::{files_in, model_of};
 use entire_core::kernels::Executor;
@@ -32,14 +32,14 @@ fn invalid(seconds: f64) -> bool {
 /// Shipped networks, and the known numbers of their outputs that are zero in single precision and are raised
 /// to the shortest time: for ordinary random inputs, and for all random inputs. Numbers are rounded up to the
 /// next thousand, since processors round differently. A larger number is a bug.
-const KNOWN: [(&str, usize, usize); 3] = [
+const KNOWN_ZEROS: [(&str, usize, usize); 3] = [
     ("local-distilled", 0, 27_000),
     ("scatter-distilled", 1_000, 26_000),
     ("unshaded-distilled", 1_000, 33_000),
 ];
 
 fn known(model: &str) -> (usize, usize) {
-    KNOWN.iter().find(|k| k.0 == model).map_or((0, 0), |k| (k.1, k.2))
+    KNOWN_ZEROS.iter().find(|k| k.0 == model).map_or((0, 0), |k| (k.1, k.2))
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
     const RANDOM: usize = 100_000;
     /// Largest distance of ordinary inputs from the training mean, in standard deviations of the training
     /// frames' inputs.
-    const ORDINARY: f32 = 3.0;
+    const ORDINARY_DISTANCE: f32 = 3.0;
     let models = predicting_models();
     assert!(models.len() >= 6, "{} shipped models", models.len());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
@@ -91,7 +91,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
             None => (&counts, 0.0),
         };
         // Inputs near the training range, inputs far outside of it, and inputs that no scene has.
-        for (reach, rows) in [(ORDINARY, RANDOM / 2), (30.0, RANDOM / 4), (1e6, RANDOM / 4)] {
+        for (reach, rows) in [(ORDINARY_DISTANCE, RANDOM / 2), (30.0, RANDOM / 4), (1e6, RANDOM / 4)] {
             let inputs: Vec<f32> = (0..rows)
                 .flat_map(|_| norm.mean.iter().zip(&norm.std))
                 .map(|(mean, std)| mean + reach * std * (2.0 * rng.random::<f32>() - 1.0))
@@ -103,7 +103,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
             for value in raw {
                 let mut seconds = [value];
                 *count += usize::from(value <= 0.0);
-                *ordinary += usize::from(value <= 0.0 && reach == ORDINARY);
+                *ordinary += usize::from(value <= 0.0 && reach == ORDINARY_DISTANCE);
                 match check_predictions(&mut seconds) {
                     Ok(_) => {
                         let seconds = f64::from(seconds[0]);

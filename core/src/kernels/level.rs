@@ -50,7 +50,7 @@ impl Isa {
 const HAS_AVX2: u32 = 1 << 1;
 const HAS_AVX512: u32 = 1 << 2;
 const HAS_VNNI: u32 = 1 << 3;
-const PROBED: u32 = 1 << 31;
+const DETECTION_BIT: u32 = 1 << 31;
 
 /// Proof that the CPU has the instructions of one instruction set: scalar, AVX2 or AVX-512.
 ///
@@ -162,7 +162,7 @@ fn features() -> u32 {
     if known != 0 {
         return known;
     }
-    let found = probe() | PROBED;
+    let found = probe() | DETECTION_BIT;
     FOUND.store(found, Ordering::Relaxed);
     found
 }

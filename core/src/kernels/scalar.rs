@@ -37,7 +37,7 @@ impl Simd for Scalar {
     type M = Four<bool>;
     const LANES: usize = 4;
     const TILE_VECTORS: usize = 2;
-    const COUNTED: usize = 12;
+    const MAX_COUNTED_VALUES: usize = 12;
 
     methods! {
         fn splat(x: f32) -> Self::F { Four([x; 4]) }

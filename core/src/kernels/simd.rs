@@ -184,7 +184,7 @@ pub trait Simd: Copy + 'static {
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64;
     /// Largest number of distinct values for which [`count_eight`](Self::count_eight) counts bytes faster
     /// than tables of counters do.
-    const COUNTED: usize;
+    const MAX_COUNTED_VALUES: usize;
     /// Counts the bytes with each of the eight values from `first` to `first + 7`; `first` is at most 248.
     /// There must be fewer than 2³² bytes.
     fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8];

@@ -94,7 +94,7 @@ impl Resampler {
         let rows = &mut self.rows[..row_len * parts];
         let columns = self.columns.as_slice();
         let geometry = kernel::Geometry { dims, strides: view.strides(), n, columns, level: self.level };
-        let job = Job { geometry: &geometry, executor };
+        let job = Resampling { geometry: &geometry, executor };
         let (low, high) = view.range();
         let affine = Affine::of((low, high));
         match view.scalars() {
@@ -135,12 +135,12 @@ impl<T: kernel::Scalar> Map<T> for Exact<'_> {
     }
 }
 
-struct Job<'a> {
+struct Resampling<'a> {
     geometry: &'a kernel::Geometry<'a>,
     executor: Executor<'a>,
 }
 
-impl Job<'_> {
+impl Resampling<'_> {
     fn mapped<T: kernel::Scalar>(
         &self,
         scalars: &[T],

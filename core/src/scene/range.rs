@@ -8,18 +8,18 @@ use alloc::vec::Vec;
 const SAMPLE: usize = 4096;
 
 /// Smallest share of the sampled voxels that have the same fill value.
-const FREQUENT: f32 = 1.0 / 1024.0;
+const MIN_SHARE: f32 = 1.0 / 1024.0;
 
 /// Smallest distance of a fill value from the nearest other value, as a fraction of the width of the range of
 /// all other values.
-const FAR: f32 = 1.0 / 8.0;
+const MIN_GAP: f32 = 1.0 / 8.0;
 
 /// Smallest number of distinct values in the sample besides the fill value. With fewer, the values may be
 /// labels, and the gaps between labels are not signs of a fill value.
-const DISTINCT: usize = 16;
+const MIN_OTHER_VALUES: usize = 16;
 
 /// Largest number of fill values that are searched for.
-const MOST: usize = 4;
+const MAX_FILL_VALUES: usize = 4;
 
 impl VolumeView<'_> {
     /// Fill values: values of voxels without data, such as -9999, 9.97e36, or the padding of a CT scan. The
@@ -39,11 +39,11 @@ impl VolumeView<'_> {
         sample.sort_unstable_by(f32::total_cmp);
         let mut left = &sample[..];
         let mut fill: Vec<f32> = Vec::new();
-        while fill.len() < MOST {
+        while fill.len() < MAX_FILL_VALUES {
             let Some((&low, &high)) = left.first().zip(left.last()) else { break };
             let lows = left.partition_point(|v| *v <= low);
             let highs = left.len() - left.partition_point(|v| *v < high);
-            let frequent = |count: usize| count >= 4 && count as f32 >= FREQUENT * sample.len() as f32;
+            let frequent = |count: usize| count >= 4 && count as f32 >= MIN_SHARE * sample.len() as f32;
             let candidates = [(low, lows, &left[lows..]), (high, highs, &left[..left.len() - highs])];
             // The candidate that lies farther from all other values is taken first, because it widens the
             // range with which the distance of the other candidate is compared.
@@ -51,7 +51,7 @@ impl VolumeView<'_> {
                 let (Some(&least), Some(&most)) = (rest.first(), rest.last()) else { return None };
                 let gap = if value < least { half(least) - half(value) } else { half(value) - half(most) };
                 let width = half(most) - half(least);
-                (gap >= FAR * width).then_some(gap / width)
+                (gap >= MIN_GAP * width).then_some(gap / width)
             };
             let found = candidates
                 .into_iter()
@@ -144,7 +144,7 @@ impl VolumeView<'_> {
         const LANES: usize = 32;
         let mut lanes = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
         // Unused elements are NaN, which equals no value.
-        let mut left_out = [f32::NAN; MOST];
+        let mut left_out = [f32::NAN; MAX_FILL_VALUES];
         left_out.iter_mut().zip(fill).for_each(|(slot, &v)| *slot = v);
         let mut take = |values: &[T]| {
             for ((lo, hi), &v) in lanes.0.iter_mut().zip(&mut lanes.1).zip(values) {
@@ -175,10 +175,10 @@ fn half(value: f32) -> f32 {
     0.5 * value
 }
 
-/// True if `sorted` has at least [`DISTINCT`] distinct values.
+/// True if `sorted` has at least [`MIN_OTHER_VALUES`] distinct values.
 fn many(sorted: &[f32]) -> bool {
-    let changes = sorted.windows(2).filter(|pair| pair[0] < pair[1]).take(DISTINCT - 1).count();
-    changes == DISTINCT - 1
+    let changes = sorted.windows(2).filter(|pair| pair[0] < pair[1]).take(MIN_OTHER_VALUES - 1).count();
+    changes == MIN_OTHER_VALUES - 1
 }
 
 #[cfg(test)]

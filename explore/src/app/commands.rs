@@ -3,7 +3,7 @@
 use super::{App, Waiting};
 use crate::camera::Axis;
 use crate::exchange;
-use crate::loading::Job;
+use crate::loading::Load;
 use crate::recording::Recorder;
 use crate::scene::Crop;
 use crate::script::{Action, Script};
@@ -94,14 +94,14 @@ impl App {
     }
 
     pub(super) fn load(&mut self, path: PathBuf) -> Result<()> {
-        self.start(Job { opened: true, ..self.job(path, 0) })
+        self.start(Load { opened: true, ..self.job(path, 0) })
     }
 
     fn crop(&mut self, crop: Option<Crop>) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
         // A part that is the whole volume counts as uncropped.
         let all = scene.facts.dims.map(|n| [0, n - 1]);
-        self.start(Job {
+        self.start(Load {
             source: Some(scene.whole.clone()),
             range: scene.range,
             crop: crop.filter(|c| *c != all),
@@ -114,7 +114,7 @@ impl App {
     fn span_data(&mut self) -> Result<()> {
         let Some(scene) = &self.scene else { return Ok(()) };
         let range = scene.facts.own_range;
-        self.start(Job {
+        self.start(Load {
             source: Some(scene.whole.clone()),
             range: Some(range),
             crop: scene.crop,

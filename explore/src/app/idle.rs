@@ -1,7 +1,7 @@
 //! Work between frames: refinement at rest, screenshots, the map of samples, the next volume of a series.
 
 use super::{App, FULL_QUALITY_TEXTURE, STEERED_TEXTURE, Waiting};
-use crate::loading::Job;
+use crate::loading::Load;
 use crate::refine::Refinement;
 use crate::screenshot::Screenshot;
 use crate::script::Shot;
@@ -217,6 +217,6 @@ impl App {
         let Some(path) = self.state.series.get(index).cloned() else { return Ok(()) };
         let curve = self.scene.is_some().then(|| self.state.edited.curve.clone());
         let range = self.scene.as_ref().and_then(|scene| scene.range);
-        self.start(Job { range, crop: self.state.crop, curve, ..self.job(path, index) })
+        self.start(Load { range, crop: self.state.crop, curve, ..self.job(path, index) })
     }
 }

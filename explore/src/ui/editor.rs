@@ -11,7 +11,7 @@ use entire_core::GaussianLobe;
 const REACH: f32 = 9.0;
 
 /// Maximum number of points or lobes in the editor.
-const MOST: usize = 64;
+const MAX_POINTS: usize = 64;
 
 pub(super) fn show(ui: &mut Ui, state: &mut State) {
     ui.horizontal(|ui| {
@@ -184,12 +184,12 @@ fn edit(ui: &Ui, state: &mut State, response: &egui::Response, axes: Axes, handl
     if response.double_clicked() && near(at).is_none() {
         let [s, opacity] = axes.value(at);
         match &mut state.edited.curve.opacity {
-            Opacity::Points(points) if points.len() < MOST => {
+            Opacity::Points(points) if points.len() < MAX_POINTS => {
                 let place = points.partition_point(|p| p[0] < s);
                 points.insert(place, [s, opacity]);
                 state.selected = Some(Handle::Point(place));
             }
-            Opacity::Lobes(lobes) if lobes.len() < MOST => {
+            Opacity::Lobes(lobes) if lobes.len() < MAX_POINTS => {
                 lobes.push(GaussianLobe { center: s, width: 0.002, height: opacity });
                 state.selected = Some(Handle::Lobe(lobes.len() - 1));
             }

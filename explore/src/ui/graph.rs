@@ -1,7 +1,7 @@
 //! The graph: predicted times with their bounds, measured times, the target; the step below.
 
 use crate::state::State;
-use crate::steering::{REMEMBERED, words};
+use crate::steering::{GRAPH_FRAMES, words};
 use egui::{Color32, Rangef, RichText, TextStyle, Ui, Vec2};
 use egui_plot::{
     AxisHints, FilledArea, GridInput, GridMark, HLine, Line, LineStyle, Plot, PlotPoints, VLine,
@@ -36,7 +36,7 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
     }
     legend(ui);
     let last = history.back().map_or(0.0, |r| r.number as f64);
-    let first = (last - REMEMBERED as f64).max(0.0);
+    let first = (last - GRAPH_FRAMES as f64).max(0.0);
     let ms = |value: fn(&crate::steering::FrameRecord) -> f64| -> PlotPoints<'static> {
         history.iter().map(|r| [r.number as f64, value(r)]).filter(|p| p[1].is_finite()).collect()
     };
@@ -66,7 +66,7 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
             .custom_y_axes(vec![axis])
             .y_grid_spacer(marks)
             .set_margin_fraction(Vec2::new(0.0, 0.02))
-            .default_x_bounds(first, first + REMEMBERED as f64)
+            .default_x_bounds(first, first + GRAPH_FRAMES as f64)
             .auto_bounds([false, false])
     };
     let switches: Vec<f64> = history.iter().filter(|r| r.switched).map(|r| r.number as f64).collect();
@@ -83,7 +83,7 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
         -top * share / (1.0 - 2.0 * share)..=top * (1.0 - share) / (1.0 - 2.0 * share)
     };
     plot("times", 0.7 * height).show(ui, |plot| {
-        plot.set_plot_bounds_x(first..=first + REMEMBERED as f64);
+        plot.set_plot_bounds_x(first..=first + GRAPH_FRAMES as f64);
         plot.set_plot_bounds_y(range(most.min(4.0 * target), 0.7 * height));
         if xs.len() > 1 {
             let band = FilledArea::new("predicted to bound", &xs, &low, &high);
@@ -97,7 +97,7 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
     });
     plot("steps", 0.3 * height).show(ui, |plot| {
         let most = history.iter().map(|r| f64::from(r.step.max(r.image_sample_distance))).fold(2.0, f64::max);
-        plot.set_plot_bounds_x(first..=first + REMEMBERED as f64);
+        plot.set_plot_bounds_x(first..=first + GRAPH_FRAMES as f64);
         plot.set_plot_bounds_y(range(most, 0.3 * height));
         switches.iter().for_each(|x| plot.vline(mark(*x)));
         plot.line(Line::new("step", ms(|r| f64::from(r.step))).color(STEP).width(1.5));

@@ -1,7 +1,7 @@
 //! Workers that are persistent processes of this machine. They keep their volume, and get bundles through a
 //! pipe.
 
-use super::{Bundle, Engine, Event, Places, Properties, STILLBORN};
+use super::{Bundle, Engine, Event, MAX_FRUITLESS_STARTS, Places, Properties};
 use crate::command::leader;
 use crate::record::Line;
 use anyhow::{Context, Result, ensure};
@@ -129,7 +129,7 @@ impl Local {
                 }
                 let said = crate::spool::tail(&self.log(slot));
                 ensure!(
-                    deaths <= STILLBORN,
+                    deaths <= MAX_FRUITLESS_STARTS,
                     "worker {slot} ended {deaths} times in a row without beginning a task; the last time \
                      ({status}): {said}; remove the cause and continue with --resume"
                 );

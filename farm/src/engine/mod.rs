@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Maximum number, per slot, of bundles or processes that end one after another before a task begins.
-pub(crate) const STILLBORN: usize = 3;
+pub(crate) const MAX_FRUITLESS_STARTS: usize = 3;
 
 /// A bundle for an engine.
 #[derive(Clone, Debug)]

@@ -187,20 +187,20 @@ pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
 ///
 /// # Errors
 /// For a queue, as [`simulate_queue`]; none for an assignment, whose times and speeds are not checked here.
-pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], speeds: &[f64]) -> Result<Timeline> {
+pub fn play(plan: &Schedule, seconds: &[f64], tasks: &[Task], speeds: &[f64]) -> Result<Timeline> {
     let loads: Vec<(usize, f64)> =
         volume_numbers(tasks).into_iter().zip(tasks.iter().map(|t| t.load_s)).collect();
     match plan {
-        Plan::Assigned(assignment, order) => {
+        Schedule::Assigned(assignment, order) => {
             Ok(run(order, seconds, &loads, speeds, |_, task| assignment.node_of[task]))
         }
-        Plan::Queued(order) => simulate_queue(order, seconds, &loads, speeds),
+        Schedule::Queued(order) => simulate_queue(order, seconds, &loads, speeds),
     }
 }
 
 /// A schedule that is computed before the run.
 #[derive(Clone, Debug)]
-pub enum Plan {
+pub enum Schedule {
     /// The node of every task, and the order in which nodes run their tasks.
     Assigned(Assignment, Vec<usize>),
     /// An order from which a free node takes the next task.
@@ -212,16 +212,16 @@ pub enum Plan {
 /// # Errors
 /// When a time is negative or not finite; for an assignment, also as [`assign_longest_first`]. The speeds of
 /// a queue are not checked here.
-pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
+pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Schedule> {
     let order = longest_first(deciding)?;
     Ok(match method {
-        Method::Longest => Plan::Assigned(assign_longest_first(deciding, speeds)?, order),
+        Method::Longest => Schedule::Assigned(assign_longest_first(deciding, speeds)?, order),
         Method::Static => {
             let mut assignment = assign_longest_first(deciding, speeds)?;
             exchange(&mut assignment, deciding, speeds)?;
-            Plan::Assigned(assignment, order)
+            Schedule::Assigned(assignment, order)
         }
-        Method::Queue => Plan::Queued(order),
-        Method::Arrival => Plan::Queued((0..deciding.len()).collect()),
+        Method::Queue => Schedule::Queued(order),
+        Method::Arrival => Schedule::Queued((0..deciding.len()).collect()),
     })
 }

@@ -225,14 +225,14 @@ pub unsafe extern "C" fn entire_session_set_enabled(
 /// Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_mark(session: *mut entire_session, changes: u32) -> entire_result {
-    const KNOWN: u32 = ENTIRE_CHANGE_FIRST
+    const KNOWN_FLAGS: u32 = ENTIRE_CHANGE_FIRST
         | ENTIRE_CHANGE_TRANSFER_FUNCTION
         | ENTIRE_CHANGE_VOLUME
         | ENTIRE_CHANGE_SIZE
         | ENTIRE_CHANGE_MODE
         | ENTIRE_CHANGE_CAMERA;
     entry!(changing(session, |state| {
-        check_flags("changes", changes, KNOWN)?;
+        check_flags("changes", changes, KNOWN_FLAGS)?;
         let has = |flag| changes & flag != 0;
         state.session.mark(Changes {
             first: has(ENTIRE_CHANGE_FIRST),

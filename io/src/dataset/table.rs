@@ -223,7 +223,7 @@ impl Row<'_> {
     }
 
     fn read(&self) -> Result<(u64, u32, Scene, Timing)> {
-        const WHOLE: &str = "a whole number";
+        const WHOLE_NUMBER: &str = "a whole number";
         const NUMBER: &str = "a number";
         const OR_EMPTY: &str = "a number or an empty field";
         const WHOLE_OR_EMPTY: &str = "a whole number or an empty field";
@@ -233,9 +233,9 @@ impl Row<'_> {
             member: self.raw("member").to_owned(),
             time_step: self.optional("time_step", WHOLE_OR_EMPTY)?,
             dims: [
-                self.number("dims_x", WHOLE)?,
-                self.number("dims_y", WHOLE)?,
-                self.number("dims_z", WHOLE)?,
+                self.number("dims_x", WHOLE_NUMBER)?,
+                self.number("dims_y", WHOLE_NUMBER)?,
+                self.number("dims_z", WHOLE_NUMBER)?,
             ],
             camera: Arcball {
                 rx: self.number("camera_rx_deg", NUMBER)?,
@@ -243,8 +243,8 @@ impl Row<'_> {
                 dz: self.number("camera_dz_radii", NUMBER)?,
             },
             fov_y_degrees: self.number("fov_y_deg", NUMBER)?,
-            width: self.number("width_px", WHOLE)?,
-            height: self.number("height_px", WHOLE)?,
+            width: self.number("width_px", WHOLE_NUMBER)?,
+            height: self.number("height_px", WHOLE_NUMBER)?,
             step: self.number("step_ref", NUMBER)?,
             shading: self.text("shading").parse().context("column shading")?,
             skipping: self.text("skipping").parse().context("column skipping")?,
@@ -269,6 +269,6 @@ impl Row<'_> {
             counts,
         };
         measurement.check()?;
-        Ok((self.number("frame", WHOLE)?, self.number("repeat", WHOLE)?, scene, measurement))
+        Ok((self.number("frame", WHOLE_NUMBER)?, self.number("repeat", WHOLE_NUMBER)?, scene, measurement))
     }
 }

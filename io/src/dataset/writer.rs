@@ -32,7 +32,8 @@ fn check_name(path: &Path) -> Result<()> {
     Ok(())
 }
 
-const BUSY: &str = "another process writes this table; wait until it has ended, or choose another name";
+const BUSY_MESSAGE: &str =
+    "another process writes this table; wait until it has ended, or choose another name";
 
 /// Appends frames to a timing table. Each frame is written in one piece and flushed to disk, so that a crash
 /// loses at most the current frame. The table is locked as long as the writer exists, since two writers would
@@ -66,7 +67,7 @@ impl Writer {
                 anyhow!("cannot write {}: {e}", path.display())
             }
         })?;
-        lock_alone(&file, path, BUSY)?;
+        lock_alone(&file, path, BUSY_MESSAGE)?;
         write_header(&mut file).with_context(|| format!("cannot write {}", path.display()))?;
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
@@ -101,7 +102,7 @@ impl Writer {
         check_name(path)?;
         let fail = || format!("cannot resume {}", path.display());
         let mut file = OpenOptions::new().read(true).write(true).open(path).with_context(fail)?;
-        lock_alone(&file, path, BUSY)?;
+        lock_alone(&file, path, BUSY_MESSAGE)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).with_context(fail)?;
         let header = header();

@@ -10,7 +10,7 @@ use std::str::FromStr;
 
 /// Minimum width of the value range of unsigned bytes, in scalar values; for a narrower range, a note
 /// suggests `--range data`.
-const NARROW: f32 = 64.0;
+const MIN_BYTE_RANGE: f32 = 64.0;
 
 /// Options of reading a volume file, which commands share. By default, all are determined from the file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, clap::Args)]
@@ -146,8 +146,8 @@ macro_rules! as_text {
 }
 as_text!(Fill Range);
 
-/// Replaces fill values by the low end of the range, or by the minimum of all other voxels if that is lower. Returns the
-/// note for the user, if any.
+/// Replaces fill values by the low end of the range, or by the minimum of all other voxels if that is lower.
+/// Returns the note for the user, if any.
 ///
 /// # Errors
 /// When every finite voxel holds one of the given values.
@@ -222,7 +222,7 @@ pub(super) fn hide_fill(
 pub(super) fn narrow(view: &VolumeView<'_>, range: Range) -> Option<String> {
     let (low, high) = view.own_range();
     let bytes = matches!(view.scalars(), Scalars::U8(_));
-    let spans = low < high && high - low < NARROW;
+    let spans = low < high && high - low < MIN_BYTE_RANGE;
     let narrow = bytes && range == Range::Default && view.range() != (low, high) && spans;
     narrow.then(|| {
         format!(

@@ -6,8 +6,8 @@
 //! the cells, in the file's order. VTK's own arrays (`vtkGhostType` and the like) are read by name only.
 //! Direction and origin are not used.
 //!
-//! The project has its own reader, since the crate `vtkio` 0.7 does not read appended raw data, which is VTK's
-//! default.
+//! The project has its own reader, since the crate `vtkio` 0.7 does not read appended raw data, which is
+//! VTK's default.
 
 use super::element::{byte_count, grow, parse_voxels, read_voxels};
 use super::stream::Stream;
@@ -38,7 +38,7 @@ enum Place {
 }
 
 /// Names of VTK's own arrays, which are not read as active scalars.
-const RESERVED: &str = "vtkGhostType vtkGhostLevels vtkValidPointMask vtkOriginalPointIds vtkOriginalCellIds \
+const RESERVED_NAMES: &str = "vtkGhostType vtkGhostLevels vtkValidPointMask vtkOriginalPointIds vtkOriginalCellIds \
                         vtkOriginalIndices vtkInsidedness vtkProcessId";
 
 /// Maximum number of pieces, more than any writer makes.
@@ -274,7 +274,9 @@ impl Section {
 
     /// Returns the name of the active scalars, unless it is one of VTK's own.
     fn active(&self) -> Option<&String> {
-        self.active.as_ref().filter(|name| RESERVED.split(' ').all(|reserved| reserved != name.as_str()))
+        self.active
+            .as_ref()
+            .filter(|name| RESERVED_NAMES.split(' ').all(|reserved| reserved != name.as_str()))
     }
 }
 

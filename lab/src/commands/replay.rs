@@ -2,7 +2,7 @@
 //! prints the steering bars.
 
 use crate::bars;
-use crate::fitted::{Calibrated, no_volume, response_of, samples_by_volume};
+use crate::fitted::{FittedPredictor, no_volume, response_of, samples_by_volume};
 use crate::replay::report::Results;
 use crate::replay::{
     self, Disturbance, Player, Replayable, Score, Tally, Trial, frontier, play, second_in_bound,
@@ -110,9 +110,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let calibrated = match &options.model {
         Some(file) => {
             let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume()?)?;
-            Calibrated::given(given, &by_volume).context("the model cannot predict the calibration frames")?
+            FittedPredictor::given(given, &by_volume)
+                .context("the model cannot predict the calibration frames")?
         }
-        None => Calibrated::fit(&samples)?,
+        None => FittedPredictor::fit(&samples)?,
     };
     let mut traces = options.paths.open()?;
     if let Some(file) = &options.disturbance {

@@ -2,10 +2,10 @@
 
 use super::replay::Paths;
 use crate::bars::{self, Bar};
-use crate::fitted::{Calibrated, samples_by_volume};
+use crate::fitted::{FittedPredictor, samples_by_volume};
 use crate::replay::tune::{
-    Constants, Cost, Course, Gains, LAWS, Ours, Removed, TRIED, Taken, by_law, costs, mean_cost, removed,
-    search,
+    Constants, Cost, Course, Gains, LAWS, Ours, Removed, TRIED_VALUES, Taken, by_law, costs, mean_cost,
+    removed, search,
 };
 use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};
@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 /// A path with the frame times of each renderer of [`LAWS`], and a predictor fitted to other volumes.
-type Played = ([Replayable; 3], Calibrated);
+type Played = ([Replayable; 3], FittedPredictor);
 
 /// Search for better constants of the controller on recorded paths.
 ///
@@ -109,7 +109,7 @@ impl<C: Constants + Default> Search<C> {
     fn run(&self, courses: &[Course<'_>], paths: usize, rounds: usize) -> Result<Found<C>> {
         let before = costs(courses, self.start)?;
         let bar = templated_bar("tune [{bar:30}] {pos}/{len} values tried, {eta} left");
-        bar.set_length((rounds * self.tried.len() * TRIED) as u64);
+        bar.set_length((rounds * self.tried.len() * TRIED_VALUES) as u64);
         let (constants, after, taken) =
             search(courses, paths, self.start, before.clone(), &self.tried, rounds, &|| bar.inc(1))?;
         bar.finish_and_clear();
@@ -156,7 +156,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             let shown = |volume: &str| recorded.trace.volumes.iter().any(|v| v.file.as_os_str() == volume);
             let others: Vec<Sample> =
                 samples.iter().filter(|(v, _)| !shown(v)).map(|(_, s)| s.clone()).collect();
-            let calibrated = Calibrated::fit(&others)?;
+            let calibrated = FittedPredictor::fit(&others)?;
             Ok((LAWS.map(|law| by_law(&recorded, law)), calibrated))
         })
         .collect::<Result<Vec<Played>>>()?;

@@ -41,7 +41,7 @@ pub(crate) fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
 }
 
 /// Methods of the comparison: title, method, times by which the method plans.
-const COMPARED: [(&str, Method, By); 6] = [
+const METHODS: [(&str, Method, By); 6] = [
     ("static longest first, measured", Method::Longest, By::Measured),
     ("static longest first, predicted", Method::Longest, By::Predicted),
     ("static longest first, equal times", Method::Longest, By::Uniform),
@@ -64,8 +64,8 @@ fn any_order(measured: &[f64], speeds: &[f64]) -> Result<f64> {
     Ok(sum / RANDOM_ORDERS as f64)
 }
 
-/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars. `source` is the origin
-/// of the tasks, and `noise` the result of [`second_measurement`]; both are for the report.
+/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars. `source` is
+/// the origin of the tasks, and `noise` the result of [`second_measurement`]; both are for the report.
 pub(crate) fn compare(
     tasks: &[Task],
     source: String,
@@ -75,13 +75,13 @@ pub(crate) fn compare(
     make_folder(folder)?;
     let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;
     // Indices: method, number of nodes minus 2.
-    let mut makespans = vec![Vec::new(); COMPARED.len()];
+    let mut makespans = vec![Vec::new(); METHODS.len()];
     let (mut bounds, mut random) = (Vec::new(), Vec::new());
     for nodes in 2..=64usize {
         let speeds = vec![1.0; nodes];
         bounds.push(lower_bound(&measured, &speeds)?);
         random.push(any_order(&measured, &speeds)?);
-        for (k, (_, method, by)) in COMPARED.into_iter().enumerate() {
+        for (k, (_, method, by)) in METHODS.into_iter().enumerate() {
             let line = play(&plan(method, &times(tasks, by)?, &speeds)?, &measured, tasks, &speeds)?;
             makespans[k].push(line.makespan);
         }
@@ -106,7 +106,7 @@ pub(crate) fn compare(
     let columns: String = shown.iter().map(|n| format!(" | #N = {n}")).collect();
     let mut table = Table::headed(&format!("method{columns}"));
     let any = format!("queue, any order (mean of {RANDOM_ORDERS})");
-    let rows = COMPARED.iter().map(|c| c.0).zip(&makespans).chain([(any.as_str(), &random)]);
+    let rows = METHODS.iter().map(|c| c.0).zip(&makespans).chain([(any.as_str(), &random)]);
     for (title, ends) in rows {
         let mut row = vec![title.into()];
         row.extend(shown.iter().map(|&n| format!("{:.3}", ends[at(n)] / bounds[at(n)]).into()));

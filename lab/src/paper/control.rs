@@ -20,7 +20,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Controllers in the charts with a value per frame: the paper's three, and ours.
-const DRAWN: [(&str, &str); 4] = [
+const CHARTED_CONTROLLERS: [(&str, &str); 4] = [
     (ControllerKind::Olp.name(), "OLP"),
     (ControllerKind::Pid.name(), "PID"),
     (ControllerKind::Algorithm1.name(), "Algorithm 1 with the paper's network"),
@@ -181,7 +181,7 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
                 out.push(Curve::new(chart, name, "frame", points));
             }
         };
-        for (controller, title) in DRAWN {
+        for (controller, title) in CHARTED_CONTROLLERS {
             add(title, controller, value);
         }
         // The reference is the same for every controller.
@@ -191,7 +191,7 @@ fn curves(drawn: &[Row]) -> Vec<Curve> {
 }
 
 /// Draws three frames, each at the reference step and, beside it, at the step of every controller in
-/// [`DRAWN`]. Returns the names of the pictures' files and their captions.
+/// [`CHARTED_CONTROLLERS`]. Returns the names of the pictures' files and their captions.
 fn pictures(
     work: &Work<'_>,
     set: &str,
@@ -213,7 +213,7 @@ fn pictures(
         renderer.set_transfer(&table).with_context(fail)?;
         let frame = recorded.trace.frame(&recorded.path, index).with_context(fail)?;
         let mut steps = vec![("reference step", 1.0)];
-        for (controller, title) in DRAWN {
+        for (controller, title) in CHARTED_CONTROLLERS {
             let row = drawn.iter().find(|r| r.controller == controller && r.frame == index);
             steps.extend(row.map(|r| (title, r.step_ref)));
         }
@@ -338,7 +338,7 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
             let mut drawn = Chart::new(title, Axis::linear("frame"), Axis::linear(axis));
             let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == title).collect();
             for c in &shown {
-                let color = DRAWN.iter().position(|(_, t)| *t == c.name).map_or(0, |p| p + 1);
+                let color = CHARTED_CONTROLLERS.iter().position(|(_, t)| *t == c.name).map_or(0, |p| p + 1);
                 drawn = drawn.series(Series::new(&c.name, Mark::Line(c.points.clone())).color(color));
             }
             if !shown.is_empty() {

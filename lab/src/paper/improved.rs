@@ -7,7 +7,7 @@ use super::description::{Panel, TrialTables};
 use super::frames::{low_as_text, main_encoder};
 use super::judge::Judge;
 use super::results::{LVRP_AS_PAPER, Results, kept, write};
-use super::trials::{Measured, SETS, TOGETHER, changed_recipes, trained};
+use super::trials::{ALL_MEMBERS, Measured, SETS, changed_recipes, trained};
 use crate::study::{by_proxy, line_of};
 use anyhow::Result;
 use entire_io::files::{fnv1a_text, note, open_model, read_bytes};
@@ -90,7 +90,7 @@ fn make(work: &Work<'_>, tables: &TrialTables, measured: &Measured) -> Result<()
         }
         results.rows.append(&mut judge.rows);
     };
-    judged(TOGETHER, &|_, _| true, "");
+    judged(ALL_MEMBERS, &|_, _| true, "");
     for set in work.paper.data_sets.iter().filter(|d| !d.only_tests) {
         let Some(members) = &set.members else { continue };
         let of = |volume: &str, member: &str| of_set(volume, &set.name) && members.test.contains(member);

@@ -11,7 +11,7 @@ use super::section::{
     Section, errors_by_data_set, errors_table, mode_in_words, over, seconds, title, with_interval,
 };
 use super::train::{BETWEEN_VOLUMES, FEATURE_VECTOR};
-use super::trials::{AS_IT_IS, TOGETHER};
+use super::trials::{ALL_MEMBERS, AS_IT_IS};
 use anyhow::Result;
 use entire_report::{Axis, Chart, Mark, Series, Table};
 
@@ -22,7 +22,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
     let mut procedure = Section::default();
     for r in of(Panel::Procedure) {
         let changed =
-            r.rows.iter().filter(|x| x.split == TOGETHER && x.name != CONSTANT && x.name != LVRP).count();
+            r.rows.iter().filter(|x| x.split == ALL_MEMBERS && x.name != CONSTANT && x.name != LVRP).count();
         if changed > 1 {
             let what = "The network of the first row was trained by the paper's recipe (inputs, \
                         loss, training settings) on measured frames. Each other row changes one \
@@ -68,7 +68,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
          | #SD of the RMSE over runs, s (runs) | #RMSE / SD of the times | #RMSE / RMSE of the mean of 15 % \
          | #RMSE / RMSE of LVRP | #RMSE / RMSE of the first row"
     ));
-    let rows = || r.rows.iter().filter(|x| x.split == TOGETHER && x.more.contains_key("epochs"));
+    let rows = || r.rows.iter().filter(|x| x.split == ALL_MEMBERS && x.more.contains_key("epochs"));
     let first = rows().next();
     for row in rows() {
         let more = |k: &str| row.more.get(k).map(|v| format!("{v:.0}"));
@@ -91,7 +91,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
     let judged = rows().next().map_or(0, |x| x.frames);
     let volumes = rows().next().map_or(0, |x| x.by_volume.len());
     let caption = format!(
-        "{what} Shading mode: {}. The {judged} test frames show {volumes} volumes of {TOGETHER}.",
+        "{what} Shading mode: {}. The {judged} test frames show {volumes} volumes of {ALL_MEMBERS}.",
         mode_in_words(&r.mode)
     );
     (table, caption)
@@ -107,10 +107,10 @@ fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
     );
     let mut any = false;
     for r in of {
-        let known = |split: &str| split == TOGETHER || paper.data_sets.iter().any(|d| d.title == split);
+        let known = |split: &str| split == ALL_MEMBERS || paper.data_sets.iter().any(|d| d.title == split);
         for row in r.rows.iter().filter(|x| x.name != CONSTANT && known(&x.split)) {
             any = true;
-            let set = if row.split == TOGETHER { "all three" } else { row.split.as_str() };
+            let set = if row.split == ALL_MEMBERS { "all three" } else { row.split.as_str() };
             let lower = r.row(&row.split, LVRP_AS_PAPER);
             let (ratio, interval) = lower.map_or((None, None), |l| ratio_of(row, l));
             table.row(vec![

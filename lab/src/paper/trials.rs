@@ -1,6 +1,6 @@
-//! Experiments on the causes of the network's error: the paper's recipe on frames of the repository with one change
-//! at a time, and on different numbers of a teacher's labels. Trainings run in parallel, one thread each; each is
-//! stored as soon as it ends.
+//! Experiments on the causes of the network's error: the paper's recipe on frames of the repository with one
+//! change at a time, and on different numbers of a teacher's labels. Trainings run in parallel, one thread
+//! each; each is stored as soon as it ends.
 
 use super::Work;
 use super::description::{Change, LowTables, Panel, TrialTables, Validation};
@@ -30,7 +30,7 @@ use std::time::Instant;
 /// Name of the trial without a change.
 pub(super) const AS_IT_IS: &str = "as it is";
 /// Name of the split that holds all test frames. The split of a single data set has the data set's title.
-pub(super) const TOGETHER: &str = "left-out members";
+pub(super) const ALL_MEMBERS: &str = "left-out members";
 /// Name under which results list all data sets together.
 pub(super) const SETS: &str = "all";
 
@@ -137,9 +137,9 @@ pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     Ok(())
 }
 
-/// Trains the paper's network on the repository's frames of a mode, or finds it in the folder of models. These frames
-/// have none of the members that the recorded paths show, and come from the machine of the paths. `None` if the
-/// description names no tables of this mode, or if they are missing.
+/// Trains the paper's network on the repository's frames of a mode, or finds it in the folder of models.
+/// These frames have none of the members that the recorded paths show, and come from the machine of the
+/// paths. `None` if the description names no tables of this mode, or if they are missing.
 pub(crate) fn steering_network(work: &Work<'_>, mode: &str) -> Result<Option<PathBuf>> {
     let Some(tables) = work.paper.trials.tables.iter().find(|t| t.mode == mode) else { return Ok(None) };
     let Some(measured) = Measured::read(work, tables)? else { return Ok(None) };
@@ -445,7 +445,7 @@ fn make(work: &Work<'_>, panel: Panel, mode: &str, measured: &Measured, trials: 
     let mut results = Results::new(panel, SETS, mode, mark);
     results.encoder = main_encoder(work, None)?.1;
     let (test, learned) = (measured.frames(1), measured.frames(0));
-    let mut judge = Judge::new(&measured.low, runs, TOGETHER, &test, line_of(&measured.low, &learned));
+    let mut judge = Judge::new(&measured.low, runs, ALL_MEMBERS, &test, line_of(&measured.low, &learned));
     for (trial, done) in trials.iter().zip(done) {
         let predicted: Vec<Vec<f64>> = done.iter().map(|d| d.predicted.clone()).collect();
         judge.add(&trial.change.name, &predicted);

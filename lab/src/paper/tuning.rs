@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Name of the data set in results on other renderers and kinds of volumes.
-const TOGETHER: &str = "all";
+const ALL_SETS: &str = "all";
 /// Name of the data set in results on other machines.
 pub(super) const MACHINES: &str = "machines";
 
@@ -33,7 +33,7 @@ struct Target<'a> {
     name: String,
     learned: TimedFrames<'a>,
     judged: TimedFrames<'a>,
-    /// Name under which the results are stored: [`TOGETHER`] or [`MACHINES`].
+    /// Name under which the results are stored: [`ALL_SETS`] or [`MACHINES`].
     set: &'static str,
 }
 
@@ -42,7 +42,7 @@ struct Found {
     name: String,
     first: usize,
     last: usize,
-    /// Name under which the results are stored: [`TOGETHER`] or [`MACHINES`].
+    /// Name under which the results are stored: [`ALL_SETS`] or [`MACHINES`].
     set: &'static str,
 }
 
@@ -85,7 +85,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     let shipped = open_model(&paper.encoders.shipped[0])?;
     let code = code_column(&encoder_id(shipped.volumenet.as_ref().context("no VolumeNet")?), 0);
     let here = machine(&tables[0]).map(str::to_owned);
-    let renderers = paper.tuning.renderers.iter().map(|t| (TOGETHER, t));
+    let renderers = paper.tuning.renderers.iter().map(|t| (ALL_SETS, t));
     for (set, (name, learn, test)) in renderers.chain(paper.tuning.machines.iter().map(|t| (MACHINES, t))) {
         if !learn.exists() {
             continue;
@@ -114,15 +114,15 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             continue;
         }
         let name =
-            if set == TOGETHER && elsewhere { format!("{name}, another machine") } else { name.clone() };
+            if set == ALL_SETS && elsewhere { format!("{name}, another machine") } else { name.clone() };
         others.push(Found { name, first, last: first + found.len() - 1, set });
         tables.extend(found);
     }
-    let mark = identity(work, Panel::Tuning, TOGETHER, &tables, &Low::new())?;
+    let mark = identity(work, Panel::Tuning, ALL_SETS, &tables, &Low::new())?;
     let tests = pieces.iter().any(|(p, _)| all[*p].set.only_tests);
     let mut todo: Vec<&'static str> = Vec::new();
-    for set in [TOGETHER, MACHINES] {
-        let any = others.iter().any(|o| o.set == set) || (set == TOGETHER && tests);
+    for set in [ALL_SETS, MACHINES] {
+        let any = others.iter().any(|o| o.set == set) || (set == ALL_SETS && tests);
         if any && !kept(work.out, Panel::Tuning, set, mode, &mark)? {
             todo.push(set);
         }
@@ -150,7 +150,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             None => {
                 let (learned, judged) = halves(&of_table(*t));
                 let name = place.set.title.clone();
-                targets.push(Target { name, learned, judged, set: TOGETHER });
+                targets.push(Target { name, learned, judged, set: ALL_SETS });
             }
         }
     }

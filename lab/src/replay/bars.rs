@@ -9,10 +9,10 @@ use entire_cli::steering::contenders::ControllerKind;
 use entire_steer::control::HybridOptions;
 
 /// Lower limit of the share of sessions whose second frame takes no longer than the upper bound of its plan.
-const PROMISED: f64 = 0.95;
+const BOUND_SHARE: f64 = 0.95;
 
 /// Controllers that use past frame times only.
-const REACTIVE: [ControllerKind; 9] = [
+const REACTIVE_CONTROLLERS: [ControllerKind; 9] = [
     ControllerKind::Olp,
     ControllerKind::Last,
     ControllerKind::LargerOfTwo,
@@ -38,7 +38,7 @@ pub(crate) fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     }
     // In calm phases the hybrid is compared with the best reactive rule, which may differ from score to
     // score.
-    let reactive = REACTIVE.into_iter().map(&of).collect::<Result<Vec<_>>>()?;
+    let reactive = REACTIVE_CONTROLLERS.into_iter().map(&of).collect::<Result<Vec<_>>>()?;
     let calm_least =
         |figure: fn(&Three) -> f64| reactive.iter().map(|s| figure(&s.calm)).fold(f64::INFINITY, f64::min);
     let calm_quality = reactive.iter().map(|s| s.calm.quality).fold(0.0, f64::max);
@@ -82,5 +82,5 @@ pub(crate) fn second_in_bound(traces: &[Replayable], trials: &[Trial]) -> Result
         }
     }
     let share = (seconds > 0).then(|| f64::from(inside) / f64::from(seconds));
-    Ok(Bar::at_least("cold/second-in-bound", share, PROMISED))
+    Ok(Bar::at_least("cold/second-in-bound", share, BOUND_SHARE))
 }

@@ -1,7 +1,7 @@
 //! Output of a replay: tables and files.
 
 use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial};
-use crate::fitted::Calibrated;
+use crate::fitted::FittedPredictor;
 use anyhow::Result;
 use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::contenders::ControllerKind;
@@ -24,7 +24,7 @@ pub(crate) struct Results<'a> {
 }
 
 /// Controllers in the table of all trials.
-const SHOWN: [ControllerKind; 4] =
+const SHOWN_CONTROLLERS: [ControllerKind; 4] =
     [ControllerKind::Hybrid, ControllerKind::Olp, ControllerKind::Algorithm1, ControllerKind::Unreal];
 
 fn percent(v: f64) -> Option<String> {
@@ -89,7 +89,7 @@ impl Results<'_> {
     fn per_trial(&self) -> Table {
         let mut columns = "trace | target | #reachable / %".to_owned();
         let shown: Vec<usize> =
-            (0..self.players.len()).filter(|k| SHOWN.contains(&self.players[*k].kind)).collect();
+            (0..self.players.len()).filter(|k| SHOWN_CONTROLLERS.contains(&self.players[*k].kind)).collect();
         for k in &shown {
             let name = self.players[*k].kind.name();
             columns += &format!(" | #{name}: > 1.1 T | #|t-T|/T | #quality");
@@ -148,7 +148,7 @@ impl Results<'_> {
         write_whole(path, &out.into_inner()?)
     }
 
-    pub(crate) fn write_json(&self, path: &Path, calibrated: &Calibrated) -> Result<()> {
+    pub(crate) fn write_json(&self, path: &Path, calibrated: &FittedPredictor) -> Result<()> {
         let by_name = |scores: Vec<Score>| -> serde_json::Map<String, serde_json::Value> {
             self.players.iter().zip(scores).map(|(p, s)| (p.kind.name().to_owned(), json!(s))).collect()
         };

@@ -2,7 +2,7 @@
 //! anywhere on a path, as in a program that knows only its own frame times.
 
 use super::{LIMITS, Replayable, Replayed, Tally, replay, worth_playing};
-use crate::fitted::Calibrated;
+use crate::fitted::FittedPredictor;
 use anyhow::Result;
 use clap::ValueEnum;
 use entire_cli::steering::contenders::{ControllerKind, contender};
@@ -85,7 +85,7 @@ pub(crate) fn play(
     trial: &Trial,
     trace: &Replayable,
     players: &[Player],
-    calibrated: &Calibrated,
+    calibrated: &FittedPredictor,
     response: &StepResponse,
     rounds: u64,
 ) -> Result<Outcome> {

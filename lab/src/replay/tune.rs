@@ -18,7 +18,7 @@
 
 use super::trials::{hybrid, starts, without_model};
 use super::{LIMITS, Replayable, Replayed, Tally, Three, Trial, replay, trials};
-use crate::fitted::Calibrated;
+use crate::fitted::FittedPredictor;
 use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
 use entire_cli::steering::contenders::{ControllerKind, pid};
@@ -30,14 +30,14 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 /// Number of standard errors by which a value must lower the cost.
-const SURE: f64 = 2.0;
+const STANDARD_ERRORS: f64 = 2.0;
 
 /// Factors on a constant that are tried.
 const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 
 /// Divisor of every error in the cost, except of the share of missed frames. The steering bars limit the mean
 /// of |time − target| / target and the loss of quality to the same value.
-const PROMISED: f64 = 0.08;
+const ERROR_GOAL: f64 = 0.08;
 /// Divisor, in the cost, of the share of frames over 1.1 targets: the limit of the steering bars.
 const PROMISED_MISSES: f64 = 0.03;
 
@@ -57,7 +57,7 @@ pub(crate) trait Constants: Copy + Sync {
 
     /// Returns the controller with these constants before its first frame, with a fitted predictor; without
     /// `calibrated`, with the predictor of an unmeasured machine.
-    fn contender(&self, calibrated: Option<&Calibrated>) -> Result<Contender>;
+    fn contender(&self, calibrated: Option<&FittedPredictor>) -> Result<Contender>;
 
     fn changed(mut self, index: usize, value: f64) -> Self {
         if let Some(v) = self.values().into_iter().nth(index) {
@@ -86,7 +86,7 @@ impl Constants for Ours {
         self.hybrid.values().into_iter().chain(self.correction.values()).map(|(_, value)| value).collect()
     }
 
-    fn contender(&self, calibrated: Option<&Calibrated>) -> Result<Contender> {
+    fn contender(&self, calibrated: Option<&FittedPredictor>) -> Result<Contender> {
         let Self { hybrid: constants, correction } = *self;
         let options = HybridOptions { constants, correction, ..HybridOptions::default() };
         Ok(match calibrated {
@@ -117,7 +117,7 @@ impl Constants for Gains {
         self.0.iter_mut().collect()
     }
 
-    fn contender(&self, _: Option<&Calibrated>) -> Result<Contender> {
+    fn contender(&self, _: Option<&FittedPredictor>) -> Result<Contender> {
         let mut out = without_model(HybridOptions::default());
         out.name = Self::CONTROLLER.into();
         out.session =
@@ -127,7 +127,7 @@ impl Constants for Gains {
 }
 
 /// Name of a constant, and the value at which it has no effect, or the least effect in its valid range.
-const WITHOUT: [(&str, f64); 9] = [
+const VALUES_WITHOUT_EFFECT: [(&str, f64); 9] = [
     ("full", 0.0),
     ("damping", 10.0),
     ("slope_sd", 0.0),
@@ -143,7 +143,7 @@ const WITHOUT: [(&str, f64); 9] = [
 pub(crate) struct Removed {
     pub(crate) name: &'static str,
     pub(crate) value: f64,
-    /// The constant's value in [`WITHOUT`].
+    /// The constant's value in [`VALUES_WITHOUT_EFFECT`].
     pub(crate) without: f64,
     /// Increase of the paths' mean cost if the constant has the value `without`.
     pub(crate) more: f64,
@@ -151,8 +151,8 @@ pub(crate) struct Removed {
     pub(crate) standard_error: f64,
 }
 
-/// Effect of each constant of [`WITHOUT`]: the increase of the paths' mean cost over that of `now` if this
-/// constant alone has its value in [`WITHOUT`].
+/// Effect of each constant of [`VALUES_WITHOUT_EFFECT`]: the increase of the paths' mean cost over that of
+/// `now` if this constant alone has its value in [`VALUES_WITHOUT_EFFECT`].
 pub(crate) fn removed(
     courses: &[Course<'_>],
     paths: usize,
@@ -165,7 +165,10 @@ pub(crate) fn removed(
         .zip(values)
         .enumerate()
         .filter_map(|(i, (name, value))| {
-            WITHOUT.iter().find(|(n, _)| *n == name).map(|&(_, without)| (i, name, value, without))
+            VALUES_WITHOUT_EFFECT
+                .iter()
+                .find(|(n, _)| *n == name)
+                .map(|&(_, without)| (i, name, value, without))
         })
         .map(|(i, name, value, without)| {
             let costs = costs(courses, constants.changed(i, without))?;
@@ -202,7 +205,7 @@ pub(crate) struct Course<'a> {
     /// The path with the frame times of each of [`LAWS`].
     recorded: &'a [Replayable; 3],
     /// Predictor fitted to other volumes than those of the path.
-    calibrated: &'a Calibrated,
+    calibrated: &'a FittedPredictor,
     /// Trials with the frame times of each of [`LAWS`].
     trials: [Vec<Trial>; 3],
 }
@@ -227,9 +230,9 @@ pub(crate) struct Cost {
 impl Cost {
     /// Returns the cost that the search lowers: the sum of the errors, each divided by its limit.
     pub(crate) fn value(&self) -> f64 {
-        let wrong = |t: &Three| (t.deviation + 1.0 - t.quality) / PROMISED + t.missed / PROMISED_MISSES;
+        let wrong = |t: &Three| (t.deviation + 1.0 - t.quality) / ERROR_GOAL + t.missed / PROMISED_MISSES;
         let others = self.jumps + self.fitted_coarse + self.cold_coarse;
-        wrong(&self.fitted) + wrong(&self.cold) + others / PROMISED
+        wrong(&self.fitted) + wrong(&self.cold) + others / ERROR_GOAL
     }
 }
 
@@ -255,7 +258,7 @@ impl<'a> Course<'a> {
     /// Returns the path with its [`trials`] on each renderer.
     pub(crate) fn new(
         recorded: &'a [Replayable; 3],
-        calibrated: &'a Calibrated,
+        calibrated: &'a FittedPredictor,
         targets: &[(f64, &str)],
     ) -> Self {
         let trials = recorded.each_ref().map(|r| trials(std::slice::from_ref(r), targets));
@@ -353,7 +356,7 @@ pub(crate) fn search<C: Constants>(
             for to in FACTORS.map(|f| f * from) {
                 let costs = costs(courses, constants.changed(i, to))?;
                 let (gain, error) = difference(paths, &now, &costs);
-                if gain < -SURE * error && best.as_ref().is_none_or(|b| gain < b.1) {
+                if gain < -STANDARD_ERRORS * error && best.as_ref().is_none_or(|b| gain < b.1) {
                     best = Some((to, gain, error, costs));
                 }
                 done();
@@ -373,4 +376,4 @@ pub(crate) fn search<C: Constants>(
 }
 
 /// Number of values of a constant that a round of the search tries.
-pub(crate) const TRIED: usize = FACTORS.len();
+pub(crate) const TRIED_VALUES: usize = FACTORS.len();

@@ -10,10 +10,10 @@ use entire_steer::predict::{CostTerms, LONGEST_FRAME, Source};
 use std::cell::RefCell;
 
 const EXPONENT: f64 = 0.9;
-const FINEST: f32 = 1.0;
-const COARSEST: f32 = 32.0;
+const FINEST_STEP: f32 = 1.0;
+const COARSEST_STEP: f32 = 32.0;
 /// Seconds that do not depend on the step, as assumed by the predictor.
-const FIXED: f64 = 2e-3;
+const FIXED_SECONDS: f64 = 2e-3;
 
 /// Time that is reported to the controller for a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +52,7 @@ struct Shot {
 
 impl Shot {
     const PLAIN: Self = Self {
-        fixed: FIXED,
+        fixed: FIXED_SECONDS,
         work: 60e-3,
         speed: 1.0,
         wrong: 1.0,
@@ -74,8 +74,8 @@ const MODE: Changes = Changes { mode: true, ..STEADY };
 /// A script: a function of frame number and noise.
 type Script<'a> = &'a mut dyn FnMut(usize, &mut Noise) -> Shot;
 
-/// Length and noise of a scene: the number of frames, the standard deviation of the noise in ln(seconds), and the
-/// probability that a frame takes three times as long (`None`: no number is drawn for it).
+/// Length and noise of a scene: the number of frames, the standard deviation of the noise in ln(seconds), and
+/// the probability that a frame takes three times as long (`None`: no number is drawn for it).
 type Course = (usize, f64, Option<f64>);
 
 fn response() -> StepResponse {
@@ -101,8 +101,8 @@ fn play_script(
     let mut noise = Noise::new(seed);
     // Observations, each with the number of the frame after which the controller gets it.
     let mut waiting: Vec<(usize, Observed)> = Vec::new();
-    let (finest, coarsest) = (f64::from(FINEST), f64::from(COARSEST));
-    let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
+    let (finest, coarsest) = (f64::from(FINEST_STEP), f64::from(COARSEST_STEP));
+    let limits = StepLimits { finest: FINEST_STEP, coarsest: COARSEST_STEP };
     for i in 0..frames {
         let shot = script(i, &mut noise);
         let mut cost = |step: f32| {
@@ -112,7 +112,7 @@ fn play_script(
                 return CostTerms::whole(seconds as f32, 0.0, Source::Analytic);
             }
             let mut terms = CostTerms::whole(0.0, 0.0, Source::Analytic);
-            terms.parts[0] = (shot.wrong * FIXED) as f32;
+            terms.parts[0] = (shot.wrong * FIXED_SECONDS) as f32;
             terms.parts[4] = (shot.wrong * shot.work * scaled) as f32;
             terms
         };
@@ -332,7 +332,7 @@ fn clamps(method: ControllerKind) -> Verdict {
     let at = |range: std::ops::Range<usize>, wrong: &dyn Fn(&Seen) -> bool| {
         range.filter(|i| wrong(&seen[*i])).count()
     };
-    let away = at(80..260, &|s| s.step < 0.99 * f64::from(COARSEST));
+    let away = at(80..260, &|s| s.step < 0.99 * f64::from(COARSEST_STEP));
     let over = at(263..320, &|s| s.seconds > 1.1 * s.target);
     let under = at(275..320, &|s| s.seconds < 0.75 * s.target);
     let coarse = at(340..400, &|s| s.step > 1.05);
@@ -435,7 +435,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
     let mut strange = 0u64;
     play_script(&mut *c, 27, (total, 0.03, Some(0.005)), &mut shot, |i, _, s| {
         let expects = !s.upper.is_nan();
-        let sound = (f64::from(FINEST)..=f64::from(COARSEST)).contains(&s.step)
+        let sound = (f64::from(FINEST_STEP)..=f64::from(COARSEST_STEP)).contains(&s.step)
             && (!expects || (s.predicted.is_finite() && s.predicted > 0.0 && s.upper.is_finite()));
         strange += u64::from(!sound);
         if i >= frames as usize + 100 {
@@ -496,7 +496,7 @@ fn two_eyes(method: ControllerKind) -> Verdict {
         budget.drew(volume, s.seconds as f32, (s.seconds * s.step) as f32);
         if eye == 0 {
             let whole: f64 = (0..EYES).map(|eye| work(frame, eye)).sum();
-            let room = TARGET - REST - EYES as f64 * FIXED;
+            let room = TARGET - REST - EYES as f64 * FIXED_SECONDS;
             let oracle = (whole / room).powf(1.0 / EXPONENT);
             let (seconds, clean) = (REST + s.seconds, REST + s.clean);
             // The bounds are those of passes.
@@ -515,11 +515,12 @@ fn two_eyes(method: ControllerKind) -> Verdict {
 pub(crate) const BACK: f64 = 0.9;
 
 /// Largest number of frames in scene 31 until the target is held at half the speed.
-pub(crate) const HELD: usize = 3;
+pub(crate) const MAX_FRAMES_UNTIL_HELD: usize = 3;
 
 /// Scene 29: bursts of another program's load.
 fn bursts(method: ControllerKind) -> Verdict {
-    // True for the frames of bursts. Each burst has 2 to 20 frames, and the pause after it four times as many.
+    // True for the frames of bursts. Each burst has 2 to 20 frames, and the pause after it four times as
+    // many.
     let mut noise = Noise::new(29);
     let mut slow = vec![false; 30];
     while slow.len() < 600 {
@@ -567,7 +568,8 @@ fn halved(method: ControllerKind) -> Verdict {
     let seen = seen_of(method, 31, (600, 0.02, Some(0.0)), &mut shot);
     let last = seen[100..130].iter().rposition(|s| s.seconds > 1.1 * s.target);
     let until = last.map_or(0, |slow| slow + 1);
-    let broken = (until > HELD).then(|| format!("the target is held after {until} slow frames"));
+    let broken =
+        (until > MAX_FRAMES_UNTIL_HELD).then(|| format!("the target is held after {until} slow frames"));
     let verdict = judge(31, method, &seen, Limits { inside: 0.9, ..Limits::missed(0.03) }, broken);
     Verdict { figure: Some(until as f64), ..verdict }
 }

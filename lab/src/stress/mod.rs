@@ -195,7 +195,7 @@ pub(crate) fn run(
     mut real: Option<(&mut dyn Renderer, Clock)>,
     progress: &indicatif::ProgressBar,
 ) -> anyhow::Result<Vec<Verdict>> {
-    let playable = |n: &usize| real.is_none() || world::REAL.contains(n);
+    let playable = |n: &usize| real.is_none() || world::REAL_SCENES.contains(n);
     let scenes: Vec<usize> = scenes.iter().copied().filter(playable).collect();
     let mut out = Vec::with_capacity(scenes.len() * methods.len());
     progress.set_length(scenes.len() as u64);
@@ -242,13 +242,17 @@ pub(crate) fn bars(verdicts: &[Verdict]) -> Vec<Bar> {
         Bar::at_most("stress-scenes-that-no-rival-fails", Some(harmless.len() as f64), 0.0),
         Bar::at_least("stress-bursts-after-which-the-step-is-back", figure(29), law::BACK),
         Bar::at_most("stress-stalls-after-which-steps-are-coarser", figure(30), 0.0),
-        Bar::at_most("stress-frames-until-half-the-speed-is-held", figure(31), law::HELD as f64),
+        Bar::at_most(
+            "stress-frames-until-half-the-speed-is-held",
+            figure(31),
+            law::MAX_FRAMES_UNTIL_HELD as f64,
+        ),
     ]
 }
 
 /// Bars on the scenes that can be played on a real renderer.
 pub(crate) fn bars_on_device(verdicts: &[Verdict]) -> Vec<Bar> {
-    vec![passed("stress-scenes-passed-on-device", verdicts, world::REAL.len())]
+    vec![passed("stress-scenes-passed-on-device", verdicts, world::REAL_SCENES.len())]
 }
 
 /// Returns the scenes that no method other than entire's fails.

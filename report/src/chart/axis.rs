@@ -53,10 +53,10 @@ impl Axis {
 }
 
 /// Largest distance of a position from the lower end, in axis lengths; positions beyond it are clamped.
-const FAR: f64 = 1e9;
+const MAX_DISTANCE: f64 = 1e9;
 
 /// Largest magnitude of a drawn value; larger ones are clamped, so that ranges stay finite.
-const LARGEST: f64 = 1e300;
+const MAX_MAGNITUDE: f64 = 1e300;
 
 /// The range that an axis shows. It implements the drawing library's trait of one coordinate.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,7 +76,7 @@ impl Span {
         let mut low = f64::INFINITY;
         let mut high = f64::NEG_INFINITY;
         for v in values.filter(|v| v.is_finite() && (!log || *v > 0.0)) {
-            let v = v.clamp(-LARGEST, LARGEST);
+            let v = v.clamp(-MAX_MAGNITUDE, MAX_MAGNITUDE);
             low = low.min(v);
             high = high.max(v);
         }
@@ -88,12 +88,12 @@ impl Span {
                 (low, high) = (low / 2.0, high * 2.0);
             }
             let air = (high / low).powf(0.04).min(10.0);
-            let low = axis.low.filter(|v| *v > 0.0).unwrap_or(low / air).max(1.0 / LARGEST);
+            let low = axis.low.filter(|v| *v > 0.0).unwrap_or(low / air).max(1.0 / MAX_MAGNITUDE);
             let high = axis.high.filter(|v| *v > low).unwrap_or((high * air).max(low * 1.01));
             Self { low, high, scale: Scale::Log }
         } else {
             let air = if high > low { (high - low) * 0.04 } else { low.abs().max(1.0) * 0.1 };
-            let low = axis.low.unwrap_or(low - air).clamp(-LARGEST, LARGEST);
+            let low = axis.low.unwrap_or(low - air).clamp(-MAX_MAGNITUDE, MAX_MAGNITUDE);
             let high =
                 axis.high.filter(|v| *v > low).unwrap_or((high + air).max(low + air.max(low.abs() * 1e-6)));
             Self { low, high, scale: Scale::Linear }
@@ -117,7 +117,7 @@ impl Span {
         } else {
             (value - self.low) / (self.high - self.low)
         };
-        if place.is_nan() { 0.0 } else { place.clamp(-FAR, FAR) }
+        if place.is_nan() { 0.0 } else { place.clamp(-MAX_DISTANCE, MAX_DISTANCE) }
     }
 
     /// Returns the value at a position: the inverse of [`Span::place`].
@@ -187,8 +187,8 @@ impl Span {
     /// Returns the label of a tick. The labels of neighboring ticks differ from it.
     pub(super) fn label(&self, value: f64, ticks: &[f64]) -> String {
         let step = match (self.scale, ticks) {
-            // The ticks of a narrow logarithmic axis are equally spaced, and their spacing may be smaller than
-            // the largest power of ten up to the value.
+            // The ticks of a narrow logarithmic axis are equally spaced, and their spacing may be smaller
+            // than the largest power of ten up to the value.
             (Scale::Log, _) => ticks
                 .iter()
                 .map(|tick| (tick - value).abs())

@@ -11,7 +11,7 @@ use std::io::BufRead;
 use std::time::Instant;
 
 /// Size of the buffer that is written to evict the first two cache levels, in bytes.
-const EVICTED: usize = 8 << 20;
+const EVICTED_BYTES: usize = 8 << 20;
 
 /// Number of camera poses per transfer function.
 const POSES: usize = 12;
@@ -115,7 +115,7 @@ impl Volumes {
     }
 
     fn evict(&mut self) {
-        self.evicted.resize(EVICTED, 1);
+        self.evicted.resize(EVICTED_BYTES, 1);
         self.evicted.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
         black_box(&self.evicted);
     }

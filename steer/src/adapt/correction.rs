@@ -68,9 +68,9 @@ fn standard_deviation(variance: f64) -> f64 {
 /// too fast, by more than three standard deviations begin a *load*: a factor on the times of all scenes. The
 /// load ends with the first frame whose time is more likely without the load than with it. During a load,
 /// later frames of the present scene do not update θ and b; its first frame does. If a load lasts longer than
-/// [`ESTABLISHED`] frames, it is added to θ: from then on, the changed speed counts as the machine's normal
-/// speed. A scene of at most [`ESTABLISHED`] frames may have begun under an undetected load: if its frames
-/// become faster, b is changed instead of the load. All state is bounded.
+/// [`ESTABLISHED_FRAMES`] frames, it is added to θ: from then on, the changed speed counts as the machine's
+/// normal speed. A scene of at most [`ESTABLISHED_FRAMES`] frames may have begun under an undetected load: if
+/// its frames become faster, b is changed instead of the load. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// Estimates of the filter: the logarithm θ_i of each term's factor, then the logarithm b of the scene's
@@ -110,7 +110,7 @@ const LOCAL: usize = TERMS;
 const STATE_LIMIT: f64 = 10.0;
 /// Range of the variance of calm frames' errors in ln(time), for standard deviations from 0.3 % (below any
 /// clock's noise) to 50 %.
-const SPREAD: (f64, f64) = (1.0e-5, 0.25);
+const SPREAD_RANGE: (f64, f64) = (1.0e-5, 0.25);
 /// Range of `gain`. At 0 the scene's factor would never change; at 1 every error, noise included, would be
 /// added to it completely.
 const GAIN: (f64, f64) = (0.1, 0.8);
@@ -127,9 +127,9 @@ const CHANGE: (f64, f64) = (1.0e-3, 0.5);
 /// Prior variance of ln of the unit costs' common factor if this factor is unknown. The value is a choice:
 /// its standard deviation of 3 is a factor of 20, so that the first observed time determines the common
 /// factor, whatever its order of magnitude.
-const OPEN: f64 = 9.0;
+const UNKNOWN_VARIANCE: f64 = 9.0;
 /// Upper bound of every variance in the filter, slightly above the prior variance of an unknown machine
-/// ([`OPEN`] plus that of a unit cost).
+/// ([`UNKNOWN_VARIANCE`] plus that of a unit cost).
 const MAX_VARIANCE: f64 = 12.0;
 /// Assumed standard deviation of ln(measured / predicted) among scenes, on an unmeasured machine and if
 /// [`Prior`] states a value that is not finite.
@@ -138,11 +138,11 @@ const ASSUMED_SD: f64 = 0.3;
 const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
 /// Number of frames after which a scene's own factor is settled: at the default `gain`, a fifth of the first
 /// error is left.
-const SETTLED: u64 = 3;
+const SETTLED_FRAMES: u64 = 3;
 /// Number of consecutive frames with errors beyond [`CLIP`] on the same side that begin a load. Normally
 /// distributed errors exceed [`CLIP`] twice in a row on the same side only once in a quarter of a million
 /// frames; a single slow frame is a stall.
-const SURE: i64 = 2;
+const LOAD_START_FRAMES: i64 = 2;
 /// Variance that each frame adds to ln of the unit costs' common factor, for a machine whose speed drifts: a
 /// standard deviation of 10 % after 1000 frames. At 0, the loss on the training paths is the same.
 const DRIFT: f64 = 1.0e-5;
@@ -150,7 +150,7 @@ const DRIFT: f64 = 1.0e-5;
 const LOAD_FRAMES: f64 = 8.0;
 /// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
 /// longest burst of load by other programs in the recordings.
-const ESTABLISHED: u64 = 32;
+const ESTABLISHED_FRAMES: u64 = 32;
 /// Variance added to ln of the unit costs' common factor when an established load becomes a part of that
 /// factor, as a share of the variance of the scenes' own factors ([`Correction::change`]). The share is a
 /// guess, since few scenes were observed under the load.
@@ -164,7 +164,7 @@ const FASTEST_PACE: f64 = 0.25;
 const LEAST_TRUST: f64 = 1.0e-3;
 /// Novelty at or above which a frame begins a scene, on a scale from 0 (same scene) to 1 (unrelated): one
 /// half by definition.
-pub(crate) const NOVEL: f64 = 0.5;
+pub(crate) const NOVELTY_LIMIT: f64 = 0.5;
 /// Limit beyond which an error is an outlier (a stall, a load, or a change of the machine's speed), in
 /// standard deviations: only 0.3 % of normal errors are larger.
 pub(crate) const CLIP: f64 = 3.0;
@@ -174,7 +174,7 @@ impl Correction {
     pub(crate) fn new(prior: Prior, constants: CorrectionConstants) -> Self {
         let c = constants;
         let (common, single, change) = match prior {
-            Prior::Unknown => (OPEN, c.unit_cost_sd * c.unit_cost_sd, ASSUMED_SD * ASSUMED_SD),
+            Prior::Unknown => (UNKNOWN_VARIANCE, c.unit_cost_sd * c.unit_cost_sd, ASSUMED_SD * ASSUMED_SD),
             Prior::Converted { log_sd } | Prior::Fitted { log_sd } => {
                 let sd = if log_sd.is_finite() {
                     f64::from(log_sd).clamp(FITTED_SD_RANGE.0, FITTED_SD_RANGE.1)
@@ -183,11 +183,11 @@ impl Correction {
                 };
                 // A model fitted on this machine has the right speed; its errors are those of single scenes.
                 let single = FITTED_SHARE * sd * sd;
-                let common = if matches!(prior, Prior::Converted { .. }) { OPEN } else { single };
+                let common = if matches!(prior, Prior::Converted { .. }) { UNKNOWN_VARIANCE } else { single };
                 (common, single, sd * sd)
             }
         };
-        let spread = (c.spread_start * c.spread_start).clamp(SPREAD.0, SPREAD.1);
+        let spread = (c.spread_start * c.spread_start).clamp(SPREAD_RANGE.0, SPREAD_RANGE.1);
         let mut out = Self {
             state: [0.0; STATES],
             covariance: [[0.0; STATES]; STATES],
@@ -219,10 +219,10 @@ impl Correction {
         core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// True from the fifth frame of a scene on, when [`SETTLED`] frames lie between the first frame and the
-    /// present one.
+    /// True from the fifth frame of a scene on, when [`SETTLED_FRAMES`] frames lie between the first frame
+    /// and the present one.
     pub(crate) fn settled(&self) -> bool {
-        self.age > SETTLED + 1
+        self.age > SETTLED_FRAMES + 1
     }
 
     /// True under a load.
@@ -265,7 +265,7 @@ impl Correction {
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
         self.widen(DRIFT, 0.0);
         self.tidy();
-        if novelty >= NOVEL {
+        if novelty >= NOVELTY_LIMIT {
             self.age = 0;
         }
         self.age = self.age.saturating_add(1);
@@ -302,7 +302,7 @@ impl Correction {
         let sd = libm::sqrt(model + noise);
         let surprise = free - self.load;
         let normalized = surprise / libm::sqrt(model + weakened(self.noise_of_all()));
-        let calm = standing == Standing::Same && trust >= 1.0 && self.age > SETTLED;
+        let calm = standing == Standing::Same && trust >= 1.0 && self.age > SETTLED_FRAMES;
         if calm {
             self.spread_of_all = self.follow(self.spread_of_all, surprise * surprise);
         }
@@ -358,7 +358,7 @@ impl Correction {
     /// Returns the mean squared error `spread`, updated by the squared error `squared`.
     fn follow(&self, spread: f64, squared: f64) -> f64 {
         let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(PACE, FASTEST_PACE);
-        (spread + pace * (squared.min(SQUARE_LIMIT * spread) - spread)).clamp(SPREAD.0, SPREAD.1)
+        (spread + pace * (squared.min(SQUARE_LIMIT * spread) - spread)).clamp(SPREAD_RANGE.0, SPREAD_RANGE.1)
     }
 
     /// Begins, changes or ends the load. `free` is ln(observed / expected without a load), `sd` its standard
@@ -374,10 +374,10 @@ impl Correction {
         if libm::fabs(with) > CLIP * sd {
             let side = if with > 0.0 { 1 } else { -1 };
             self.off = if self.off.signum() == side { self.off + side } else { side };
-            if self.off.abs() < SURE {
+            if self.off.abs() < LOAD_START_FRAMES {
                 return false;
             }
-            if side < 0 && !self.loaded() && self.age <= ESTABLISHED {
+            if side < 0 && !self.loaded() && self.age <= ESTABLISHED_FRAMES {
                 (self.off, self.jumped) = (0, true);
                 return true;
             }
@@ -389,10 +389,10 @@ impl Correction {
             self.loaded = self.loaded.saturating_add(1);
             let mean = self.load + with / (self.loaded as f64).min(LOAD_FRAMES);
             self.load = mean.clamp(-STATE_LIMIT, STATE_LIMIT);
-            // A load that has lasted for more than `ESTABLISHED` frames is added to the logarithms of the
-            // terms' factors. It is not added in the first frame of a scene, because the error of that frame
-            // updates these logarithms too.
-            if self.loaded > ESTABLISHED && self.age > 1 {
+            // A load that has lasted for more than `ESTABLISHED_FRAMES` frames is added to the logarithms of
+            // the terms' factors. It is not added in the first frame of a scene, because the error of that
+            // frame updates these logarithms too.
+            if self.loaded > ESTABLISHED_FRAMES && self.age > 1 {
                 for i in 0..TERMS {
                     self.state[i] = (self.state[i] + self.load).clamp(-STATE_LIMIT, STATE_LIMIT);
                 }
@@ -517,13 +517,13 @@ impl Correction {
         for row in &mut self.covariance {
             r.f64s(row, -2.0 * MAX_VARIANCE, 2.0 * MAX_VARIANCE)?;
         }
-        self.spread = r.f64(SPREAD.0, SPREAD.1)?;
-        self.spread_of_all = r.f64(SPREAD.0, SPREAD.1)?;
+        self.spread = r.f64(SPREAD_RANGE.0, SPREAD_RANGE.1)?;
+        self.spread_of_all = r.f64(SPREAD_RANGE.0, SPREAD_RANGE.1)?;
         self.change = r.f64(CHANGE.0, CHANGE.1)?;
         // The saved load is read but not used, because later frames may have another load.
         r.f64(-STATE_LIMIT, STATE_LIMIT)?;
         r.u64()?;
-        r.f64(-SURE as f64, SURE as f64)?;
+        r.f64(-LOAD_START_FRAMES as f64, LOAD_START_FRAMES as f64)?;
         (self.load, self.loaded, self.off) = (0.0, 0, 0);
         self.observations = r.u64()?;
         self.age = r.u64()?;

@@ -14,9 +14,9 @@ pub(crate) struct Margin {
 }
 
 /// Smallest multiple: with a smaller one, the bound would hardly exceed the expected time.
-const LOW: f64 = 0.5;
+const MIN_MULTIPLE: f64 = 0.5;
 /// Largest multiple: larger errors are outliers that a larger multiple would not cover either.
-const HIGH: f64 = 8.0;
+const MAX_MULTIPLE: f64 = 8.0;
 
 impl Margin {
     /// Returns a margin with the given initial multiple, miss rate `rate` and learning rate `pace`. These
@@ -24,7 +24,7 @@ impl Margin {
     pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f64) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { pace.clamp(1.0e-3, 1.0) } else { 0.1 };
-        let multiple = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
+        let multiple = if multiple.is_finite() { multiple.clamp(MIN_MULTIPLE, MAX_MULTIPLE) } else { 2.0 };
         Self { multiple, rate, pace }
     }
 
@@ -35,7 +35,7 @@ impl Margin {
             return;
         }
         let missed = if normalized_error > self.multiple { 1.0 } else { 0.0 };
-        self.multiple = (self.multiple + self.pace * (missed - self.rate)).clamp(LOW, HIGH);
+        self.multiple = (self.multiple + self.pace * (missed - self.rate)).clamp(MIN_MULTIPLE, MAX_MULTIPLE);
     }
 
     pub(crate) fn save(&self, w: &mut Writer<'_>) {
@@ -43,7 +43,7 @@ impl Margin {
     }
 
     pub(crate) fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
-        self.multiple = r.f64(LOW, HIGH)?;
+        self.multiple = r.f64(MIN_MULTIPLE, MAX_MULTIPLE)?;
         Ok(())
     }
 }
@@ -94,7 +94,7 @@ mod tests {
         for e in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300] {
             for _ in 0..1000 {
                 margin.observe(e);
-                assert!((LOW..=HIGH).contains(&margin.multiple));
+                assert!((MIN_MULTIPLE..=MAX_MULTIPLE).contains(&margin.multiple));
             }
         }
     }

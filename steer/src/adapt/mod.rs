@@ -12,7 +12,7 @@ mod tests;
 
 pub use constants::CorrectionConstants;
 pub(crate) use constants::constants;
-pub(crate) use correction::{CLIP, Correction, NOVEL, PACE, Prior, Standing};
+pub(crate) use correction::{CLIP, Correction, NOVELTY_LIMIT, PACE, Prior, Standing};
 pub(crate) use gate::check_seconds;
 pub use gate::{ObserveFlags, Verdict};
 pub(crate) use margin::{Margin, exceeded, normal_quantile};

@@ -32,18 +32,18 @@ const GROUPS: usize = 8;
 
 /// The fit of the error uses only pictures that take at most this share of the time at full quality. Slower
 /// pictures differ from full quality by rounding only.
-const LONGEST: f64 = 0.75;
+const MAX_TIME_SHARE: f64 = 0.75;
 
 /// Ratio of successive values of c = step · distance² at which a path is evaluated.
-const FINER: f64 = 1.03;
+const PATH_RATIO: f64 = 1.03;
 
 /// Difference in ln(error) assumed between full quality and the next coarser step, since the error of 0 at
 /// full quality has no logarithm.
-const FULL: f64 = 3.0;
+const FULL_QUALITY_GAP: f64 = 3.0;
 
 /// Frame times at which the law's choices are evaluated, as shares of the time at full quality: first share,
 /// end, increment.
-const SHARES: (f64, f64, f64) = (0.2, LONGEST, 0.025);
+const SHARES: (f64, f64, f64) = (0.2, MAX_TIME_SHARE, 0.025);
 
 /// Lower clamp of a picture's error, since an error of 0 has no logarithm.
 const LEAST_ERROR: f64 = 1.0e-7;
@@ -139,8 +139,9 @@ struct Grid {
 impl Grid {
     /// Returns the pictures to which the error is fitted: step, distance and mean ln of the error.
     fn coarse(&self) -> impl Iterator<Item = (f64, f64, f64)> {
-        let coarse =
-            |(s, d, time, _): &(f64, f64, f64, f64)| (*s > 1.0 || *d > 1.0) && *time <= libm::log(LONGEST);
+        let coarse = |(s, d, time, _): &(f64, f64, f64, f64)| {
+            (*s > 1.0 || *d > 1.0) && *time <= libm::log(MAX_TIME_SHARE)
+        };
         self.points().filter(coarse).map(|(s, d, _, error)| (s, d, error))
     }
 
@@ -164,13 +165,13 @@ impl Grid {
     /// Sets ln(error) of full quality, whose error is 0.
     fn set_full_quality(&mut self) {
         if let [whole, next, ..] = &mut self.lines[0].1[..] {
-            whole.2 = next.2 - FULL;
+            whole.2 = next.2 - FULL_QUALITY_GAP;
         }
     }
 
     /// Steps at which all lines are evaluated, ascending.
     fn steps(&self) -> Vec<f64> {
-        powers(FINER, self.lines[0].1.last().map_or(1.0, |p| p.0))
+        powers(PATH_RATIO, self.lines[0].1.last().map_or(1.0, |p| p.0))
     }
 
     /// Returns, for each of [`shares`], the smallest ln(error) of all settings that take at most this time.
@@ -229,7 +230,7 @@ impl Grid {
         let distances = powers(DISTANCE_RATIO, largest);
         let mut from = vec![0.0; distances.len()];
         law.lay(&distances, &mut from);
-        powers(FINER, coarsest * largest * largest)
+        powers(PATH_RATIO, coarsest * largest * largest)
             .into_iter()
             .map(|c| {
                 let level = from[1..].iter().take_while(|&&from| c > from).count();
@@ -303,7 +304,7 @@ pub fn fit_quality(pictures: &[Picture], prior: Option<Quality>) -> Result<Fitte
     if counted < 4 {
         bail!(
             InvalidArgument,
-            "{counted} pictures of every scene take at most {LONGEST} times as long as full quality, but at \
+            "{counted} pictures of every scene take at most {MAX_TIME_SHARE} times as long as full quality, but at \
              least 4 are needed; draw coarser steps and smaller images"
         );
     }

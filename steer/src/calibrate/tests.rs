@@ -120,7 +120,7 @@ fn the_longest_ray_is_found_to_cost_time_where_it_does() {
             (costs_of(&chosen).seconds, (median * rmse_over_sd).sqrt())
         };
         let ((plain, plain_error), (found, error)) =
-            (fitted(&[UnitCosts::CONVERTING]), fitted(&UnitCosts::OF_UNKNOWN));
+            (fitted(&[UnitCosts::CONVERSION]), fitted(&UnitCosts::OF_UNKNOWN));
         assert!(plain[LONGEST..].iter().all(|c| *c == 0.0));
         assert_eq!(found[LONGEST] > 0.0, on_gpu, "{plain_error} {error}");
         assert!(if on_gpu { error < 0.5 * plain_error } else { found == plain }, "{plain_error} {error}");

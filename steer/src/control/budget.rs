@@ -5,7 +5,7 @@ const REST_FRAMES: usize = 5;
 /// Smallest share of the target that all passes together get, however long the window's other work takes.
 const LEAST_SHARE: f32 = 0.2;
 /// Weight of a pass's newest time in the mean of its times.
-const NEWEST: f32 = 0.3;
+const NEWEST_WEIGHT: f32 = 0.3;
 
 /// Divides the target time of a window's frame among its passes. A window has several passes if it draws
 /// several volumes, draws for two eyes, or has several renderers. The time of the window's other work is
@@ -121,7 +121,7 @@ impl FrameBudget {
         // the next frame are computed from this sum.
         self.full[1] -= pass.passes as f32 * pass.mean;
         if full.is_finite() && full > 0.0 {
-            pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST * (full - pass.mean) } else { full };
+            pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST_WEIGHT * (full - pass.mean) } else { full };
         }
         pass.passes += 1;
         self.full[1] += pass.passes as f32 * pass.mean;

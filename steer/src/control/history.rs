@@ -9,13 +9,13 @@ const LARGEST_ERROR: f64 = 2.0;
 
 /// Initial standard deviation of the forecast's error, in ln(time). It affects only the forecast's upper
 /// bound, until the first frame is compared.
-const SPREAD: f64 = 0.1;
+const START_SD: f64 = 0.1;
 
 /// Ratio of the standard deviation of a normal error to its mean absolute value, sqrt(π / 2).
 const SD_OF_MEAN: f64 = 1.25;
 
 /// Number of compared frames before recent frames may lead: fewer give no reliable mean error.
-const COMPARED: u32 = 10;
+const MIN_COMPARISONS: u32 = 10;
 
 /// Mean error of the prediction, in ln(time), above which recent frames may lead. So recent frames replace
 /// only a prediction that is of no use. On the training paths, recent frames never lead.
@@ -23,7 +23,7 @@ const LEAST_ERROR: f64 = 0.15;
 
 /// Ratio of the prediction's mean error to the forecast's mean error, above which recent frames begin to
 /// lead.
-const LEAD: f64 = 1.5;
+const LEAD_RATIO: f64 = 1.5;
 
 /// Smallest learning rate of both mean errors, which are thus averages over about twelve frames.
 const PACE: f64 = 0.08;
@@ -33,8 +33,8 @@ const PACE: f64 = 0.08;
 const FIXED_SHARE: f64 = 0.1;
 
 /// Ratio of the prediction's mean error to the forecast's mean error, down to which recent frames continue to
-/// lead. It is lower than [`LEAD`], so that prediction and forecast do not alternate.
-const RETURN: f64 = 1.1;
+/// lead. It is lower than [`LEAD_RATIO`], so that prediction and forecast do not alternate.
+const RETURN_RATIO: f64 = 1.1;
 
 /// The last three frames, and the mean errors of two predictors of the next frame: the forecast from these
 /// frames, and the corrected prediction.
@@ -62,7 +62,7 @@ impl History {
             len: 0,
             next: 0,
             doubtful: false,
-            spread: SPREAD,
+            spread: START_SD,
             history_error: 0.0,
             own_error: 0.0,
             leads: false,
@@ -98,11 +98,11 @@ impl History {
         self.history_error += pace * (history - self.history_error);
         self.own_error += pace * (own - self.own_error);
         self.spread = (SD_OF_MEAN * self.history_error).clamp(0.01, 1.0);
-        if self.compared >= COMPARED {
+        if self.compared >= MIN_COMPARISONS {
             self.leads = if self.leads {
-                self.own_error > RETURN * self.history_error
+                self.own_error > RETURN_RATIO * self.history_error
             } else {
-                self.own_error > LEAST_ERROR && self.own_error > LEAD * self.history_error
+                self.own_error > LEAST_ERROR && self.own_error > LEAD_RATIO * self.history_error
             };
         }
     }

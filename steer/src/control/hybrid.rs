@@ -6,7 +6,7 @@ use super::history::History;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::adapt::state::{Reader, Writer};
 use crate::adapt::{
-    CLIP, Correction, CorrectionConstants, Margin, NOVEL, PACE, Prior, Standing, Verdict, exceeded,
+    CLIP, Correction, CorrectionConstants, Margin, NOVELTY_LIMIT, PACE, Prior, Standing, Verdict, exceeded,
     normal_quantile,
 };
 use crate::features::Changes;
@@ -174,7 +174,7 @@ const EVALUATIONS: usize = 12;
 /// low miss rate raises the limit. A bound with this margin covers 98 of 100 undisturbed frames.
 /// Slower frames are due to other programs, and a step that is coarse enough for these frames would be too
 /// coarse for all others.
-const WORTH: f64 = 2.0;
+const CALM_DEVIATIONS: f64 = 2.0;
 /// Cost of a step that is coarser by 1 in ln(step), if a late frame costs 1: the ratio of two goals, 3 % late
 /// frames and 8 % of quality. `entire-lab tune` weighs late frames against quality in this ratio, too.
 const COARSENESS: f64 = 0.03 / 0.08;
@@ -219,7 +219,7 @@ impl Hybrid {
             learned: None,
             announced: false,
             scene: SceneMark::default(),
-            worth: normal_quantile(f64::from(options.miss_rate)).max(WORTH),
+            worth: normal_quantile(f64::from(options.miss_rate)).max(CALM_DEVIATIONS),
             before: None,
         }
     }
@@ -237,10 +237,10 @@ impl Hybrid {
         }
     }
 
-    /// Returns the corrected prediction for the present frame at `step`. The predicted step curve has an error
-    /// of its own, so the bounds widen within a scene with the distance of `step` from the last drawn step, or
-    /// from the last step of which the correction learned (another one after a load), whichever is nearer.
-    /// With a `step` of NaN, the bounds do not depend on the step.
+    /// Returns the corrected prediction for the present frame at `step`. The predicted step curve has an
+    /// error of its own, so the bounds widen within a scene with the distance of `step` from the last drawn
+    /// step, or from the last step of which the correction learned (another one after a load), whichever is
+    /// nearer. With a `step` of NaN, the bounds do not depend on the step.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> Expected {
         let corrected = self.correction.apply(terms);
         let far = match self.last {
@@ -286,13 +286,13 @@ impl Hybrid {
         // The share is squared, so that small differences within a scene count little.
         let share = (d / self.options.constants.far).clamp(0.0, 1.0);
         let announced = changes.any() && !self.announced;
-        (share * share).max(if announced { NOVEL } else { 0.0 })
+        (share * share).max(if announced { NOVELTY_LIMIT } else { 0.0 })
     }
 
     /// Begins the present frame: decides whether the frame continues the scene or begins a new one.
     fn enter(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let novelty = self.novelty(changes, cost);
-        let first = novelty >= NOVEL;
+        let first = novelty >= NOVELTY_LIMIT;
         self.before = Some(Before {
             correction: self.correction.clone(),
             last: self.last,
@@ -677,7 +677,7 @@ mod tests {
     #[test]
     fn a_lower_miss_rate_is_kept_by_the_step_too() {
         let worth = |miss_rate| Hybrid::new(HybridOptions { miss_rate, ..HybridOptions::default() }).worth;
-        assert_eq!(worth(0.05), WORTH);
+        assert_eq!(worth(0.05), CALM_DEVIATIONS);
         assert!(worth(0.001) > 3.0);
     }
 

@@ -38,7 +38,7 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
 ];
 
 /// Number of unit costs that any renderer may have. The next unit cost, for the conversion of stored values,
-/// is nonzero only for renderers like [`UnitCosts::CONVERTING`]. The unit costs after it, for the longest
+/// is nonzero only for renderers like [`UnitCosts::CONVERSION`]. The unit costs after it, for the longest
 /// ray, are nonzero only for renderers like [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
@@ -47,7 +47,7 @@ pub(crate) const COMMON_COSTS: usize = 21;
 const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 
 /// Index of [`SceneQuantity::TouchedVoxels`] in [`UnitCosts::seconds`].
-const TOUCHED: usize = {
+const TOUCHED_VOXELS: usize = {
     let mut i = 1;
     while !matches!(COST_QUANTITIES[i - 1], SceneQuantity::TouchedVoxels) {
         i += 1;
@@ -72,9 +72,9 @@ impl UnitCosts {
     pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
 
     /// Unit costs of a software renderer, in seconds of processor time: geometric means of the costs measured
-    /// on three machines with two processors each. `lab/scripts/typical_costs.py` prints such means. The first
-    /// observed frames of a session set the scale of the costs; from then on, only the ratios of the costs
-    /// matter.
+    /// on three machines with two processors each. `lab/scripts/typical_costs.py` prints such means. The
+    /// first observed frames of a session set the scale of the costs; from then on, only the ratios of the
+    /// costs matter.
     pub const SOFTWARE: Self = Self::new([
         2.1e-4, 7.9e-8, 5.4e-9, 4.4e-9, 2.9e-9, 5.5e-9, 1.5e-8, 1.8e-8, 2.7e-10, 4.4e-10, 4.2e-11, 5.5e-9,
         8.8e-8, 1.7e-8, 1.1e-10, 7.6e-8, 7.4e-8, 3.9e-8, 4.3e-9, 7.0e-9, 5.0e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
@@ -82,7 +82,7 @@ impl UnitCosts {
     ]);
 
     /// The first set of [`UnitCosts::OF_UNKNOWN`].
-    pub(crate) const CONVERTING: Self = {
+    pub(crate) const CONVERSION: Self = {
         let mut costs = Self::SOFTWARE;
         costs.seconds[COMMON_COSTS] = 2.0e-9;
         costs
@@ -95,13 +95,13 @@ impl UnitCosts {
     /// Each is 10⁴ times the unit cost of the same work summed over all rays. This ratio is below 10⁴ on a
     /// processor with two cores, and above 10⁴ on a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
-        let mut costs = Self::CONVERTING;
+        let mut costs = Self::CONVERSION;
         let mut longest = COMMON_COSTS + 1;
         while longest < COSTS {
             costs.seconds[longest] = 1.0e4 * costs.seconds[OF_ALL_RAYS[longest - COMMON_COSTS - 1]];
             longest += 1;
         }
-        [Self::CONVERTING, costs]
+        [Self::CONVERSION, costs]
     };
 
     /// Unit costs of a GPU that marches all rays of an image at once. A frame takes about as long as its
@@ -136,7 +136,7 @@ impl UnitCosts {
     pub(crate) fn work(&self, work: &[f64; COSTS]) -> [f64; COSTS] {
         let mut out = *work;
         if self.cached_voxels != Self::CACHED_VOXELS {
-            let ratio = far_ratio(work[TOUCHED], self.cached_voxels);
+            let ratio = far_ratio(work[TOUCHED_VOXELS], self.cached_voxels);
             let counts = out[1..].iter_mut().zip(&COST_QUANTITIES);
             counts.filter(|(_, quantity)| quantity.is_far()).for_each(|(w, _)| *w *= ratio);
         }

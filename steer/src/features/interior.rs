@@ -7,10 +7,10 @@ use entire_core::Result;
 
 /// Smallest distance to the nearest empty cell, in cells, for each of the classes 1, 2 and 3. In class c, a
 /// renderer reads its skip map once per 2^c cells.
-const FROM: [usize; 3] = [2, 3, 5];
+const CLASS_DISTANCES: [usize; 3] = [2, 3, 5];
 
-/// Number of bit vectors: one per entry of [`FROM`], and two as working memory.
-const BUFFERS: usize = FROM.len() + 2;
+/// Number of bit vectors: one per entry of [`CLASS_DISTANCES`], and two as working memory.
+const BUFFERS: usize = CLASS_DISTANCES.len() + 2;
 
 /// For each class, a bit vector in which the cells of this class and of higher classes are set. Cells are
 /// stored by rows along x; every row begins at a word boundary.
@@ -80,14 +80,14 @@ impl Interior {
     }
 
     /// Class of a cell that is not empty: 0 next to an empty cell, otherwise 1, 2 or 3 by the distance to
-    /// the nearest empty cell, see [`FROM`].
+    /// the nearest empty cell, see [`CLASS_DISTANCES`].
     #[inline(always)]
     pub(super) fn class(&self, grid: [usize; 3], cell: usize) -> u32 {
         let (cell, nx) = (cell as u32, grid[0] as u32);
         let (row, x) = ((cell / nx) as usize, (cell % nx) as usize);
         let at = row * row_words(grid) + x / 64;
         let deep = |bits: &Vec<u64>| (bits.get(at).copied().unwrap_or(0) >> (x % 64) & 1) as u32;
-        self.bits[..FROM.len()].iter().map(deep).sum()
+        self.bits[..CLASS_DISTANCES.len()].iter().map(deep).sum()
     }
 }
 
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn classes_are_those_of_the_distance_to_the_nearest_empty_cell() {
-        let mut seen = [0usize; FROM.len() + 1];
+        let mut seen = [0usize; CLASS_DISTANCES.len() + 1];
         let mut interior = Interior::default();
         for grid in [[20, 17, 15], [70, 9, 11], [1, 13, 30], [3, 3, 3], [129, 4, 5], [64, 1, 1], [1, 1, 1]] {
             let n: usize = grid.iter().product();
@@ -159,7 +159,7 @@ mod tests {
                 interior.find(grid, &full);
                 for cell in (0..n).filter(|&c| set[c]) {
                     let d = distance(&set, grid, cell);
-                    let class = FROM.iter().filter(|&&from| d >= from).count();
+                    let class = CLASS_DISTANCES.iter().filter(|&&from| d >= from).count();
                     assert_eq!(interior.class(grid, cell) as usize, class, "{grid:?} {seed} {cell}: {d}");
                     seen[class] += 1;
                 }

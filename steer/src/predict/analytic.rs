@@ -496,7 +496,7 @@ mod tests {
         let (plain, errors) = fit(&UnitCosts::SOFTWARE);
         let [middle, _] = quantiles(errors);
         assert!(plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0) && middle > 0.02);
-        let (asked, errors) = fit(&UnitCosts::CONVERTING);
+        let (asked, errors) = fit(&UnitCosts::CONVERSION);
         assert!(quantiles(errors)[0] < 5e-3);
         assert!((asked.costs().seconds[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
         // The file names the quantities with nonzero costs, and gives the same unit costs, in single

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 
 /// Distance of an input from its training mean up to which it counts as inside the range, in standard
 /// deviations.
-const INSIDE: f32 = 2.5;
+const RANGE_DEVIATIONS: f32 = 2.5;
 
 /// Content of [`Key::Calibration`].
 #[derive(Serialize, Deserialize)]
@@ -176,7 +176,7 @@ impl ModelPredictor {
             let z = (x - mean).abs() / std;
             worst = worst.max(if z.is_nan() { f32::INFINITY } else { z });
         }
-        if known { (worst / INSIDE - 1.0).max(0.0) } else { f32::NAN }
+        if known { (worst / RANGE_DEVIATIONS - 1.0).max(0.0) } else { f32::NAN }
     }
 }
 

@@ -124,7 +124,7 @@ impl Quality {
     /// error than all smaller distances at equal time; infinity if there is no such value.
     pub(crate) fn lay(&self, distances: &[f64], from: &mut [f64]) {
         /// Ratio of successive frame times that are tried.
-        const FINER: f64 = 0.97;
+        const TIME_RATIO: f64 = 0.97;
         /// Number of frame times that are tried.
         const TIMES: usize = 400;
         from[1..].fill(f64::INFINITY);
@@ -153,7 +153,7 @@ impl Quality {
                 from[taken + 1..=best.0].fill(at);
                 taken = best.0;
             }
-            share *= FINER;
+            share *= TIME_RATIO;
         }
     }
 
@@ -212,18 +212,18 @@ mod tests {
     use crate::predict::network::ModelPredictor;
     use entire_core::ErrorKind;
 
-    const SOME: Quality =
+    const LAW: Quality =
         Quality { image_weight: 4.0, step_exponent: 1.3, image_exponent: 0.8, ray_share: 0.25 };
 
     #[test]
     fn the_law_has_its_closed_form() {
-        assert_eq!(SOME.error(1.0, 1.0), 0.0);
-        assert!((SOME.error(2.0, 1.0) - 1.0).abs() < 1e-12 && (SOME.error(1.0, 2.0) - 4.0).abs() < 1e-12);
-        assert!((SOME.time_share(3.0, 1.0) - 0.5).abs() < 1e-12);
-        assert!((SOME.time_share(3.0, 2.0) - 0.125).abs() < 1e-12);
-        let step = SOME.step_for(0.125, 2.0).unwrap();
+        assert_eq!(LAW.error(1.0, 1.0), 0.0);
+        assert!((LAW.error(2.0, 1.0) - 1.0).abs() < 1e-12 && (LAW.error(1.0, 2.0) - 4.0).abs() < 1e-12);
+        assert!((LAW.time_share(3.0, 1.0) - 0.5).abs() < 1e-12);
+        assert!((LAW.time_share(3.0, 2.0) - 0.125).abs() < 1e-12);
+        let step = LAW.step_for(0.125, 2.0).unwrap();
         assert!((step - 3.0).abs() < 1e-12);
-        assert_eq!(SOME.step_for(0.1, 1.0), None);
+        assert_eq!(LAW.step_for(0.1, 1.0), None);
     }
 
     #[test]
@@ -233,14 +233,14 @@ mod tests {
             ModelPredictor::new(&file.to_model().unwrap()).unwrap().quality(renderer)
         };
         assert_eq!(holds(&file, ""), None);
-        SOME.store(&mut file).unwrap();
+        LAW.store(&mut file).unwrap();
         file.metadata.insert(Key::Renderer.into(), "mine".into());
-        assert_eq!(Quality::of(&file.to_model().unwrap()).unwrap(), Some(SOME));
+        assert_eq!(Quality::of(&file.to_model().unwrap()).unwrap(), Some(LAW));
         assert_eq!(
             [holds(&file, ""), holds(&file, "mine"), holds(&file, "other")],
-            [Some(SOME), Some(SOME), None]
+            [Some(LAW), Some(LAW), None]
         );
-        assert!(Quality { ray_share: 1.0, ..SOME }.store(&mut file).is_err());
+        assert!(Quality { ray_share: 1.0, ..LAW }.store(&mut file).is_err());
         for bad in [
             "{",
             "{}",

@@ -12,7 +12,7 @@ use indicatif::ProgressBar;
 use std::collections::BTreeSet;
 
 /// Typical unit costs of a software renderer that converts stored scalar values.
-const CONVERTING: UnitCosts = UnitCosts::OF_UNKNOWN[0];
+const CONVERSION: UnitCosts = UnitCosts::OF_UNKNOWN[0];
 
 pub(super) fn fit_analytic(
     context: &FitContext<'_>,
@@ -42,7 +42,7 @@ pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
     match backend {
         "vulkan" | "cpu" if names_software(backend, device) => UnitCosts::SOFTWARE,
         "vulkan" => UnitCosts::GPU,
-        _ => CONVERTING,
+        _ => CONVERSION,
     }
 }
 
@@ -52,11 +52,11 @@ pub fn typical_costs(backend: &str, device: &str) -> UnitCosts {
 pub fn typical_costs_of<'a>(tables: impl IntoIterator<Item = &'a Table>) -> UnitCosts {
     let of = |table: &Table| {
         let manifest = table.manifest.as_ref();
-        manifest.map_or(CONVERTING, |m| typical_costs(&m.renderer, &m.device))
+        manifest.map_or(CONVERSION, |m| typical_costs(&m.renderer, &m.device))
     };
     let merged = tables.into_iter().map(of).reduce(|a, b| match [a, b] {
         [a, b] if a == b => a,
-        both if both.contains(&CONVERTING) => CONVERTING,
+        both if both.contains(&CONVERSION) => CONVERSION,
         _ => UnitCosts::SOFTWARE,
     });
     merged.unwrap_or(UnitCosts::SOFTWARE)

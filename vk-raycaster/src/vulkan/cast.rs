@@ -8,7 +8,7 @@ use super::{Brick, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_co
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
 use crate::renderer::{FrameTime, Image, Rendered, WorkCounts};
-use crate::setup::FAR;
+use crate::setup::NO_SAMPLE;
 use entire_core::scene::Frame;
 
 /// Destination of the pixels.
@@ -88,7 +88,7 @@ impl VulkanRaycaster {
                 for (visit, &brick) in order.iter().enumerate() {
                     let mut setup = plan.setup;
                     setup.resume = u32::from(begin > 0.0 || visit > 0);
-                    setup.window_end = if last { FAR } else { begin + plan.window };
+                    setup.window_end = if last { NO_SAMPLE } else { begin + plan.window };
                     let Brick { low, high, origin, dims } = bricks[brick];
                     [setup.brick_low, setup.brick_high, setup.brick_origin, setup.brick_dims] =
                         [low, high, origin, dims].map(|corner| corner.map(|n| n as f32));

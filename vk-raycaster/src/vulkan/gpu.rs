@@ -54,8 +54,8 @@ pub(crate) struct Gpu {
     properties: Properties,
     /// Locked while work is submitted to the queue, or the queue presents an image.
     queue: Mutex<vk::Queue>,
-    /// Number of threads among which the device splits a dispatch into runs of successive workgroups; 1 if it is no
-    /// software device.
+    /// Number of threads among which the device splits a dispatch into runs of successive workgroups; 1 if it
+    /// is no software device.
     pub(crate) threads: u32,
     /// Time limit of a submission.
     pub(crate) longest_wait: Duration,
@@ -247,13 +247,14 @@ impl Gpu {
     }
 }
 
-/// Number of threads of the software device llvmpipe: `LP_NUM_THREADS`, which Mesa reads, else one per processor.
+/// Number of threads of the software device llvmpipe: `LP_NUM_THREADS`, which Mesa reads, else one per
+/// processor.
 fn software_threads() -> u32 {
     /// Largest number of threads that llvmpipe starts.
-    const MOST: usize = 32;
+    const MAX_THREADS: usize = 32;
     let asked = std::env::var("LP_NUM_THREADS").ok().and_then(|n| n.trim().parse::<usize>().ok());
     let all = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    asked.unwrap_or_else(all).clamp(1, MOST) as u32
+    asked.unwrap_or_else(all).clamp(1, MAX_THREADS) as u32
 }
 
 impl Drop for Gpu {

@@ -17,7 +17,7 @@ use crate::blocks::{BlockMap, SkipMap};
 use crate::clock::Stopwatch;
 use crate::error::{Error, Result};
 use crate::renderer::{DeviceLimits, Preparation, Rendered, Renderer, WorkCounts};
-use crate::setup::{FAR, FrameSetup, check};
+use crate::setup::{FrameSetup, NO_SAMPLE, check};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
 use engine::{Engine, STATE_BYTES, ShaderKey};
@@ -37,7 +37,8 @@ use upload::Brick;
 /// Time of a dispatch, in seconds, above which the tiles of its shading mode shrink from the next frame on.
 /// Tiles on software devices do not shrink unless the options set their size. Such a device gives each thread
 /// an equal part of the dispatch's workgroups, in order. The shader spreads the rows of a large tile over all
-/// threads (`dealt`), but a tile with few rows and all its work in one half occupies only half of the threads.
+/// threads (`dealt`), but a tile with few rows and all its work in one half occupies only half of the
+/// threads.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
 /// Largest number of loop iterations of an invocation on a software device. llvmpipe ends loops after 65535
@@ -154,7 +155,7 @@ pub struct VulkanRaycaster {
 }
 
 /// Parameters that all dispatches of a frame share.
-struct Plan {
+struct DispatchSetup {
     setup: FrameSetup,
     key: ShaderKey,
     /// Length of a window: maximum number of samples that a dispatch takes along a ray.
@@ -250,7 +251,7 @@ impl VulkanRaycaster {
     }
 
     /// Returns the parameters that all dispatches of a frame share.
-    fn plan(&self, frame: &Frame) -> Result<Plan> {
+    fn plan(&self, frame: &Frame) -> Result<DispatchSetup> {
         let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
@@ -288,9 +289,9 @@ impl VulkanRaycaster {
             bricks: u32::from(bricked),
         };
         let step = volume.geometry.reference_step() * f64::from(frame.step);
-        let window = if self.is_software() { window(step, frame.shading) } else { FAR };
+        let window = if self.is_software() { window(step, frame.shading) } else { NO_SAMPLE };
         let longest = longest_ray(step) as f32;
-        Ok(Plan {
+        Ok(DispatchSetup {
             setup: FrameSetup {
                 parts: self.engine.gpu().threads,
                 ..FrameSetup::new(&volume.geometry, frame)

@@ -10,7 +10,7 @@
 // PACKETS   1: the rays of a subgroup are a packet and skip together (same picture; not with COUNTING 1)
 
 const SMALLEST_ADVANCE: f32 = 1e-9;
-const FAR: f32 = 3.0e38;
+const NO_SAMPLE: f32 = 3.0e38;
 const EMPTY_BIT: u32 = 128u;
 const COLORS_PER_ENTRY: f32 = 16.0;
 const SHADOW_TERMINATION: f32 = 0.25;
@@ -450,7 +450,7 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
 #if BRICKS == 1
     let kept = true;
 #else
-    let kept = setup.window_end < FAR;
+    let kept = setup.window_end < NO_SAMPLE;
 #endif
     if kept {
         state[2u * index] = sum;

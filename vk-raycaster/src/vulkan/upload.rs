@@ -26,7 +26,7 @@ const PACKED_EDGE: usize = 8;
 
 /// Format and meaning of the texels.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Plan {
+pub(crate) struct TexelLayout {
     pub(crate) fetch: VoxelFetch,
     pub(crate) format: vk::Format,
     /// Voxel value that the shader reads as 1.
@@ -102,7 +102,7 @@ pub(crate) fn plan(
     volume: &PreparedVolume,
     wish: Option<VoxelFetch>,
     largest: Option<u32>,
-) -> Result<Plan> {
+) -> Result<TexelLayout> {
     let (plain, unit) = match &volume.voxels {
         Voxels::U8(_) => (vk::Format::R8_UNORM, 255.0),
         Voxels::U16(_) => (vk::Format::R16_UNORM, 65535.0),
@@ -161,11 +161,17 @@ pub(crate) fn plan(
             ))
         })?,
     };
-    Ok(Plan { fetch, format, unit, bricks, grid })
+    Ok(TexelLayout { fetch, format, unit, bricks, grid })
 }
 
 /// Writes the texels of whole slices (rows, if packed) of a brick, starting at slice or row `first`.
-pub(crate) fn fill_slices(volume: &PreparedVolume, plan: &Plan, brick: &Brick, first: usize, out: &mut [u8]) {
+pub(crate) fn fill_slices(
+    volume: &PreparedVolume,
+    plan: &TexelLayout,
+    brick: &Brick,
+    first: usize,
+    out: &mut [u8],
+) {
     let texel = texel_bytes(plan.format);
     match &volume.voxels {
         Voxels::U8(v) if plan.fetch == VoxelFetch::Packed => pack_rows(v, volume.geometry.dims, first, out),

@@ -1,6 +1,6 @@
 //! Compares pictures at coarser steps and smaller image sizes with pictures at full quality.
 
-use super::{LONG, Measuring};
+use super::{Measuring, WARM_UP_LIMIT};
 use crate::calibrate::pool::Candidate;
 use crate::pictures::{resized, rmse, scaled_size};
 use anyhow::{Context, Result};
@@ -99,7 +99,7 @@ impl Measuring<'_> {
                     if (self.stop)() || self.left() <= 0.0 {
                         return Ok(None);
                     }
-                    if repeat > 0 && seconds > LONG {
+                    if repeat > 0 && seconds > WARM_UP_LIMIT {
                         break;
                     }
                     let rendered = self.renderer.render(&frame).with_context(place)?;

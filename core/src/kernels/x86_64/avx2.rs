@@ -25,7 +25,7 @@ impl Simd for Avx2 {
     type M = __m256;
     const LANES: usize = 8;
     const TILE_VECTORS: usize = 2;
-    const COUNTED: usize = 48;
+    const MAX_COUNTED_VALUES: usize = 48;
 
     methods! {
         fn splat(x: f32) -> Self::F { _mm256_set1_ps(x) }

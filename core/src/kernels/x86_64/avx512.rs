@@ -34,7 +34,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     type M = __mmask16;
     const LANES: usize = 16;
     const TILE_VECTORS: usize = 4;
-    const COUNTED: usize = 128;
+    const MAX_COUNTED_VALUES: usize = 128;
 
     methods! {
         fn splat(x: f32) -> Self::F { _mm512_set1_ps(x) }

@@ -16,8 +16,8 @@ use entire_vk_raycaster::{Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
 
 /// Limits of the ray step, reference steps.
-const FINEST: f32 = 1.0;
-const COARSEST: f32 = 12.0;
+const FINEST_STEP: f32 = 1.0;
+const COARSEST_STEP: f32 = 12.0;
 /// Standard deviation of the scripted clock's noise, in ln(seconds).
 const SIGMA: f64 = 0.02;
 
@@ -37,11 +37,11 @@ pub(crate) struct Machine<'a> {
 }
 
 /// Factor on image sides on a real renderer, so that frame times are long enough to be measured.
-const GROWN: u32 = 4;
+const IMAGE_FACTOR: u32 = 4;
 
 /// The scenes of this module that can be played on a real renderer: all except 12, whose images are too large
 /// for a software driver. The scenes of other modules have no geometry.
-pub(crate) const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
+pub(crate) const REAL_SCENES: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 
 impl Machine<'_> {
     fn is_real(&self) -> bool {
@@ -49,7 +49,7 @@ impl Machine<'_> {
     }
 
     fn grown(&self) -> u32 {
-        if self.is_real() { GROWN } else { 1 }
+        if self.is_real() { IMAGE_FACTOR } else { 1 }
     }
 
     /// Shows the volume and the transfer function of a frame of a script.
@@ -59,7 +59,7 @@ impl Machine<'_> {
         Ok(())
     }
 
-    /// A frame of a script. On a real renderer, the image sides are enlarged by [`GROWN`].
+    /// A frame of a script. On a real renderer, the image sides are enlarged by [`IMAGE_FACTOR`].
     fn frame(&self, shot: &Shot) -> Result<Frame> {
         let camera = Camera::from_arcball(shot.camera)?;
         Ok(Frame::new(camera, self.grown() * shot.size.0, self.grown() * shot.size.1)?)
@@ -135,7 +135,8 @@ fn session_of(method: ControllerKind, model: AnalyticModel) -> Session {
 }
 
 /// Plays a scene of real geometry. On a real machine the limits are wider, since the noise is unpredictable.
-/// The share of frames over 1.1 times the target may be 5 percentage points higher, with two more in a row; quality may be 0.1 lower; 80 % of first frames within their bound suffice.
+/// The share of frames over 1.1 times the target may be 5 percentage points higher, with two more in a row;
+/// quality may be 0.1 lower; 80 % of first frames within their bound suffice.
 pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     let Some(mut world) = scene(number) else {
         bail!("there is no stress scene {number}; they are numbered 1 to {}", super::SCENES.len())
@@ -148,7 +149,7 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         l.inside = l.inside.min(0.8);
     }
     let mut session = session_of(method, fitted(machine)?);
-    session.set_limits(StepLimits { finest: FINEST, coarsest: COARSEST })?;
+    session.set_limits(StepLimits { finest: FINEST_STEP, coarsest: COARSEST_STEP })?;
     let views: Vec<VolumeView<'_>> = world.blocks.iter().map(Block::view).collect::<Result<_>>()?;
     let summaries: Vec<VolumeSummary> =
         views.iter().map(|v| Ok(VolumeSummary::new(v)?)).collect::<Result<_>>()?;
@@ -178,7 +179,7 @@ pub(crate) fn play(number: usize, method: ControllerKind, machine: &mut Machine<
         let frame = machine.frame(&shot)?;
         if machine.is_real() && edited {
             // Uploads and the first use of a volume or transfer function are not part of frame times.
-            truth(machine, &shot, &frame, FINEST)?;
+            truth(machine, &shot, &frame, FINEST_STEP)?;
         }
         // The oracle knows these times at a grid of steps.
         let grid: Vec<(f64, f64)> = [1.0f32, 1.5, 2.2, 3.3, 5.0, 7.7, 12.0]
@@ -243,7 +244,7 @@ fn typical(machine: &mut Machine<'_>, world: &World, views: &[VolumeView<'_>]) -
         let shot = (world.shot)(i);
         machine.show(&shot, views)?;
         let frame = machine.frame(&shot)?;
-        times.push(truth(machine, &shot, &frame, FINEST)?);
+        times.push(truth(machine, &shot, &frame, FINEST_STEP)?);
     }
     entire_io::metrics::median(&mut times).context("a scene without frames")
 }

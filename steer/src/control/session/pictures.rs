@@ -66,31 +66,31 @@ mod tests {
     use crate::predict::load;
     use alloc::boxed::Box;
 
-    const SOME: Quality =
+    const LAW: Quality =
         Quality { image_weight: 4.0, step_exponent: 1.3, image_exponent: 0.8, ray_share: 0.25 };
 
     #[test]
     fn what_the_model_states_holds_for_its_renderer_until_the_caller_knows_better() {
         let mut file = AnalyticModel::default().to_model_file().unwrap();
-        SOME.store(&mut file).unwrap();
+        LAW.store(&mut file).unwrap();
         file.metadata.insert(entire_core::model::Key::Renderer.into(), "mine".into());
         let mut session =
             Session::new(load(&file.to_model().unwrap()).unwrap(), HybridOptions::default()).unwrap();
         session.set_max_image_sample_distance(4.0, 1.0).unwrap();
         let path = |session: &Session| session.coarsening;
         let by_model = path(&session);
-        assert_eq!(session.quality(), Some(SOME));
+        assert_eq!(session.quality(), Some(LAW));
         session.set_timing_source("other", "cpu").unwrap();
         assert!(session.quality().is_none() && path(&session) != by_model);
         session.set_timing_source("vtkFixedPointVolumeRayCastMapper", "cpu").unwrap();
         assert_eq!(session.quality().map(|q| q.image_weight), Some(5.9));
         session.set_timing_source("mine", "cpu").unwrap();
         assert_eq!(path(&session), by_model);
-        let own = Quality { image_weight: 40.0, ..SOME };
+        let own = Quality { image_weight: 40.0, ..LAW };
         session.set_quality(Some(own)).unwrap();
         assert!(session.quality() == Some(own) && path(&session) != by_model);
         session.set_quality(None).unwrap();
-        assert_eq!((session.quality(), path(&session)), (Some(SOME), by_model));
+        assert_eq!((session.quality(), path(&session)), (Some(LAW), by_model));
         session.set_predictor(Box::new(AnalyticModel::default()), HybridOptions::default()).unwrap();
         assert!(session.quality().is_none() && path(&session) != by_model);
     }

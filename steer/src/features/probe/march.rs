@@ -17,9 +17,9 @@ pub(super) const DRAW: usize = 2;
 /// Length inside the box. This field and those below are results; all lengths are in reference steps.
 pub(super) const CHORD: usize = 3;
 /// Lengths in occupied blocks, in empty blocks, and of visible samples, all up to termination.
-pub(super) const OCCUPIED: usize = 4;
-pub(super) const EMPTY: usize = 5;
-pub(super) const VISIBLE: usize = 6;
+pub(super) const OCCUPIED_LENGTH: usize = 4;
+pub(super) const EMPTY_LENGTH: usize = 5;
+pub(super) const VISIBLE_LENGTH: usize = 6;
 /// Number of runs of samples.
 pub(super) const RUNS: usize = 7;
 /// Integral of the depth over the length in occupied blocks.
@@ -37,7 +37,7 @@ pub(super) const SEGMENTS: usize = 13;
 pub(super) const SHADOW_SEGMENTS: usize = 14;
 /// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; 0 without single
 /// scattering.
-pub(super) const BUSY: usize = 15;
+pub(super) const BUSY_LENGTH: usize = 15;
 /// Number of a ray's fields.
 pub(super) const FIELDS: usize = 16;
 
@@ -45,7 +45,7 @@ pub(super) const FIELDS: usize = 16;
 pub(super) const LANES_LOG2: usize = 3;
 
 /// Smallest magnitude of a direction component; components closer to 0 are set to this magnitude.
-pub(super) const TINY: f32 = 1.0e-9;
+pub(super) const MIN_COMPONENT: f32 = 1.0e-9;
 
 /// Number of chords that are binned at a time.
 pub(super) const BINNED_CHORDS: usize = 256;
@@ -250,8 +250,8 @@ impl<'a> March<'a> {
     fn ray(&mut self, origin: Vec3, direction: Vec3, mut draw: f32) -> [f32; FIELDS] {
         let mut out = [0.0; FIELDS];
         let safe = Vec3::from_array(direction.to_array().map(|d| {
-            let least = if d < 0.0 { -TINY } else { TINY };
-            if d.abs() < TINY { least } else { d }
+            let least = if d < 0.0 { -MIN_COMPONENT } else { MIN_COMPONENT };
+            if d.abs() < MIN_COMPONENT { least } else { d }
         }));
         let inverse = 1.0 / safe;
         let (a, b) = ((-self.half_extent - origin) * inverse, (self.half_extent - origin) * inverse);
@@ -292,14 +292,14 @@ impl<'a> March<'a> {
                     (length, false)
                 };
                 let inside = used * here.occupied;
-                out[OCCUPIED] += inside;
+                out[OCCUPIED_LENGTH] += inside;
                 // Ray directions have length 1 along the view axis, so t is the depth.
                 out[DEPTH] += inside * (t + t_next);
                 out[SEGMENTS] += used * here.looks * crossings;
                 out[RUNS] += if was_occupied { 0.0 } else { 1.0 };
                 was_occupied = true;
                 let shown = used * here.visible;
-                out[VISIBLE] += shown;
+                out[VISIBLE_LENGTH] += shown;
                 if self.scatters && shown > 0.0 {
                     // After the loop, `miss` is the probability that none of the 2^LANES_LOG2 lanes hits a
                     // visible value, if the lanes sample the cell independently.
@@ -307,10 +307,10 @@ impl<'a> March<'a> {
                     for _ in 0..LANES_LOG2 {
                         miss *= miss;
                     }
-                    out[BUSY] += used * (1.0 - miss);
+                    out[BUSY_LENGTH] += used * (1.0 - miss);
                     // Reservoir sampling keeps one visible point, each with a probability proportional to the
                     // visible length around it. `draw` is scaled to [0, 1) again for the next cell.
-                    let keep = shown / out[VISIBLE];
+                    let keep = shown / out[VISIBLE_LENGTH];
                     if draw < keep {
                         draw /= keep;
                         lit = t + draw * (t_next - t);
@@ -320,7 +320,7 @@ impl<'a> March<'a> {
                 }
                 if here.occupied < 1.0 {
                     let empty = used - inside;
-                    out[EMPTY] += empty;
+                    out[EMPTY_LENGTH] += empty;
                     if let Some(chord) = mean_block_chord {
                         let more = empty / chord * here.occupied;
                         out[RUNS] += more;
@@ -335,7 +335,7 @@ impl<'a> March<'a> {
                 depth += d;
             } else {
                 was_occupied = false;
-                out[EMPTY] += length;
+                out[EMPTY_LENGTH] += length;
                 if mean_block_chord.is_none() {
                     self.block_skips.add_one(length);
                 }
@@ -360,12 +360,12 @@ impl<'a> March<'a> {
         out[DEPTH] *= 0.5;
         jump.finish(&mut self.distance_skips);
         if let Some(chord) = mean_block_chord {
-            self.block_skips.add_many(chord, out[EMPTY]);
+            self.block_skips.add_many(chord, out[EMPTY_LENGTH]);
         }
         if lit >= 0.0 {
             let found = self.shadow(origin + lit * safe);
             for (field, value) in [SHADOW, SHADOW_ALL, SHADOW_SKIPS, SHADOW_SEGMENTS].into_iter().zip(found) {
-                out[field] = out[VISIBLE] * value;
+                out[field] = out[VISIBLE_LENGTH] * value;
             }
         }
         out

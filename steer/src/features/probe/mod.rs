@@ -7,8 +7,8 @@ mod packet;
 mod tests;
 
 use self::march::{
-    BUSY, CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SEGMENTS, SHADOW, SHADOW_ALL,
-    SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, U, V, VISIBLE,
+    BUSY_LENGTH, CHORD, DEPTH, DRAW, EMPTY_LENGTH, FIELDS, March, OCCUPIED_LENGTH, RUNS, SEGMENTS, SHADOW,
+    SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, U, V, VISIBLE_LENGTH,
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use entire_core::kernels::Level;
@@ -172,20 +172,24 @@ impl Probe {
         }
         let inv = 1.0 / hits as f32;
         let total = |field: usize| sum(&rays[field][..count]);
-        let occupied = total(OCCUPIED);
+        let occupied = total(OCCUPIED_LENGTH);
         // Mean depth of the samples along the view axis, or the depth of the volume's center if there are no
         // samples.
         let depth = if occupied > 0.0 { total(DEPTH) / occupied } else { frame.camera.to_arcball().dz };
         let aspect = frame.width as f32 / frame.height as f32;
         let mut all = [0.0f32; ROOM];
-        for ((all, &occupied), &empty) in all.iter_mut().zip(&*rays[OCCUPIED]).zip(&*rays[EMPTY]) {
+        for ((all, &occupied), &empty) in
+            all.iter_mut().zip(&*rays[OCCUPIED_LENGTH]).zip(&*rays[EMPTY_LENGTH])
+        {
             *all = occupied + empty;
         }
         // In lockstep, a pixel whose ray misses the box waits for its neighbors too, so such rays are
         // included.
         let most = if side <= 14 { most_nearby::<16> } else { most_nearby::<32> };
-        let (occupied_max, all_max) = (most(&rays[OCCUPIED][..count], side), most(&all[..count], side));
-        let sampled = if frame.skipping == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
+        let (occupied_max, all_max) =
+            (most(&rays[OCCUPIED_LENGTH][..count], side), most(&all[..count], side));
+        let sampled =
+            if frame.skipping == Skipping::None { &all[..count] } else { &rays[OCCUPIED_LENGTH][..count] };
         let error = relative_error(sampled, &rays[CHORD][..count], side, hits);
         let block_skips = block_skips.mean(inv);
         let longest = |field: usize| largest(&rays[field][..count]);
@@ -194,9 +198,9 @@ impl Probe {
             rays: hits as u32,
             mean_chord: total(CHORD) * inv,
             occupied: occupied * inv,
-            empty: total(EMPTY) * inv,
-            visible: total(VISIBLE) * inv,
-            busy: total(BUSY) * inv,
+            empty: total(EMPTY_LENGTH) * inv,
+            visible: total(VISIBLE_LENGTH) * inv,
+            busy: total(BUSY_LENGTH) * inv,
             ends_apart: if frame.shading.scatters() { ends_apart(&all[..count], &rays, side) } else { 0.0 },
             runs: total(RUNS) * inv,
             segments: total(SEGMENTS) * inv,
@@ -210,7 +214,7 @@ impl Probe {
             shadow_all: total(SHADOW_ALL) * inv,
             shadow_segments: total(SHADOW_SEGMENTS) * inv,
             longest: Longest {
-                occupied: longest(OCCUPIED),
+                occupied: longest(OCCUPIED_LENGTH),
                 all: largest(&all[..count]),
                 segments: longest(SEGMENTS),
                 shadow: longest(SHADOW),
@@ -324,7 +328,7 @@ fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
 /// Computes [`Probe::ends_apart`] from the lengths of the rays up to their ends, `ends`, and from their
 /// visible lengths.
 fn ends_apart(ends: &[f32], rays: &[&mut [f32]; FIELDS], side: usize) -> f32 {
-    let (visible, terminated) = (&rays[VISIBLE], &rays[TERMINATED]);
+    let (visible, terminated) = (&rays[VISIBLE_LENGTH], &rays[TERMINATED]);
     let (mut distance, mut length) = (0.0f32, 0.0f32);
     let mut add = |i: usize, j: usize| {
         let both = terminated[i] * terminated[j];

@@ -3,8 +3,9 @@
 //! similar numbers of cells are put into the same packet.
 
 use super::march::{
-    BINNED_CHORDS, BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, LANES_LOG2, March, OCCUPIED, RUNS,
-    SEGMENTS, SHADOW, SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
+    BINNED_CHORDS, BUSY_LENGTH, CHORD, ChordCounts, DEPTH, DRAW, EMPTY_LENGTH, FIELDS, LANES_LOG2,
+    MIN_COMPONENT, March, OCCUPIED_LENGTH, RUNS, SEGMENTS, SHADOW, SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS,
+    TERMINATED, U, V, VISIBLE_LENGTH,
 };
 use super::{MAX_RAYS, SHADOW_DIRECTION};
 use crate::features::transfer::packed;
@@ -104,7 +105,7 @@ impl Order {
 struct Chords<S: Simd> {
     origin: Three<S>,
     direction: Three<S>,
-    /// `direction`, with components closer to zero than [`TINY`] replaced by ±[`TINY`].
+    /// `direction`, with components closer to zero than [`MIN_COMPONENT`] replaced by ±[`MIN_COMPONENT`].
     safe: Three<S>,
     t_enter: S::F,
     t_exit: S::F,
@@ -274,11 +275,11 @@ impl<S: Simd> Packet<'_, '_, S> {
         for k in 0..3 {
             let m = &*self.march;
             let (origin, d) = (self.along(&m.origin, k, u, v), self.along(&m.direction, k, u, v));
-            let least = simd.select(simd.lt(d, zero), simd.splat(-TINY), simd.splat(TINY));
+            let least = simd.select(simd.lt(d, zero), simd.splat(-MIN_COMPONENT), simd.splat(MIN_COMPONENT));
             let magnitude = self.magnitude(d);
             origins[k] = origin;
             direction[k] = d;
-            safe[k] = simd.select(simd.lt(magnitude, simd.splat(TINY)), least, d);
+            safe[k] = simd.select(simd.lt(magnitude, simd.splat(MIN_COMPONENT)), least, d);
             let inverse = simd.div(simd.splat(1.0), safe[k]);
             let extent = m.half_extent[k];
             let a = simd.mul(simd.sub(simd.splat(-extent), origin), inverse);
@@ -512,9 +513,9 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
         self.kept_count = kept_count;
         for (field, value) in [
-            (OCCUPIED, occupied),
-            (EMPTY, empty),
-            (VISIBLE, visible),
+            (OCCUPIED_LENGTH, occupied),
+            (EMPTY_LENGTH, empty),
+            (VISIBLE_LENGTH, visible),
             (RUNS, runs),
             (SEGMENTS, segments),
             (DEPTH, simd.mul(far, simd.splat(0.5))),
@@ -528,13 +529,13 @@ impl<S: Simd> Packet<'_, '_, S> {
             for (&chord, &ray) in chords.iter().zip(order).take(count.min(S::LANES)) {
                 let ray = ray as usize;
                 if rays[CHORD][ray] > 0.0 {
-                    self.march.block_skips.add_many(chord, rays[EMPTY][ray]);
+                    self.march.block_skips.add_many(chord, rays[EMPTY_LENGTH][ray]);
                 }
             }
         }
         let lights = simd.le(zero, lit);
         if scatters {
-            self.spread(busy, rays[BUSY], order, count);
+            self.spread(busy, rays[BUSY_LENGTH], order, count);
         }
         if scatters && simd.any(lights) {
             let mut from = [[0.0f32; 16]; 3];
@@ -561,7 +562,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let simd = self.simd;
         let from = self.origins(rays, order);
         let own = simd.read_i(order);
-        let visible = self.of_rays(rays[VISIBLE], own);
+        let visible = self.of_rays(rays[VISIBLE_LENGTH], own);
         let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
         let [inside, all, skips, segments] = self.shadow(from, existing);
         for (field, value) in

@@ -2,7 +2,7 @@
 //! forms and with a distant perspective camera.
 
 use super::ends_apart;
-use super::march::{FIELDS, TERMINATED, VISIBLE};
+use super::march::{FIELDS, TERMINATED, VISIBLE_LENGTH};
 use crate::features::tests::{frame, measured, noise, summary, table};
 use crate::features::*;
 use entire_core::kernels::Level;
@@ -315,7 +315,7 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
 #[test]
 fn only_rays_that_terminate_early_end_apart() {
     let mut room = [[0.0f32; 4]; FIELDS];
-    room[VISIBLE] = [1.0, 3.0, 5.0, 100.0];
+    room[VISIBLE_LENGTH] = [1.0, 3.0, 5.0, 100.0];
     room[TERMINATED] = [1.0, 1.0, 1.0, 0.0];
     let rays = room.each_mut().map(|field| field.as_mut_slice());
     let (distance, length) = (20.0 + 4.0, 2.0 + 3.0);

@@ -402,7 +402,7 @@ fn absorb(bytes: &[u8], keys: Sums, first: &mut [u64], second: &mut [u64]) {
 const LENGTH: usize = 2;
 
 /// Marker before a count that does not fit in one byte.
-const LARGE: u8 = u8::MAX;
+const LARGE_COUNT: u8 = u8::MAX;
 
 /// Appends a cell's tally: the tally's length in bytes, the bounds of the cell's entries, the number of
 /// voxels that are not finite, and the number of voxels with each entry from the lower bound to the upper. A
@@ -416,9 +416,9 @@ fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_
     to.extend_from_slice(&[low, high]);
     for &n in [non_finite].iter().chain(counts) {
         match u8::try_from(n) {
-            Ok(n) if n < LARGE => to.push(n),
+            Ok(n) if n < LARGE_COUNT => to.push(n),
             _ => {
-                to.push(LARGE);
+                to.push(LARGE_COUNT);
                 to.extend_from_slice(&n.to_le_bytes());
             }
         }
@@ -443,7 +443,7 @@ fn read_tally(tally: &[u8], mut each: impl FnMut(u8, u64)) -> u64 {
     let mut next = || {
         let (&byte, after) = rest.split_first()?;
         match after.split_first_chunk::<8>() {
-            Some((&large, after)) if byte == LARGE => {
+            Some((&large, after)) if byte == LARGE_COUNT => {
                 rest = after;
                 Some(u64::from_le_bytes(large))
             }

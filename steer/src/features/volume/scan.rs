@@ -370,7 +370,7 @@ impl<S: Simd> Tally<'_, S> {
     fn batch(&self, bytes: &[u8], counts: &mut Counts) {
         let [low, high] = self.bounds;
         let [a, b, c, d] = counts;
-        if usize::from(high - low) < S::COUNTED {
+        if usize::from(high - low) < S::MAX_COUNTED_VALUES {
             for first in (low..=high).step_by(8) {
                 // The last group of eight values may overlap the preceding group; the counts of their common
                 // values are then stored twice.

@@ -43,7 +43,7 @@ impl Engine {
         // made.
         unsafe {
             let copy = |from: &Buffer, to, region| {
-                device.cmd_copy_buffer_to_image(commands, from.get(), to, FILLED, &[region]);
+                device.cmd_copy_buffer_to_image(commands, from.get(), to, FILL_LAYOUT, &[region]);
             };
             match command {
                 Command::WriteSetup(setup) => {
@@ -53,14 +53,14 @@ impl Engine {
                     device.cmd_update_buffer(commands, self.table_staging.get(), 0, table);
                 }
                 Command::PrepareCopy { target, keep } => {
-                    let old = if *keep { FILLED } else { vk::ImageLayout::UNDEFINED };
-                    let earlier = (vk::PipelineStageFlags::COMPUTE_SHADER | WRITTEN.0, WRITTEN.1);
-                    self.layout_barrier(self.image(*target)?.get(), old, FILLED, earlier, WRITTEN);
+                    let old = if *keep { FILL_LAYOUT } else { vk::ImageLayout::UNDEFINED };
+                    let earlier = (vk::PipelineStageFlags::COMPUTE_SHADER | WRITE_ACCESS.0, WRITE_ACCESS.1);
+                    self.layout_barrier(self.image(*target)?.get(), old, FILL_LAYOUT, earlier, WRITE_ACCESS);
                 }
                 Command::FinishCopy { target } => {
                     let image = self.image(*target)?;
                     let read = (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ);
-                    self.layout_barrier(image.get(), FILLED, image.layout(), WRITTEN, read);
+                    self.layout_barrier(image.get(), FILL_LAYOUT, image.layout(), WRITE_ACCESS, read);
                 }
                 Command::CopySlices { target, first_slice, slices } => {
                     let image = self.image(*target)?;
@@ -114,7 +114,7 @@ impl Engine {
                     // stage, so the barriers name all stages.
                     let readers = vk::PipelineStageFlags::ALL_COMMANDS;
                     let old = if *fresh { vk::ImageLayout::UNDEFINED } else { shown };
-                    self.layout_barrier(*image, old, FILLED, (readers, WRITTEN.1), WRITTEN);
+                    self.layout_barrier(*image, old, FILL_LAYOUT, (readers, WRITE_ACCESS.1), WRITE_ACCESS);
                     let region = vk::BufferImageCopy::default()
                         .image_subresource(COLOR_LAYER)
                         .image_offset(vk::Offset3D { x: at.x as i32, y: at.y as i32, z: 0 })
@@ -122,9 +122,9 @@ impl Engine {
                     copy(&tile.image, *image, region);
                     self.layout_barrier(
                         *image,
-                        FILLED,
+                        FILL_LAYOUT,
                         shown,
-                        WRITTEN,
+                        WRITE_ACCESS,
                         (readers, vk::AccessFlags::SHADER_READ),
                     );
                 }
@@ -210,17 +210,17 @@ fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
 type Access = (vk::PipelineStageFlags, vk::AccessFlags);
 
 /// Layout of an image while copies fill it.
-const FILLED: vk::ImageLayout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
+const FILL_LAYOUT: vk::ImageLayout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
 /// Access of a transfer that writes.
-const WRITTEN: Access = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
+const WRITE_ACCESS: Access = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
 
 fn barrier_masks(hazard: Hazard) -> (Access, Access) {
     let transfer = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
     let shader = vk::PipelineStageFlags::COMPUTE_SHADER;
     match hazard {
-        Hazard::TransferToTransfer => (WRITTEN, transfer),
-        Hazard::TransferToShader => (WRITTEN, (shader, vk::AccessFlags::SHADER_READ)),
+        Hazard::TransferToTransfer => (WRITE_ACCESS, transfer),
+        Hazard::TransferToShader => (WRITE_ACCESS, (shader, vk::AccessFlags::SHADER_READ)),
         Hazard::ShaderToTransfer => ((shader, vk::AccessFlags::SHADER_WRITE), transfer),
-        Hazard::TransferToHost => (WRITTEN, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
+        Hazard::TransferToHost => (WRITE_ACCESS, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
     }
 }
