@@ -43,8 +43,8 @@ mod vti;
 
 pub(crate) use element::{Element, Endian};
 pub use reading::{Fill, Range, Reading};
-pub(crate) use stream::{Companions, Folder};
-pub use stream::{Stream, Watcher};
+pub use stream::Watcher;
+pub(crate) use stream::{Companions, Folder, Stream};
 
 use crate::files::{note, without_mark};
 use anyhow::{Context, Result, bail, ensure};

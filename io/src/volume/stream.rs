@@ -60,7 +60,7 @@ impl<R: Read> Read for Watched<R> {
 }
 
 /// A readable source of bytes with a name for messages and a bound on its length.
-pub struct Stream<'a> {
+pub(crate) struct Stream<'a> {
     reader: Box<dyn BufRead + 'a>,
     remaining: Remaining,
     read: u64,
@@ -169,7 +169,7 @@ impl<'a> Stream<'a> {
     ///
     /// # Errors
     /// When more than `limit` bytes are left, when they do not fit into memory, or when reading fails.
-    pub fn all(&mut self, limit: u64) -> Result<Vec<u8>> {
+    pub(crate) fn all(&mut self, limit: u64) -> Result<Vec<u8>> {
         let mut bytes = Vec::new();
         if let Remaining::Exact(left) = self.remaining
             && left <= limit

@@ -15,6 +15,7 @@ use entire_io::options::{DrawSettings, RenderArgs, parse_hold, parse_scale, pars
 use entire_io::path::{Generated, PathFile};
 use entire_io::progress::progress_bar;
 use entire_steer::features::VolumeSummary;
+use entire_vk_raycaster::Renderer;
 use std::path::PathBuf;
 
 /// Seed of the calibration scenes.
@@ -120,9 +121,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         (None, Some(kind)) => kind.path(&volumes[0].view(), options.frames)?,
         (None, None) => bail!("give --path or --generate"),
     };
-    let mut renderer = device::open(options.render.device)?;
-    let clock = waited_for(options.clock, renderer.as_ref());
-    let draw = DrawSettings::new(options.size, &options.render, clock);
+    let (mut renderer, draw) = opened(options)?;
     let name = options.name.clone().unwrap_or_else(|| {
         let file = options.out.file_name().unwrap_or_default().to_string_lossy();
         file.trim_end_matches(".gz").trim_end_matches(".json").to_owned()
@@ -180,17 +179,22 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
     Ok(Some(begun))
 }
 
+/// Opens the renderer, and returns it with the settings with which it draws.
+fn opened(options: &Options) -> Result<(Box<dyn Renderer>, DrawSettings)> {
+    let renderer = device::open(options.render.device)?;
+    let clock = waited_for(options.clock, renderer.as_ref());
+    Ok((renderer, DrawSettings::new(options.size, &options.render, clock)))
+}
+
 /// Writes a timing table of random scenes; each scene is rendered at all six ray steps of a calibration.
 fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
-    let mut renderer = device::open(options.render.device)?;
-    let clock = waited_for(options.clock, renderer.as_ref());
-    let timing: fn(f64) -> Timing = match clock {
+    let (mut renderer, draw) = opened(options)?;
+    let timing: fn(f64) -> Timing = match draw.clock {
         Clock::Cpu => |seconds| Timing { cpu: Some(seconds), ..Timing::default() },
         Clock::Device => |seconds| Timing { device: Some(seconds), ..Timing::default() },
         Clock::Wall => |seconds| Timing { wall: Some(seconds), ..Timing::default() },
     };
-    let draw = DrawSettings::new(options.size, &options.render, clock);
     let stop = interrupt::flag()?;
     make_folder_of(&options.out)?;
     let mut table = Writer::create(&options.out)?;
