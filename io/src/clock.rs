@@ -102,8 +102,8 @@ pub fn waited_for(asked: ClockChoice, renderer: &dyn Renderer) -> Clock {
 
 /// Returns the clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and
 /// clock of the model that training starts from), else CPU time. If `asked` is not given and some frames have
-/// no time by the chosen clock, the clock that `auto` means for the frames is returned instead, and
-/// a note is printed.
+/// no time by the chosen clock, the clock that `auto` means for the frames is returned instead, and a note is
+/// printed.
 ///
 /// # Errors
 /// Those of [`concrete`].
@@ -176,8 +176,8 @@ pub fn agreed<'a>(
         if let Some(other) = asked.clock().filter(|c| *c != clock) {
             bail!(
                 "{name} predicts {} seconds, but --clock asks for {}; leave --clock out, or make a model for \
-             the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine or, \
-             with --data TABLE.csv, to a table",
+                 the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine or, \
+                 with --data TABLE.csv, to a table",
                 clock.name(),
                 other.name(),
                 other.name()

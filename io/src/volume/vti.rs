@@ -38,8 +38,8 @@ enum Place {
 }
 
 /// Names of VTK's own arrays, which are not read as active scalars.
-const RESERVED_NAMES: &str = "vtkGhostType vtkGhostLevels vtkValidPointMask vtkOriginalPointIds vtkOriginalCellIds \
-                        vtkOriginalIndices vtkInsidedness vtkProcessId";
+const RESERVED_NAMES: &str = "vtkGhostType vtkGhostLevels vtkValidPointMask vtkOriginalPointIds \
+                              vtkOriginalCellIds vtkOriginalIndices vtkInsidedness vtkProcessId";
 
 /// Maximum number of pieces, more than any writer makes.
 const MAX_PIECES: usize = 1 << 12;

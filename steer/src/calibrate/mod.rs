@@ -33,7 +33,7 @@ pub const FEWEST_FRAMES: usize = 8;
 const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
 
 /// Number of time intervals for cross-validation, used if there are too few volumes and transfer functions.
-const INTERVALS: u64 = 5;
+const STRETCHES: u64 = 5;
 
 /// Scene of a timed frame: hashes of its volume and its transfer function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -214,13 +214,13 @@ impl Calibration {
         if distinct(&transfers) >= FEWEST_GROUPS {
             return (HeldOut::TransferFunctions, transfers);
         }
-        if self.kept.len() < 3 * INTERVALS as usize {
+        if self.kept.len() < 3 * STRETCHES as usize {
             return (HeldOut::Nothing, volumes.iter().map(|_| 0).collect());
         }
         // Consecutive frames are similar, so whole intervals are held out.
         let last = self.kept.iter().map(|k| k.order).max().unwrap_or(0);
         let first = self.kept.iter().map(|k| k.order).min().unwrap_or(0);
-        let stretch = |k: &Kept| INTERVALS * (k.order - first) / (last - first + 1);
+        let stretch = |k: &Kept| STRETCHES * (k.order - first) / (last - first + 1);
         (HeldOut::Stretches, self.kept.iter().map(stretch).collect())
     }
 

@@ -304,8 +304,8 @@ pub fn fit_quality(pictures: &[Picture], prior: Option<Quality>) -> Result<Fitte
     if counted < 4 {
         bail!(
             InvalidArgument,
-            "{counted} pictures of every scene take at most {MAX_TIME_SHARE} times as long as full quality, but at \
-             least 4 are needed; draw coarser steps and smaller images"
+            "{counted} pictures of every scene take at most {MAX_TIME_SHARE} times as long as full quality, but \
+             at least 4 are needed; draw coarser steps and smaller images"
         );
     }
     let over_prior = prior.map(|prior| drawn.over_prior(&prior));

@@ -144,7 +144,7 @@ pub(super) struct Hybrid {
     announced: bool,
     scene: SceneMark,
     /// Upper limit of the margin of [`Expected::choice_upper`], in standard deviations of undisturbed frames.
-    worth: f64,
+    calm_deviations: f64,
     /// State before the last begun frame, for [`Controller::withdraw`]; its correction learns from every
     /// observation, too. `None` if no frame was begun since the last withdrawal or reset.
     before: Option<Before>,
@@ -219,7 +219,7 @@ impl Hybrid {
             learned: None,
             announced: false,
             scene: SceneMark::default(),
-            worth: normal_quantile(f64::from(options.miss_rate)).max(CALM_DEVIATIONS),
+            calm_deviations: normal_quantile(f64::from(options.miss_rate)).max(CALM_DEVIATIONS),
             before: None,
         }
     }
@@ -260,7 +260,7 @@ impl Hybrid {
         let wider = |sd: f64| libm::sqrt(sd * sd + slope * slope);
         let z = if self.scene.first { self.changed.multiple } else { self.calm.multiple };
         let calm_sd = wider(corrected.calm_sd);
-        let (all, calm) = (z * wider(corrected.sd), self.worth * calm_sd);
+        let (all, calm) = (z * wider(corrected.sd), self.calm_deviations * calm_sd);
         let choice = corrected.seconds / self.ignored_load();
         Expected {
             seconds: corrected.seconds,
@@ -676,9 +676,10 @@ mod tests {
 
     #[test]
     fn a_lower_miss_rate_is_kept_by_the_step_too() {
-        let worth = |miss_rate| Hybrid::new(HybridOptions { miss_rate, ..HybridOptions::default() }).worth;
-        assert_eq!(worth(0.05), CALM_DEVIATIONS);
-        assert!(worth(0.001) > 3.0);
+        let of =
+            |miss_rate| Hybrid::new(HybridOptions { miss_rate, ..HybridOptions::default() }).calm_deviations;
+        assert_eq!(of(0.05), CALM_DEVIATIONS);
+        assert!(of(0.001) > 3.0);
     }
 
     #[test]
