@@ -1,10 +1,9 @@
 //! Scalar volumes in files: NRRD, MetaImage, VTK XML image data, NIfTI, and raw voxels beside a JSON
 //! description.
 //!
-//! [`Volume::open`] picks the format by the file name's ending, else by the first bytes. Readers work on any
-//! [`Stream`], so they read files, memory and decompressed data. They allocate in proportion to the bytes
-//! that really exist. A header that claims a huge volume over a few bytes of data is an error, not an
-//! allocation.
+//! [`Volume::open`] picks the format by the file name's ending, else by the first bytes. Readers read files,
+//! memory and decompressed data alike. They allocate in proportion to the bytes that really exist. A header
+//! that claims a huge volume over a few bytes of data is an error, not an allocation.
 //!
 //! # Bytes behind the voxels
 //!
