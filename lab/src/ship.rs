@@ -7,15 +7,15 @@ use crate::study::{
 };
 use anyhow::{Context, Result, ensure};
 use entire_cli::calibrate::can_be_prior;
-use entire_core::model::{GroupKind, Key, ModelFile};
+use entire_core::model::{GroupKind, Key, Model, ModelFile};
 use entire_io::dataset::Table;
 use entire_io::files::{make_folder, read_model_file, write_whole};
-use entire_io::metrics::{BoundMetrics, Metrics};
+use entire_io::metrics::Metrics;
+use entire_report::{Card, CardFigures};
 use entire_steer::predict::AnalyticModel;
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, predict};
 use serde_json::json;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// A predictor to ship, with the errors of its stored weights.
@@ -72,7 +72,8 @@ pub(crate) fn ship(
             provenance(&mut file, &shipping)?;
             let path = folder.join(format!("{name}.safetensors"));
             write_whole(&path, &file.to_bytes()?)?;
-            write_whole(&path.with_extension("md"), card(&name, &file, &shipping, judged_as)?.as_bytes())?;
+            let card = card(&name, &file, &shipping, judged_as)?.to_markdown();
+            write_whole(&path.with_extension("md"), card.as_bytes())?;
             out.push(path);
         }
     }
@@ -165,7 +166,7 @@ fn provenance(file: &mut ModelFile, of: &Shipping<'_>) -> Result<()> {
 }
 
 /// Returns the card of a model. `judged_as`: storage format of the weights whose latency was measured.
-fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Result<String> {
+fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Result<Card> {
     let Shipping { study, found, set, predictor, ship, training, figures } = of;
     let model = file.to_model()?;
     let stored: serde_json::Value =
@@ -173,181 +174,172 @@ fn card(name: &str, file: &ModelFile, of: &Shipping<'_>, judged_as: &str) -> Res
             .unwrap_or_default();
     let text = |key: &str| stored.get(key).and_then(|v| v.as_str()).unwrap_or("not known").to_owned();
     let shading = text("shading");
-    let calibrate = if can_be_prior(file) {
+    let adapt = if can_be_prior(file) {
         format!("calibrate --data FRAMES.csv --shade {shading} --prior models/{name}.safetensors")
     } else {
         format!("train --data FRAMES.csv --fine-tune models/{name}.safetensors")
     };
-    let mut md = format!(
-        "# {name}\n\n{}; weights stored as {}. Predicts the seconds of one frame with shading `{shading}` \
-         before it is drawn.\n\n\
-         ## Use\n\nThe model predicts the seconds of one machine and one renderer. `entire calibrate --shade \
-         {shading}` makes a model of your machine in a minute and a half. To measure frames first and adapt \
-         this model to them:\n\n\
-         ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
-         entire {calibrate} --out here.safetensors\n\
-         entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
-         `entire steer --model here.safetensors` uses the new model.\n\n## Inputs\n\n",
-        text("what"),
-        ship.dtype.storage()
-    );
-    for group in &model.inputs {
-        let _ = writeln!(md, "- `{}`, {}", group.name, group.size);
-    }
-    if !model.scene_features.is_empty() {
-        let _ = writeln!(
-            md,
-            "\nScene features, in order: {}. Rays along each side of the probe: {}.",
-            model.scene_features.join(", "),
-            entire_steer::predict::InputLayout::of_model(&model)?.probe_side
-        );
-    }
-    let _ = writeln!(md, "\n## Data\n");
     let distilled: Vec<_> =
         stored["data"].as_array().into_iter().flatten().filter(|d| d["renderer"] == "teacher").collect();
-    for d in &distilled {
+    let crossed = found.crossed(&set.name, predictor);
+    let judged = judged(of, !distilled.is_empty(), judged_as, name);
+    Ok(Card {
+        name: name.into(),
+        what: text("what"),
+        dtype: ship.dtype.storage().to_string(),
+        adapt: (
+            vec![format!(
+                "`entire calibrate --shade {shading}` makes a model of your machine in a minute and a half. To \
+                 measure frames first and adapt this model to them:"
+            )],
+            vec![
+                format!("entire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv"),
+                format!("entire {adapt} --out here.safetensors"),
+                "entire evaluate --data OTHER.csv --model here.safetensors".into(),
+            ],
+        ),
+        shading: Some(shading),
+        inputs: model.inputs.iter().map(|group| (group.name.to_string(), group.size)).collect(),
+        scene_features: model.scene_features.iter().map(ToString::to_string).collect(),
+        probe_side: entire_steer::predict::InputLayout::of_model(&model)?.probe_side,
+        data: data_of(set, training, &distilled, &model, crossed.map(|(_, folds)| folds)),
+        volumes: vec![VOLUMES.into()],
+        split: vec![SPLITS.into()],
+        outcome: text("outcome"),
+        clock: study.clock.clone(),
+        settings: serde_json::to_string_pretty(&stored["settings"]).unwrap_or_default(),
+        training: Vec::new(),
+        figures: figures.iter().map(|f| row(f, found.noise_mdape(&set.name, &f.split))).collect(),
+        notes: judged,
+        limits: if model.scene_features.is_empty() {
+            "The network describes a volume by the two features of its VolumeNet. Predictions for volumes \
+             unlike the training volumes may have large errors."
+        } else {
+            "Predictions for scenes unlike the training data (far larger images, other steps) may have large \
+             errors."
+        }
+        .into(),
+    })
+}
+
+/// Origin and license of the training volumes.
+const VOLUMES: &str = "Volumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, enlarged \
+    trilinearly by a factor of two per axis. They were computed for this project and are under its licenses (MIT \
+    or Apache-2.0, see data/README.md). Scans and other codes were used for evaluation alone. The weights are \
+    under the project's licenses.";
+
+/// Parts of the data.
+const SPLITS: &str = "The training volumes are the even time steps of castro_blast m01 and m02, nyx_cosmology \
+    m01 and m02, and maestroex_bubbles m01. The error on a tenth of these volumes decides when the training of a \
+    network stops (of a distilled network: the error on one volume). The split *member* has other members, with \
+    other seeds and physical parameters. *Time step* has odd time steps of the training members, *ray step* \
+    other ray steps, *modality* scans, *other codes* simulations by other codes, *camera inside* cameras inside \
+    the volume, and *renderer changed* frames of an earlier raycaster. The renderer's Vulkan driver is a software \
+    driver.";
+
+/// Returns the list of training data on a card. `distilled`: random frames with a teacher's predictions;
+/// `folds`: number of folds if the upper bound is that of cross-validated predictions.
+fn data_of(
+    set: &Set,
+    training: &[Table],
+    distilled: &[&serde_json::Value],
+    model: &Model,
+    folds: Option<usize>,
+) -> Vec<String> {
+    let teacher = |d: &&serde_json::Value| {
         let word = |key: &str| d[key].as_str().unwrap_or("not known");
         let [device, file, hash] = ["device", "file", "fnv1a"].map(word);
-        let _ = writeln!(
-            md,
-            "- distilled: {} random frames of the training volumes (seed {}), which were not rendered: \
-             their seconds are predictions of {device} \
-             (`{file}`, FNV-1a {hash}; `make distill` makes this file)",
+        format!(
+            "distilled: {} random frames of the training volumes (seed {}), which were not rendered: their \
+             seconds are predictions of {device} (`{file}`, FNV-1a {hash}; `make distill` makes this file)",
             d["frames"], d["seed"]
-        );
-    }
-    for t in training.iter().filter(|_| distilled.is_empty()) {
-        let _ = writeln!(
-            md,
-            "- training: `data/timings/{}`, {} frames, FNV-1a {:016x}{}",
-            file_name(&t.path),
-            t.frames.len(),
-            t.hash,
-            t.manifest.as_ref().map_or(String::new(), |m| format!(
-                "; {} on {}; {}; {}",
-                m.renderer, m.device, m.machine, m.created
-            ))
-        );
+        )
+    };
+    let measured = |t: &Table| {
+        let made = t.manifest.as_ref().map_or(String::new(), |m| {
+            format!("; {} on {}; {}; {}", m.renderer, m.device, m.machine, m.created)
+        });
+        let (name, hash) = (file_name(&t.path), t.hash);
+        format!("training: `data/timings/{name}`, {} frames, FNV-1a {hash:016x}{made}", t.frames.len())
+    };
+    let mut out: Vec<String> = distilled.iter().map(teacher).collect();
+    if distilled.is_empty() {
+        out.extend(training.iter().map(measured));
     }
     if model.input_size(GroupKind::SceneFeatures).is_some() {
-        for path in &set.other_steps {
-            let _ = writeln!(md, "- training, other ray steps: `data/timings/{}`", file_name(path));
-        }
+        let other = |path: &PathBuf| format!("training, other ray steps: `data/timings/{}`", file_name(path));
+        out.extend(set.other_steps.iter().map(other));
     }
-    let crossed = found.crossed(&set.name, predictor);
-    if let Some((_, folds)) = crossed {
-        let _ = writeln!(
-            md,
-            "- upper bound: fitted to cross-validated predictions of the training frames ({folds} folds, \
-             ensemble members held out)"
-        );
+    match folds {
+        Some(folds) => out.push(format!(
+            "upper bound: fitted to cross-validated predictions of the training frames ({folds} folds, ensemble \
+             members held out)"
+        )),
+        None => out.extend(set.bounds.iter().map(|path| {
+            let name = file_name(path);
+            format!("only for the upper bound: `data/timings/{name}`; weights were not fitted to these frames")
+        })),
     }
-    for path in set.bounds.iter().filter(|_| crossed.is_none()) {
-        let _ = writeln!(
-            md,
-            "- only for the upper bound: `data/timings/{}`; weights were not fitted to these frames",
-            file_name(path)
-        );
+    out
+}
+
+/// Returns a row of a card's table of errors.
+fn row(f: &SplitResult, noise: f64) -> CardFigures {
+    let (i, m) = (f.intervals.as_ref(), &f.metrics);
+    CardFigures {
+        part: f.split.clone(),
+        metrics: m.clone(),
+        with_intervals: [Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m)],
+        below_bound: f.bound.as_ref().map(|b| [b.coverage, b.slowest_coverage]),
+        noise: Some(noise),
     }
-    let _ = writeln!(
-        md,
-        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, enlarged trilinearly by \
-         a factor of two per axis. They were computed for this project and are under its licenses (MIT or \
-         Apache-2.0, see data/README.md). Scans and other codes were used for evaluation alone. The weights \
-         are under the project's licenses.\n\n\
-         ## Splits\n\nThe training volumes are the even time steps of castro_blast m01 and m02, \
-         nyx_cosmology m01 and m02, and maestroex_bubbles m01. The error on a tenth of these volumes decides \
-         when the training of a network stops (of a distilled network: the error on one volume). The split \
-         *member* has other members, with other seeds and physical parameters. *Time step* has odd time \
-         steps of the training members, *ray step* other ray steps, *modality* scans, *other codes* \
-         simulations by other codes, *camera inside* cameras inside the volume, and *renderer changed* \
-         frames of an earlier raycaster.\n\n\
-         ## Training\n\n{}. Clock: {}; a frame's time is the median of its repeats.\n\n```json\n{}\n```\n\n\
-         ## Figures\n\nAn interval in parentheses contains 90 % of the values of 200 random draws of the \
-         volumes, with replacement.\n\n\
-         | split | frames | RMSE, ms | RMSE/SD | median error, % | p95, % | R² in log | below the upper bound, % | \
-         … slowest tenth | median noise, % |\n\
-         |---|---|---|---|---|---|---|---|---|---|",
-        text("outcome"),
-        study.clock,
-        serde_json::to_string_pretty(&stored["settings"]).unwrap_or_default()
-    );
-    for f in figures {
-        let m = &f.metrics;
-        let held = |v: fn(&BoundMetrics) -> f64| {
-            f.bound.as_ref().map_or("-".into(), |b| format!("{:.1}", 100.0 * v(b)))
-        };
-        let _ = writeln!(
-            md,
-            "| {} | {} | {:.2} | {} | {} | {:.1} | {:.4} | {} | {} | {:.1} |",
-            f.split,
-            m.frames,
-            1e3 * m.rmse,
-            Intervals::beside_rmse(f.intervals.as_ref(), m),
-            Intervals::beside_mdape(f.intervals.as_ref(), m),
-            100.0 * m.p95,
-            m.r2_log,
-            held(|b| b.coverage),
-            held(|b| b.slowest_coverage),
-            100.0 * found.noise_mdape(&set.name, &f.split)
-        );
-    }
+}
+
+/// Returns the paragraphs after a card's table of errors.
+fn judged(of: &Shipping<'_>, distilled: bool, judged_as: &str, name: &str) -> Vec<String> {
+    let Shipping { study, found, set, predictor, ship, .. } = of;
+    let mut out = vec![
+        "An interval in parentheses contains 90 % of the values of 200 random draws of the volumes, with \
+         replacement."
+            .to_owned(),
+    ];
     let fit = found.fit(&set.name, predictor);
     if let Some(f) = fit {
         let of = |m: &Metrics, i: Option<&Intervals>| {
             let (rmse, mdape) = (Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m));
             format!("RMSE/SD {rmse}, median error {mdape} %")
         };
-        let what = if distilled.is_empty() {
-            "its training frames"
-        } else {
-            "measured frames of its training volumes"
-        };
-        let _ = write!(md, "\nOn {what}: {}", of(&f.seen, f.seen_intervals.as_ref()));
-        if let Some((m, _)) = crossed {
-            let text = "in cross-validation on these frames, with ensemble members held out";
-            let _ = write!(md, "; {text}: {}", of(m, f.crossed_intervals.as_ref()));
-        }
-        md += ".\n";
+        let what = if distilled { "measured frames of its training volumes" } else { "its training frames" };
+        let text = "in cross-validation on these frames, with ensemble members held out";
+        let crossed = found
+            .crossed(&set.name, predictor)
+            .map_or(String::new(), |(m, _)| format!("; {text}: {}", of(m, f.crossed_intervals.as_ref())));
+        out.push(format!("On {what}: {}{crossed}.", of(&f.seen, f.seen_intervals.as_ref())));
     }
     if ship.predictor == SELECTED {
         let numbers = fit.map_or(0, |f| f.numbers);
-        let _ = writeln!(md, "\nThe rule selects `{predictor}` ({numbers} fitted parameters). {SENTENCE}");
+        out.push(format!("The rule selects `{predictor}` ({numbers} fitted parameters). {SENTENCE}"));
     }
     if let Some(l) = found.latency(&set.name, predictor) {
         let (machine, cold, warm) = (entire_io::machine::machine(), 1e6 * l.cold, 1e6 * l.warm);
-        let _ = write!(
-            md,
-            "\nTime of one prediction, scene features included, weights as {judged_as}, on {machine}: {cold:.1} µs \
-             with cold caches, {warm:.1} µs with warm caches"
-        );
-        if l.transfer > 0.0 {
-            let _ = write!(md, "; {:.0} µs more for a new transfer function", 1e6 * l.transfer);
-        }
-        md += ".\n";
+        let more = if l.transfer > 0.0 {
+            format!("; {:.0} µs more for a new transfer function", 1e6 * l.transfer)
+        } else {
+            String::new()
+        };
+        out.push(format!(
+            "Time of one prediction, scene features included, weights as {judged_as}, on {machine}: {cold:.1} µs \
+             with cold caches, {warm:.1} µs with warm caches{more}."
+        ));
     }
     let tables = set.splits.iter().flat_map(|s| &s.tables);
     let tables: Vec<String> = tables.map(|t| format!("data/timings/{}", file_name(t))).collect();
-    let _ = writeln!(
-        md,
-        "\n`make models` makes this file and its figures again. For one split: `entire evaluate --clock {} \
-         --model models/{name}.safetensors \
-         --data {}` (or with another table: {}).",
+    out.push(format!(
+        "`make models` makes this file and its figures again. For one split: `entire evaluate --clock {} \
+         --model models/{name}.safetensors --data {}` (or with another table: {}).",
         study.clock,
         tables.first().map_or("", String::as_str),
         tables.join(", ")
-    );
-    let _ = writeln!(
-        md,
-        "\n## Limits\n\nThe times are those of one renderer on one machine with a software Vulkan driver. On \
-         another machine, calibrate first. {}",
-        if model.scene_features.is_empty() {
-            "The network describes a volume by the two features of its VolumeNet. Predictions for volumes unlike \
-             the training volumes may have large errors."
-        } else {
-            "Predictions for scenes unlike the training data (far larger images, other steps) may have large \
-             errors. The out-of-range score is above 0 if a scene feature lies outside the range of the training data."
-        }
-    );
-    Ok(md)
+    ));
+    out
 }

@@ -2,13 +2,13 @@
 
 use super::others::BackgroundLoad;
 use anyhow::{Context, Result};
-use entire_core::model::{Key, ModelFile};
+use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
-use entire_io::dataset::{Clock, NoiseFloor, STEP_REFERENCE};
+use entire_io::dataset::{Clock, NoiseFloor};
 use entire_io::identity::Identity;
 use entire_io::machine;
 use entire_io::metrics::{Metrics, bootstrap_by_group};
-use entire_steer::calibrate::{Chosen, FittedQuality, Observed};
+use entire_steer::calibrate::{Chosen, FittedQuality, Observed, write_metadata};
 use entire_steer::predict::{Quality, UpperBound};
 use entire_train::bound;
 use serde::Serialize;
@@ -206,16 +206,6 @@ impl Report {
             // wide, and a session relies on its own observations.
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
-        upper.store(file)?;
-        // The prior's quality law was fitted to pictures of another machine.
-        file.metadata.remove(Key::Quality.name());
-        if let Some(pictures) = &self.pictures {
-            pictures.fitted.quality.store(file)?;
-        }
-        file.metadata.insert(Key::Clock.into(), self.clock.into());
-        file.metadata.insert(Key::Renderer.into(), renderer.into());
-        file.metadata.insert(Key::Device.into(), device.into());
-        file.metadata.insert(Key::StepReference.into(), STEP_REFERENCE.into());
         let provenance = json!({
             "what": "Calibrated to a machine",
             "clock": self.clock,
@@ -229,7 +219,8 @@ impl Report {
             "program": format!("entire {}", machine::version()),
             "date": machine::now(),
         });
-        file.metadata.insert(Key::Provenance.into(), provenance.to_string());
+        let law = self.pictures.as_ref().map(|pictures| &pictures.fitted.quality);
+        write_metadata(file, [renderer, device, self.clock], upper, law, provenance.to_string())?;
         Ok(())
     }
 }

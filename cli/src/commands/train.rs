@@ -13,6 +13,7 @@ use entire_io::metrics::Metrics;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_io::{interrupt, machine};
+use entire_report::{Card, CardFigures};
 use entire_steer::predict::{UPPER_LEVEL, UpperBound};
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, FittedModel, Kind, Recipe, predict_rows};
@@ -293,7 +294,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let made = (&fitted, &layout, clock);
     let card = card(options, made, (&split, &tested), &tables, &results, (upper, held), noise.as_ref());
-    write_whole(&options.out.with_extension("md"), card.as_bytes())?;
+    write_whole(&options.out.with_extension("md"), card.to_markdown().as_bytes())?;
     for (p, m) in &results {
         let [rmse, over_sd, mae, median, p95, r2_log] = figures(m);
         println!(
@@ -359,7 +360,7 @@ fn figures(m: &Metrics) -> [String; 6] {
     [rmse, format!("{:.3}", m.rmse_over_sd), mae, median, p95, format!("{:.4}", m.r2_log)]
 }
 
-/// Returns the model card, in Markdown: paragraphs, lists and tables, separated by blank lines.
+/// Returns the model card.
 fn card(
     options: &Options,
     (fitted, layout, clock): (&FittedModel, &Layout, Clock),
@@ -368,31 +369,8 @@ fn card(
     results: &[(Part, Metrics)],
     (upper, covered): (UpperBound, Option<f64>),
     noise: Option<&NoiseFloor>,
-) -> String {
-    let lines = |list: Vec<String>| list.join("\n");
+) -> Card {
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
-    let input = |&(group, size): &(GroupKind, usize)| {
-        format!("- `{group}`, {size} number{}", if size == 1 { "" } else { "s" })
-    };
-    let mut md = vec![
-        format!("# {name}"),
-        format!("{}.", fitted.what),
-        "## Use".to_owned(),
-        format!(
-            "Predicts how many seconds a volume-rendered frame will take on the machine and with the renderer \
-             of the training frames. On another machine, fine-tune the model first:"
-        ),
-        format!(
-            "```\nentire train --data FRAMES.csv --fine-tune {name}.safetensors --out tuned.safetensors\n```"
-        ),
-        format!("Evaluate it: `entire evaluate --model {name}.safetensors --data FRAMES.csv`"),
-        "## Inputs".to_owned(),
-        lines(layout.groups.iter().map(input).collect()),
-    ];
-    if !layout.scene_features.is_empty() {
-        let names: Vec<String> = layout.scene_features.iter().map(ToString::to_string).collect();
-        md.push(format!("Scene features, in order: {}.", names.join(", ")));
-    }
     let table = |t: &Table| {
         let file = t.path.file_name().map_or("?".into(), |n| n.to_string_lossy());
         let origin = match &t.manifest {
@@ -402,33 +380,16 @@ fn card(
             ),
             None => "; machine and renderer are not known, since there is no manifest".to_owned(),
         };
-        format!("- `{file}` ({} frames, FNV-1a {:016x}){origin}", t.frames.len(), t.hash)
+        format!("`{file}` ({} frames, FNV-1a {:016x}){origin}", t.frames.len(), t.hash)
     };
-    let only = options.shade.map_or(String::new(), |s| format!("\nOnly frames with shading {s}."));
     let groups = [("training", &split.training), ("validation", &split.validation), ("test", &split.test)];
     let groups = groups.map(|(part, groups)| {
         let list = groups.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
         format!("- {part}: {}", if list.is_empty() { "none" } else { &list })
     });
-    md.extend([
-        "## Data".to_owned(),
-        lines(tables.iter().map(table).collect()),
-        format!("Clock: {}. A frame's time is the median of its repeats.{only}", clock.name()),
-        "## Split".to_owned(),
-        format!("By {}, never by frame; seed {}.", split.by.name(), options.recipe.seed),
-        lines(groups.into()),
-    ]);
-    if let Some(limit) = options.limit {
-        md.push(format!("Of the training frames, at most {limit} were used."));
-    }
-    let settings = serde_json::to_string_pretty(&fitted.settings).unwrap_or_default();
-    md.extend([
-        "## Training".to_owned(),
-        format!("{}.", fitted.outcome),
-        format!("```json\n{settings}\n```"),
-    ]);
-    if let (Some(first), Some(last)) = (fitted.history.first(), fitted.history.last()) {
-        md.push(format!(
+    let limited = options.limit.map(|l| format!("Of the training frames, at most {l} were used."));
+    let loss = fitted.history.first().zip(fitted.history.last()).map(|(first, last)| {
+        format!(
             "Loss{} (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.",
             if options.recipe.ensemble > 1 { " of network 1" } else { "" },
             first.training_loss,
@@ -436,19 +397,10 @@ fn card(
             last.training_loss,
             last.validation_loss,
             last.epoch
-        ));
-    }
-    let header = "| frames of | number | RMSE, s | RMSE/SD | MAE, s | median error | p95 error | R² in log |";
-    let header = format!("{header}\n{}|", "|---".repeat(8));
-    let row = |(p, m): &(Part, Metrics)| {
-        let [rmse, over_sd, mae, median, p95, r2_log] = figures(m);
-        let errors = format!("{rmse} | {over_sd} | {mae} | {median} % | {p95} % | {r2_log}");
-        format!("| {} | {} | {errors} |", p.name(), m.frames)
-    };
-    let metrics = std::iter::once(header).chain(results.iter().map(row));
-    md.extend(["## Metrics".to_owned(), lines(metrics.collect())]);
-    if upper.log_factor.is_finite() {
-        md.push(format!(
+        )
+    });
+    let bound = upper.log_factor.is_finite().then(|| {
+        format!(
             "Upper bound of level {UPPER_LEVEL}: {:.2} times the prediction, computed from the validation \
              frames (from the training frames if there are no validation frames){}.",
             upper.factor().max(1.0),
@@ -456,22 +408,61 @@ fn card(
                 "; {:.1} % of the test frames took less than this bound",
                 100.0 * c
             ))
-        ));
-    }
-    md.push(match noise {
+        )
+    });
+    let floor = match noise {
         Some(n) => format!(
             "Noise floor: {}. Due to this noise, a perfect predictor would have a median error of {:.1} %.",
             n.describe(),
             100.0 * n.mdape()
         ),
         None => "Noise floor: unknown, since no frame was repeated.".to_owned(),
-    });
-    md.push("## Limits".to_owned());
-    md.push(format!(
-        "The times are those of one renderer on one machine. On another machine, driver or renderer, \
-         fine-tune the model first. Predictions for scenes unlike the training data (other modalities, \
-         sizes, shading modes, steps) may have large errors. The out-of-range score is above 0 if a value \
-         lies outside the range of the training data. {tested}"
-    ));
-    md.join("\n\n") + "\n"
+    };
+    let row = |(part, m): &(Part, Metrics)| {
+        let [_, over_sd, _, median, ..] = figures(m);
+        CardFigures {
+            part: part.name().into(),
+            metrics: m.clone(),
+            with_intervals: [over_sd, median],
+            below_bound: None,
+            noise: None,
+        }
+    };
+    Card {
+        what: fitted.what.clone(),
+        dtype: options.recipe.dtype.storage().to_string(),
+        shading: options.shade.map(|s| s.to_string()),
+        adapt: (
+            Vec::new(),
+            vec![
+                format!(
+                    "entire train --data FRAMES.csv --fine-tune {name}.safetensors --out here.safetensors"
+                ),
+                "entire evaluate --data OTHER.csv --model here.safetensors".into(),
+            ],
+        ),
+        inputs: layout.groups.iter().map(|(group, size)| (group.to_string(), *size)).collect(),
+        scene_features: layout.scene_features.iter().map(ToString::to_string).collect(),
+        probe_side: layout.probe_side(),
+        data: tables.iter().map(table).collect(),
+        volumes: options.shade.map(|s| format!("Only frames with shading {s}.")).into_iter().collect(),
+        split: [
+            format!("By {}, never by frame; seed {}.", split.by.name(), options.recipe.seed),
+            groups.join("\n"),
+        ]
+        .into_iter()
+        .chain(limited)
+        .collect(),
+        outcome: fitted.outcome.clone(),
+        clock: clock.name().into(),
+        settings: serde_json::to_string_pretty(&fitted.settings).unwrap_or_default(),
+        training: loss.into_iter().collect(),
+        figures: results.iter().map(row).collect(),
+        notes: bound.into_iter().chain([floor]).collect(),
+        limits: format!(
+            "Predictions for scenes unlike the training data (other modalities, sizes, shading modes, steps) \
+             may have large errors. {tested}"
+        ),
+        name: name.into(),
+    }
 }

@@ -116,7 +116,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     assert!(floor("log_sd") < 1e-6, "{provenance}");
     assert!((floor("warm_up") - (0.99f64 / 1.01).ln()).abs() < 1e-4, "{provenance}");
     let card = text_of(&data, "m.md");
-    for heading in ["Use", "Inputs", "Data", "Split", "Training", "Metrics", "Limits"] {
+    for heading in ["Use", "Inputs", "Data", "Splits", "Training", "Figures", "Limits"] {
         assert!(card.contains(&format!("## {heading}")), "{heading}\n{card}");
     }
     assert!(card.contains("Noise floor"), "{card}");

@@ -14,7 +14,7 @@ pub use posterior::{Chosen, Observed, fit_frames, prior_costs};
 
 use crate::features::{FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary};
 use crate::memory::mixed;
-use crate::predict::{COSTS, LONGEST_FRAME, Quality, UpperBound};
+use crate::predict::{COSTS, Clock, LONGEST_FRAME, Quality, UpperBound};
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use core::ops::RangeInclusive;
@@ -254,49 +254,56 @@ impl Calibration {
         let (median_error, rmse_over_sd) = chosen.errors(&frames);
         let logs = chosen.crossed.iter().zip(&frames).map(|(p, f)| libm::log(f.seconds / p));
         let upper = UpperBound::from_groups(logs.zip(groups));
-        let mut out = Calibrated {
-            file: chosen.file,
-            frames: frames.len(),
-            held_out,
-            median_error,
-            rmse_over_sd,
-            upper,
-            // With too few scenes, the model has no picture quality law.
-            quality: fit_quality(&self.pictures, Quality::built_in(source[0])).ok(),
-        };
-        out.write_metadata(source)?;
-        Ok(out)
+        // With too few scenes, the model has no picture quality law.
+        let quality = fit_quality(&self.pictures, Quality::built_in(source[0])).ok();
+        let provenance = serde_json::json!({
+            "what": "Calibrated to its host's renderer",
+            "clock": stated(source[1]),
+            "frames": frames.len(),
+            "held_out": held_out.to_string(),
+            "median_error": median_error,
+            "rmse_over_sd": rmse_over_sd,
+        });
+        let mut file = chosen.file;
+        let law = quality.as_ref().map(|fitted| &fitted.quality);
+        write_metadata(&mut file, [source[0], "", source[1]], upper, law, provenance.to_string())?;
+        Ok(Calibrated { file, frames: frames.len(), held_out, median_error, rmse_over_sd, upper, quality })
     }
 }
 
-impl Calibrated {
-    fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
-        self.upper.store(&mut self.file)?;
-        // The prior's picture quality law may be that of another renderer, so it is removed.
-        self.file.metadata.remove(Key::Quality.name());
-        if let Some(fitted) = &self.quality {
-            fitted.quality.store(&mut self.file)?;
-        }
-        let stated = |name: &str| if name.is_empty() { "not stated" } else { name }.to_string();
-        let metadata = &mut self.file.metadata;
-        metadata.insert(Key::Renderer.into(), stated(renderer));
-        metadata.insert(Key::Device.into(), stated(""));
-        metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
-        // Programs compare the stored name with the clock of a session, so only a known name is stored.
-        if ["cpu", "wall", "device"].contains(&clock) {
-            metadata.insert(Key::Clock.into(), clock.into());
-        } else {
-            metadata.remove(Key::Clock.name());
-        }
-        let provenance = serde_json::json!({
-            "what": "Calibrated to its host's renderer",
-            "clock": stated(clock),
-            "frames": self.frames,
-            "held_out": self.held_out.to_string(),
-            "median_error": self.median_error,
-            "rmse_over_sd": self.rmse_over_sd,
-        });
-        metadata.insert(Key::Provenance.into(), provenance.to_string());
-        Ok(())
+/// Returns the text, or "not stated" if it is empty.
+fn stated(text: &str) -> &str {
+    if text.is_empty() { "not stated" } else { text }
+}
+
+/// Writes the metadata of a model that was fitted to measured frames: the renderer, the device and the clock
+/// of their times, the upper bound, the picture quality law, and `provenance`, a JSON object. Without
+/// `quality`, the file has no law: that of its prior may be the law of another renderer.
+///
+/// # Errors
+/// As [`UpperBound::store`] and [`Quality::store`].
+pub fn write_metadata(
+    file: &mut ModelFile,
+    [renderer, device, clock]: [&str; 3],
+    upper: UpperBound,
+    quality: Option<&Quality>,
+    provenance: String,
+) -> Result<()> {
+    upper.store(file)?;
+    file.metadata.remove(Key::Quality.name());
+    if let Some(quality) = quality {
+        quality.store(file)?;
     }
+    let metadata = &mut file.metadata;
+    metadata.insert(Key::Renderer.into(), stated(renderer).to_string());
+    metadata.insert(Key::Device.into(), stated(device).to_string());
+    metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
+    // Programs compare the stored name with the clock of a session, so only a known name is stored.
+    if let Some(clock) = Clock::named(clock) {
+        metadata.insert(Key::Clock.into(), clock.name().into());
+    } else {
+        metadata.remove(Key::Clock.name());
+    }
+    metadata.insert(Key::Provenance.into(), provenance);
+    Ok(())
 }
