@@ -22,7 +22,6 @@ use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, manifests_of, 
 use entire_io::files::note;
 use entire_io::volume::Reading;
 use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, fit_frames, fit_quality, prior_costs};
-use entire_steer::features::PROBE_SIDE;
 use entire_steer::predict::{Quality, UnitCosts};
 use entire_train::fit::{FitContext, counts, expected_costs, typical_costs};
 use entire_train::inputs::work_of;
@@ -218,10 +217,11 @@ fn fit_to_frames(
     let unknown = UnitCosts::OF_UNKNOWN;
     // A renderer of unknown kind may run on a GPU, where the longest rays have costs. The volumes, from which
     // these rays are counted, may be missing; then a software renderer is assumed.
-    let longest = || counts(context, part, &unknown[1], PROBE_SIDE).ok();
+    let (_, side) = prior_costs(priors, &renderer)?;
+    let longest = || counts(context, part, &unknown[1], side).ok();
     let (renderers, work) = match (renderer == unknown[0]).then(longest).flatten() {
         Some(work) => (&unknown[..], work),
-        None => (std::slice::from_ref(&renderer), counts(context, part, &renderer, PROBE_SIDE)?),
+        None => (std::slice::from_ref(&renderer), counts(context, part, &renderer, side)?),
     };
     let observed: Vec<Observed> = part
         .frames

@@ -9,7 +9,7 @@ use entire_io::identity::{self, Identity};
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::{Reading, open_volume};
 use entire_steer::calibrate::prior_costs;
-use entire_steer::features::{PROBE_SIDE, SceneQuantity};
+use entire_steer::features::SceneQuantity;
 use entire_steer::predict::{COST_QUANTITIES, COSTS, UnitCosts};
 use entire_train::inputs::{measure, work_of};
 use indicatif::ProgressBar;
@@ -119,14 +119,14 @@ impl Pool {
                 }
             }
         }
-        let prior = prior_costs(priors, typical)?;
+        let (prior, probe_side) = prior_costs(priors, typical)?;
         // Features are computed from volumes that are read with the same options as for rendering.
         let read = serde_json::json!({ "reading": settings.reading });
         let manifest = Some(Manifest { settings: read, ..Manifest::default() });
         let tables = [Table { manifest, ..Table::default() }];
         let refs: Vec<&TimedFrame> = frames.iter().collect();
         let bar = ProgressBar::hidden();
-        let known = measure(&tables, &refs, Some(PROBE_SIDE), None, threads, &bar, |_, inputs| {
+        let known = measure(&tables, &refs, Some(probe_side), None, threads, &bar, |_, inputs| {
             let of = inputs.features.quantities(inputs.setting);
             Ok(COST_QUANTITIES.map(|q| of(q) as f32))
         })?;

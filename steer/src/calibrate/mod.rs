@@ -12,7 +12,7 @@ pub(crate) mod tests;
 pub use pictures::{FittedQuality, Picture, fit_quality};
 pub use posterior::{Chosen, Observed, fit_frames, prior_costs};
 
-use crate::features::{FrameFeatures, PROBE_SIDE, Setting, TransferSummary, UnitCosts, VolumeSummary};
+use crate::features::{FrameFeatures, Setting, TransferSummary, UnitCosts, VolumeSummary};
 use crate::memory::mixed;
 use crate::predict::{COSTS, Clock, LONGEST_FRAME, Quality, UpperBound};
 use alloc::string::ToString;
@@ -161,7 +161,7 @@ impl Calibration {
             );
         }
         let mut transfer = TransferSummary::new(volume, table)?;
-        let features = FrameFeatures::of(volume, &mut transfer, frame, PROBE_SIDE)?;
+        let features = FrameFeatures::of(volume, &mut transfer, frame, self.prior.probe_side)?;
         let work = features.cost_work(&Setting::from(frame));
         let shown = Shown { volume: volume.fingerprint(), transfer: transfer.fingerprint() };
         self.add_work(&work, shown, seconds);

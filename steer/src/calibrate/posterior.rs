@@ -2,8 +2,9 @@
 //! [`CACHED_VOXELS`] replaces the prior's number of cached voxels if it clearly reduces the error in
 //! cross-validation. [`CostFit`] does the fit.
 
+use crate::features::PROBE_SIDE;
 use crate::numeric::{median, rmse_over_sd};
-use crate::predict::{AnalyticModel, COST_SD, COSTS, CostFit, FitRow, UnitCosts};
+use crate::predict::{AnalyticModel, COST_SD, COSTS, CostFit, FitRow, Predictor, UnitCosts};
 use alloc::collections::BTreeMap;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -36,13 +37,15 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 /// Returns the prior unit costs of a fit, made from `files`, analytic models of different machines: the
 /// geometric mean of their unit costs and of their numbers of cached voxels. For work whose cost a file
 /// lacks, the mean has a tenth of the cost in `typical`, scaled to the file's speed. Without files, the prior
-/// is `typical`, the typical costs of this kind of renderer.
+/// is `typical`, the typical costs of this kind of renderer. Also returns the number of rays along each side of
+/// the probe with which the work of frames must be computed: the largest number of a file, or
+/// [`PROBE_SIDE`] without files.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Unsupported`] for a model that is not analytic, and as [`ModelFile::to_model`] and
 /// [`AnalyticModel::from_model`].
-pub fn prior_costs(files: &[ModelFile], typical: &UnitCosts) -> Result<UnitCosts> {
-    PriorModel::new(files, typical).map(|prior| prior.costs)
+pub fn prior_costs(files: &[ModelFile], typical: &UnitCosts) -> Result<(UnitCosts, usize)> {
+    PriorModel::new(files, typical).map(|prior| (prior.costs, prior.probe_side))
 }
 
 /// Fits a model to frames of this machine, from the prior models `files`. `renderers` holds the typical costs
@@ -50,7 +53,7 @@ pub fn prior_costs(files: &[ModelFile], typical: &UnitCosts) -> Result<UnitCosts
 /// are no files ([`prior_costs`]). The model is that of the first kind, unless another kind has a clearly
 /// smaller error in cross-validation. Costs that are 0 in the prior and in the typical costs stay 0. Then
 /// numbers of cached voxels that differ from the prior's are tried, each by its error in cross-validation;
-/// without cross-validation, the prior's number stays.
+/// without cross-validation, the prior's number stays. The model states the probe of [`prior_costs`].
 ///
 /// # Errors
 /// As [`prior_costs`]; [`crate::ErrorKind::InvalidArgument`] without frames or typical costs, for a time that
@@ -67,6 +70,8 @@ pub(super) struct PriorModel {
     pub(super) costs: UnitCosts,
     /// True for costs that the prior's models have, false for guesses.
     known: [bool; COSTS],
+    /// Rays along each side of the probe of the fitted models.
+    pub(super) probe_side: usize,
 }
 
 /// One frame to which a model is fitted.
@@ -105,7 +110,7 @@ impl PriorModel {
         if files.is_empty() {
             return Ok(Self::typical(typical));
         }
-        let (mut logs, mut cached, mut known) = ([0.0; COSTS], 0.0, [true; COSTS]);
+        let (mut logs, mut cached, mut known, mut probe_side) = ([0.0; COSTS], 0.0, [true; COSTS], 0);
         for file in files {
             let Some(model) = AnalyticModel::from_model(&file.to_model()?)? else {
                 bail!(
@@ -121,14 +126,15 @@ impl PriorModel {
                 known[i] &= own.seconds[i] > 0.0;
             }
             cached += libm::log(costs.cached_voxels) / files.len() as f64;
+            probe_side = probe_side.max(model.probe_side());
         }
         let costs = UnitCosts { seconds: logs.map(libm::exp), cached_voxels: libm::round(libm::exp(cached)) };
-        Ok(Self { costs, known })
+        Ok(Self { costs, known, probe_side })
     }
 
     /// The typical costs of a kind of renderer as a prior.
     fn typical(costs: &UnitCosts) -> Self {
-        Self { costs: *costs, known: costs.seconds.map(|c| c > 0.0) }
+        Self { costs: *costs, known: costs.seconds.map(|c| c > 0.0), probe_side: PROBE_SIDE }
     }
 
     /// Fits unit costs to `frames`. `prior` holds the prior unit costs. The work of `frames` must be computed
@@ -210,7 +216,8 @@ impl PriorModel {
         }
         let works = frames.iter().map(|f| &f.work);
         let costs = UnitCosts { seconds: fits[0].unit_costs(), cached_voxels: prior.cached_voxels };
-        let file = AnalyticModel::from_costs(costs)?.ranging_over(works).to_model_file()?;
+        let model = AnalyticModel::from_costs(costs)?.with_probe_side(self.probe_side);
+        let file = model.ranging_over(works).to_model_file()?;
         Ok(Chosen { file, crossed, folds: count })
     }
 }

@@ -142,6 +142,12 @@ impl AnalyticModel {
         self
     }
 
+    /// States the number of rays along each side of the probe with which work must be counted.
+    #[cfg(feature = "calibrate")]
+    pub(crate) fn with_probe_side(self, probe_side: usize) -> Self {
+        Self { probe_side, ..self }
+    }
+
     /// Fits a model to measured frames, given as pairs of work ([`FrameFeatures::cost_work`]) and seconds.
     /// The prior is `default`, scaled to the speed of the measured frames. The upper bound is calibrated on
     /// the same frames. Costs of work that no measurement has keep their prior values; costs that are 0 in
