@@ -87,13 +87,13 @@ def held_out(x, seconds, group):
     return np.median(np.abs(predicted / seconds - 1)), np.sqrt(np.mean((predicted - seconds) ** 2)) / seconds.std()
 
 
-def touched(cached=CACHED, read=READ, counted=True, second=None):
-    """The share w / (w + cached) of the touched voxels w; with `second`, the mean of the shares of two caches (or of a
-    cache and a TLB)."""
+def touched(cached=CACHED, read=READ, counted=True, second=None, power=1):
+    """The share w^power / (w^power + cached^power) of the touched voxels w; with `second`, the mean of the shares of two
+    caches (or of a cache and a TLB)."""
 
     def law(n, reads):
         w = 1 / (1 / n + 1 / (read * np.maximum(reads, 1e-3)))
-        share = w / (w + cached)
+        share = 1 / (1 + (cached / w) ** power)
         return share if second is None else (share + w / (w + second)) / 2, w if counted else None
 
     return law
@@ -107,6 +107,9 @@ LAWS = {
     "... w / (w + 2 million)": touched(cached=2.0e6),
     "... w / (w + 4 million)": touched(cached=4.0e6),
     "... w / (w + 16 million)": touched(cached=16.0e6),
+    "... w² / (w² + (4 million)²)": touched(cached=4.0e6, power=2),
+    "... w² / (w² + (6 million)²)": touched(cached=6.0e6, power=2),
+    "... w² / (w² + (8 million)²)": touched(cached=8.0e6, power=2),
     "... 32 voxels per read": touched(read=32.0),
     "... 128 voxels per read": touched(read=128.0),
     "... and a second cache: 0.25 million": touched(second=0.25e6),

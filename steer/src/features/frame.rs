@@ -1,8 +1,8 @@
 //! Estimated work of one frame, for any ray step and for any image size of the same aspect ratio.
 
 use super::{
-    Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneQuantity, TransferSummary, UnitCosts,
-    VolumeSummary,
+    Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_DIRECTION, SHADOW_STEP, SceneQuantity,
+    TransferSummary, UnitCosts, VolumeSummary,
 };
 use entire_core::Result;
 use entire_core::kernels::Level;
@@ -35,6 +35,14 @@ fn along(frame: &Frame, relative_spacing: Vec3, footprint: &Footprint) -> Vec3 {
         sum += share(forward + at(0, i % ALONG_SIDE) * right + at(1, i / ALONG_SIDE) * up);
     }
     sum / (ALONG_SIDE * ALONG_SIDE) as f32
+}
+
+/// Returns the sine of the angle between the central ray and the shadow rays. It is the distance of a shadow
+/// ray's sample from the primary ray, in units of the distance from the shadow ray's start. A shadow ray
+/// along the primary ray reads voxels that the primary ray has just read.
+fn aside(frame: &Frame) -> f32 {
+    let (_, [forward, ..]) = frame.camera.ray_basis(frame.width, frame.height);
+    forward.normalize_or_zero().cross(Vec3::from_array(SHADOW_DIRECTION).normalize_or_zero()).length()
 }
 
 /// Side of the pixel tiles whose rays a renderer marches in lockstep, in pixels.
@@ -180,6 +188,7 @@ pub struct FrameFeatures {
     voxels: f32,
     remapped: bool,
     along: Vec3,
+    aside: f32,
 }
 
 impl Default for FrameFeatures {
@@ -223,6 +232,7 @@ impl FrameFeatures {
             voxels: 0.0,
             remapped: false,
             along: Vec3::splat(1.0 / 3.0),
+            aside: 1.0,
         }
     }
 
@@ -245,6 +255,7 @@ impl FrameFeatures {
         self.voxels = volume.voxels() as f32;
         self.remapped = volume.remapped;
         self.along = along(frame, volume.shape().relative_spacing, &self.probe.footprint);
+        self.aside = aside(frame);
         Ok(())
     }
 
@@ -259,6 +270,7 @@ impl FrameFeatures {
         }
         self.pose = frame.camera.to_arcball();
         self.along = along(frame, volume.shape().relative_spacing, &self.probe.footprint);
+        self.aside = aside(frame);
         Ok(true)
     }
 
@@ -298,9 +310,11 @@ impl FrameFeatures {
         let (mut shadow, mut shadow_skips, mut shadow_segments) = (0.0, 0.0, 0.0);
         if setting.shading.scatters() {
             let length = if skipping { p.shadow } else { p.shadow_all };
-            // Length / shadow step, less 0.25 samples per shadow ray: the ray begins one shadow step away
-            // from the visible sample, and it takes the sample that crosses the threshold.
-            shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
+            // A shadow ray begins one shadow step away from the visible sample. A ray that ends early takes
+            // the sample that crosses the threshold, on average half a shadow step beyond the crossing; any
+            // other ray ends on average half a shadow step before the border of the box.
+            let crossing = p.shadow_ended - 0.5 * p.visible;
+            shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) + crossing)).max(0.0);
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
             shadow_segments = p.shadow_segments * inv;
         }
@@ -339,7 +353,7 @@ impl FrameFeatures {
         };
         let local = if setting.shading.is_lit() { work.shaded } else { 0.0 };
         let reads = work.samples * work.unshared(UNSHARED_SPACING)
-            + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
+            + (local + f64::from(self.aside) * work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
         let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
         work.touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
         work.uncached = work.touched / (work.touched + UnitCosts::CACHED_VOXELS);
@@ -391,7 +405,7 @@ impl FrameFeatures {
             Q::TouchedVoxels => work.touched,
             Q::FarSegments => work.segments * far(UNSHARED_SPACING),
             Q::FarLocalSamples => only(setting.shading.is_lit(), work.shaded) * far(UNSHARED_SHADING),
-            Q::FarShadowSamples => work.parted_shadow_samples * far(UNSHARED_SHADING),
+            Q::FarShadowSamples => f64::from(self.aside) * work.parted_shadow_samples * far(UNSHARED_SHADING),
             Q::FarX => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.x),
             Q::FarY => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.y),
             Q::FarZ => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.z),
@@ -421,7 +435,9 @@ impl FrameFeatures {
             Q::LongestShadowSamples => work.longest_shadow_samples,
             Q::FarLongestSamples => work.longest_samples * far(UNSHARED_SPACING),
             Q::FarLongestSegments => work.longest_segments * far(UNSHARED_SPACING),
-            Q::FarLongestShadowSamples => work.longest_shadow_samples * far(UNSHARED_SHADING),
+            Q::FarLongestShadowSamples => {
+                f64::from(self.aside) * work.longest_shadow_samples * far(UNSHARED_SHADING)
+            }
         }
     }
 }

@@ -26,7 +26,7 @@ pub use cost::{COST_QUANTITIES, COSTS, UnitCosts};
 pub(crate) use footprint::Footprint;
 pub use frame::{Changes, FrameFeatures, Setting};
 pub use probe::{MAX_PROBE_SIDE, PROBE_SIDE};
-pub(crate) use probe::{Probe, SHADOW_STEP};
+pub(crate) use probe::{Probe, SHADOW_DIRECTION, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::TransferSummary;
 pub(crate) use volume::QUANTILES;

@@ -92,7 +92,8 @@ quantities! {
         "`local_samples` times the share of reads for shading that miss the caches";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
         "`lane_shadow_samples`, computed as if neighboring rays were eight reference steps apart, times the \
-         share of reads for shading that miss the caches";
+         share of reads for shading that miss the caches, times the sine of the angle between the central ray \
+         and the shadow rays";
     FarX, "far_x", "samples", 1.0, yes, yes,
         "`samples` times the far share, times the share of crossed voxel borders that are normal to x; rays \
          along an axis read slowly if adjacent voxels of this axis are far apart in memory";

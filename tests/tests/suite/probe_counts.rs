@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 const MEDIAN_TOLERANCE: f64 = 0.1;
 
 /// The same bound with single scattering, where one shadow ray per probe ray represents all shadow rays.
-const SCATTER_TOLERANCE: f64 = 0.2;
+const SCATTER_TOLERANCE: f64 = 0.15;
 
 /// Returns the volumes in `data/` and one volume of each folder under it.
 fn shipped() -> Vec<PathBuf> {

@@ -38,8 +38,10 @@ pub(super) const SHADOW_SEGMENTS: usize = 14;
 /// Length over which at least one of 2^[`LANES_LOG2`] adjacent rays has a visible sample; 0 without single
 /// scattering.
 pub(super) const BUSY_LENGTH: usize = 15;
+/// Visible length of the primary ray if its shadow ray ended early, otherwise 0.
+pub(super) const SHADOW_ENDED: usize = 16;
 /// Number of a ray's fields.
-pub(super) const FIELDS: usize = 16;
+pub(super) const FIELDS: usize = 17;
 
 /// log2 of the number of rays that a renderer on the CPU marches in lockstep.
 pub(super) const LANES_LOG2: usize = 3;
@@ -364,7 +366,8 @@ impl<'a> March<'a> {
         }
         if lit >= 0.0 {
             let found = self.shadow(origin + lit * safe);
-            for (field, value) in [SHADOW, SHADOW_ALL, SHADOW_SKIPS, SHADOW_SEGMENTS].into_iter().zip(found) {
+            let fields = [SHADOW, SHADOW_ALL, SHADOW_SKIPS, SHADOW_SEGMENTS, SHADOW_ENDED];
+            for (field, value) in fields.into_iter().zip(found) {
                 out[field] = out[VISIBLE_LENGTH] * value;
             }
         }
@@ -372,8 +375,8 @@ impl<'a> March<'a> {
     }
 
     /// Marches a shadow ray from a point in the box. Returns the length in occupied blocks, the whole length,
-    /// the number of empty cells, and the number of lookups in the skip map.
-    fn shadow(&mut self, from: Vec3) -> [f32; 4] {
+    /// the number of empty cells, the number of lookups in the skip map, and 1 if the ray ended early, else 0.
+    fn shadow(&mut self, from: Vec3) -> [f32; 5] {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
         for k in 0..3 {
@@ -403,6 +406,7 @@ impl<'a> March<'a> {
                         (t + used * (t_next - t)) * rate,
                         skips,
                         segments + used * length * here.looks * crossings,
+                        1.0,
                     ];
                 }
                 depth += d;
@@ -414,7 +418,7 @@ impl<'a> March<'a> {
             t = t_next;
             walk.advance();
         }
-        [occupied, t_exit.max(0.0) * rate, skips, segments]
+        [occupied, t_exit.max(0.0) * rate, skips, segments, 0.0]
     }
 }
 

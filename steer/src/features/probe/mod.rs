@@ -8,7 +8,7 @@ mod tests;
 
 use self::march::{
     BUSY_LENGTH, CHORD, DEPTH, DRAW, EMPTY_LENGTH, FIELDS, March, OCCUPIED_LENGTH, RUNS, SEGMENTS, SHADOW,
-    SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, U, V, VISIBLE_LENGTH,
+    SHADOW_ALL, SHADOW_ENDED, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, U, V, VISIBLE_LENGTH,
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use entire_core::kernels::Level;
@@ -83,6 +83,8 @@ pub(crate) struct Probe {
     pub(super) shadow_all: f32,
     /// Visible length times the number of lookups in the skip map by a shadow ray.
     pub(super) shadow_segments: f32,
+    /// Visible length of the rays whose shadow ray ends early.
+    pub(super) shadow_ended: f32,
     /// The largest work of a single ray.
     pub(super) longest: Longest,
     /// Standard error of the sampled length, relative to this length; infinite if the error is unknown, 0 if
@@ -213,6 +215,7 @@ impl Probe {
             shadow_skips: total(SHADOW_SKIPS) * inv,
             shadow_all: total(SHADOW_ALL) * inv,
             shadow_segments: total(SHADOW_SEGMENTS) * inv,
+            shadow_ended: total(SHADOW_ENDED) * inv,
             longest: Longest {
                 occupied: longest(OCCUPIED_LENGTH),
                 all: largest(&all[..count]),

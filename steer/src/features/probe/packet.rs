@@ -4,8 +4,8 @@
 
 use super::march::{
     BINNED_CHORDS, BUSY_LENGTH, CHORD, ChordCounts, DEPTH, DRAW, EMPTY_LENGTH, FIELDS, LANES_LOG2,
-    MIN_COMPONENT, March, OCCUPIED_LENGTH, RUNS, SEGMENTS, SHADOW, SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS,
-    TERMINATED, U, V, VISIBLE_LENGTH,
+    MIN_COMPONENT, March, OCCUPIED_LENGTH, RUNS, SEGMENTS, SHADOW, SHADOW_ALL, SHADOW_ENDED, SHADOW_SEGMENTS,
+    SHADOW_SKIPS, TERMINATED, U, V, VISIBLE_LENGTH,
 };
 use super::{MAX_RAYS, SHADOW_DIRECTION};
 use crate::features::transfer::packed;
@@ -564,10 +564,14 @@ impl<S: Simd> Packet<'_, '_, S> {
         let own = simd.read_i(order);
         let visible = self.of_rays(rays[VISIBLE_LENGTH], own);
         let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
-        let [inside, all, skips, segments] = self.shadow(from, existing);
-        for (field, value) in
-            [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips), (SHADOW_SEGMENTS, segments)]
-        {
+        let [inside, all, skips, segments, ended] = self.shadow(from, existing);
+        for (field, value) in [
+            (SHADOW, inside),
+            (SHADOW_ALL, all),
+            (SHADOW_SKIPS, skips),
+            (SHADOW_SEGMENTS, segments),
+            (SHADOW_ENDED, ended),
+        ] {
             self.spread(simd.mul(visible, value), rays[field], order, count);
         }
     }
@@ -591,9 +595,10 @@ impl<S: Simd> Packet<'_, '_, S> {
     }
 
     /// Marches shadow rays from points in the box, in the lanes `lights`. Returns the length in occupied
-    /// blocks, the whole length, the number of empty cells, and the number of lookups in the skip map.
+    /// blocks, the whole length, the number of empty cells, the number of lookups in the skip map, and 1 for
+    /// rays that ended early, else 0.
     #[inline(always)]
-    fn shadow(&mut self, from: Three<S>, lights: S::M) -> [S::F; 4] {
+    fn shadow(&mut self, from: Three<S>, lights: S::M) -> [S::F; 5] {
         let simd = self.simd;
         let zero = simd.splat(0.0);
         let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
@@ -609,6 +614,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let crossings = simd.div(self.crossings(&pace), rate);
         let (mut t, mut depth, mut occupied, mut skips, mut segments) = (zero, zero, zero, zero, zero);
         let mut all = simd.mul(simd.max(t_exit, zero), rate);
+        let mut ended = zero;
         let mut alive = simd.and_m(simd.lt(zero, t_exit), lights);
         let mut left = self.march.most_cells();
         while simd.any(alive) && left > 0 {
@@ -636,6 +642,7 @@ impl<S: Simd> Packet<'_, '_, S> {
                     looked = simd.select(ends, last, looked);
                     let reached = simd.add(t, simd.mul(used, simd.sub(t_next, t)));
                     all = simd.select(ends, simd.mul(reached, rate), all);
+                    ended = simd.select(ends, simd.splat(1.0), ended);
                     goes_on = simd.and_not_m(goes_on, ends);
                 }
                 depth = simd.select(full, sum, depth);
@@ -645,7 +652,7 @@ impl<S: Simd> Packet<'_, '_, S> {
             t = t_next;
             alive = goes_on;
         }
-        [occupied, all, skips, segments]
+        [occupied, all, skips, segments, ended]
     }
 }
 
