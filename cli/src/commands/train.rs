@@ -433,7 +433,7 @@ fn card(
         dtype: options.recipe.dtype.storage().to_string(),
         shading: options.shade.map(|s| s.to_string()),
         adapt: (
-            Vec::new(),
+            vec!["To adapt the model to another machine, driver or renderer:".into()],
             vec![
                 format!(
                     "entire train --data FRAMES.csv --fine-tune {name}.safetensors --out here.safetensors"
