@@ -214,10 +214,10 @@ fn fit_to_frames(
     let mut groups = Groups::default();
     let volumes: BTreeSet<String> = part.frames.iter().map(|f| f.scene.volume.clone()).collect();
     let renderer = expected_costs(context, part);
+    let (_, side) = prior_costs(priors, &renderer)?;
     let unknown = UnitCosts::OF_UNKNOWN;
     // A renderer of unknown kind may run on a GPU, where the longest rays have costs. The volumes, from which
     // these rays are counted, may be missing; then a software renderer is assumed.
-    let (_, side) = prior_costs(priors, &renderer)?;
     let longest = || counts(context, part, &unknown[1], side).ok();
     let (renderers, work) = match (renderer == unknown[0]).then(longest).flatten() {
         Some(work) => (&unknown[..], work),

@@ -37,8 +37,8 @@ pub(super) const FEWEST_GROUPS: usize = 3;
 /// Returns the prior unit costs of a fit, made from `files`, analytic models of different machines: the
 /// geometric mean of their unit costs and of their numbers of cached voxels. For work whose cost a file
 /// lacks, the mean has a tenth of the cost in `typical`, scaled to the file's speed. Without files, the prior
-/// is `typical`, the typical costs of this kind of renderer. Also returns the number of rays along each side of
-/// the probe with which the work of frames must be computed: the largest number of a file, or
+/// is `typical`, the typical costs of this kind of renderer. Also returns the number of rays along each side
+/// of the probe with which the work of frames must be computed: the largest number of a file, or
 /// [`PROBE_SIDE`] without files.
 ///
 /// # Errors

@@ -116,7 +116,8 @@ pub(crate) struct Work {
     /// As [`Self::shadow_samples`], plus the samples for which rays wait in a renderer that marches eight
     /// adjacent rays in lockstep: all eight wait while any of them shades.
     pub(crate) lane_shadow_samples: f64,
-    /// As [`Self::lane_shadow_samples`], for rays that are [`UNSHARED_SHADING`] reference steps apart.
+    /// As [`Self::lane_shadow_samples`], for rays that are [`UNSHARED_SHADING`] reference steps apart, times
+    /// [`aside`]: samples along shadow rays whose reads the primary ray does not share.
     pub(crate) parted_shadow_samples: f64,
     /// Number of runs: consecutive samples between two jumps. 0 without skipping.
     pub(crate) runs: f64,
@@ -341,7 +342,7 @@ impl FrameFeatures {
             shaded: rays * f64::from(shaded),
             shadow_samples,
             lane_shadow_samples,
-            parted_shadow_samples,
+            parted_shadow_samples: f64::from(self.aside) * parted_shadow_samples,
             runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
             segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
             longest_samples: f64::from(longest_length * inv + crossing),
@@ -353,7 +354,7 @@ impl FrameFeatures {
         };
         let local = if setting.shading.is_lit() { work.shaded } else { 0.0 };
         let reads = work.samples * work.unshared(UNSHARED_SPACING)
-            + (local + f64::from(self.aside) * work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
+            + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
         let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
         work.touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
         work.uncached = work.touched / (work.touched + UnitCosts::CACHED_VOXELS);
@@ -405,7 +406,7 @@ impl FrameFeatures {
             Q::TouchedVoxels => work.touched,
             Q::FarSegments => work.segments * far(UNSHARED_SPACING),
             Q::FarLocalSamples => only(setting.shading.is_lit(), work.shaded) * far(UNSHARED_SHADING),
-            Q::FarShadowSamples => f64::from(self.aside) * work.parted_shadow_samples * far(UNSHARED_SHADING),
+            Q::FarShadowSamples => work.parted_shadow_samples * far(UNSHARED_SHADING),
             Q::FarX => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.x),
             Q::FarY => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.y),
             Q::FarZ => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.z),

@@ -367,13 +367,13 @@ fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
             let value = |q| features.quantity_of(q, &setting, &work);
             let square = work.ray_spacing * work.ray_spacing;
             let near = square / (square + 4.0);
-            let shadows = aside(&frame) * work.parted_shadow_samples;
-            let shading = (value(SceneQuantity::LocalSamples) + shadows) * square / (square + 64.0);
+            let shading =
+                (value(SceneQuantity::LocalSamples) + work.parted_shadow_samples) * square / (square + 64.0);
             let touched = 1.0 / (1.0 / n as f64 + 1.0 / (64.0 * (work.samples * near + shading)));
             let expected = touched / (touched + 8.0e6);
-            assert!((work.uncached - expected).abs() < 1e-5 * expected, "{} of {expected}", work.uncached);
+            assert!((work.uncached - expected).abs() < 1e-9 * expected, "{} of {expected}", work.uncached);
             let far = value(SceneQuantity::FarSamples);
-            assert!((far - work.lane_samples * near * expected).abs() < 1e-5 * far, "{far}");
+            assert!((far - work.lane_samples * near * expected).abs() < 1e-6 * far, "{far}");
             work.uncached
         };
         let most = n as f64 / (n as f64 + 8.0e6);
