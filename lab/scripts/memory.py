@@ -23,7 +23,7 @@ scatter-xeon-train""".split()
 NEAR = """pixels rays skips samples lane_samples runs segments local_samples scatter_samples shadow_samples
 lane_shadow_samples""".split()
 FAR = "far_skips far_samples far_segments far_local_samples far_shadow_samples far_x far_y far_z".split()
-CACHED, READ = 8.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/features (cost.rs, frame.rs)
+CACHED, READ = 4.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/features (cost.rs, frame.rs)
 
 
 def lines(path):
@@ -87,14 +87,14 @@ def held_out(x, seconds, group):
     return np.median(np.abs(predicted / seconds - 1)), np.sqrt(np.mean((predicted - seconds) ** 2)) / seconds.std()
 
 
-def touched(cached=CACHED, read=READ, counted=True, second=None, power=1):
+def touched(cached=CACHED, read=READ, counted=True, second=None, power=2):
     """The share w^power / (w^power + cached^power) of the touched voxels w; with `second`, the mean of the shares of two
     caches (or of a cache and a TLB)."""
 
     def law(n, reads):
         w = 1 / (1 / n + 1 / (read * np.maximum(reads, 1e-3)))
-        share = 1 / (1 + (cached / w) ** power)
-        return share if second is None else (share + w / (w + second)) / 2, w if counted else None
+        shares = [1 / (1 + (size / w) ** power) for size in (cached, second) if size is not None]
+        return sum(shares) / len(shares), w if counted else None
 
     return law
 
@@ -102,14 +102,14 @@ def touched(cached=CACHED, read=READ, counted=True, second=None, power=1):
 LAWS = {
     "no share": None,
     "n / (n + 2 million)": lambda n, _: (n / (n + 2.0e6), None),
-    "w / (w + 8 million)": touched(counted=False),
+    "w² / (w² + (4 million)²)": touched(counted=False),
     "... and a cost of each touched voxel": touched(),
-    "... w / (w + 2 million)": touched(cached=2.0e6),
-    "... w / (w + 4 million)": touched(cached=4.0e6),
-    "... w / (w + 16 million)": touched(cached=16.0e6),
-    "... w² / (w² + (4 million)²)": touched(cached=4.0e6, power=2),
-    "... w² / (w² + (6 million)²)": touched(cached=6.0e6, power=2),
-    "... w² / (w² + (8 million)²)": touched(cached=8.0e6, power=2),
+    "... w² / (w² + (2 million)²)": touched(cached=2.0e6),
+    "... w² / (w² + (8 million)²)": touched(cached=8.0e6),
+    "... w / (w + 4 million)": touched(power=1),
+    "... w / (w + 8 million)": touched(cached=8.0e6, power=1),
+    "... w / (w + 16 million)": touched(cached=16.0e6, power=1),
+    "... w³ / (w³ + (4 million)³)": touched(power=3),
     "... 32 voxels per read": touched(read=32.0),
     "... 128 voxels per read": touched(read=128.0),
     "... and a second cache: 0.25 million": touched(second=0.25e6),

@@ -149,7 +149,8 @@ fn the_number_of_cached_voxels_is_found_where_frames_tell_it() {
         let samples = 1e6 * (1.0 + (i * 53 % 17) as f64);
         let mut work = [0.0; COSTS];
         (work[0], work[1], work[quantity("samples")]) = (1.0, 2e5, samples);
-        let share = (i * 29 % 13) as f64 / 12.0 * touched / (touched + UnitCosts::CACHED_VOXELS);
+        let uncached = touched * touched / (touched * touched + UnitCosts::CACHED_VOXELS.powi(2));
+        let share = (i * 29 % 13) as f64 / 12.0 * uncached;
         work[quantity("far_samples")] = share * samples;
         work[quantity("touched_voxels")] = touched;
         work

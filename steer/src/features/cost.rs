@@ -67,17 +67,17 @@ pub struct UnitCosts {
 }
 
 impl UnitCosts {
-    /// Number of cached voxels with which the quantities of frames are computed. These voxels take 32 MB in a
+    /// Number of cached voxels with which the quantities of frames are computed. These voxels take 16 MB in a
     /// renderer that packs a voxel into four bytes.
-    pub(crate) const CACHED_VOXELS: f64 = 8.0e6;
+    pub(crate) const CACHED_VOXELS: f64 = 4.0e6;
 
     /// Unit costs of a software renderer, in seconds of processor time: geometric means of the costs measured
     /// on three machines with two processors each. `lab/scripts/typical_costs.py` prints such means. The
     /// first observed frames of a session set the scale of the costs; from then on, only the ratios of the
     /// costs matter.
     pub const SOFTWARE: Self = Self::new([
-        2.1e-4, 7.9e-8, 5.4e-9, 4.4e-9, 2.9e-9, 5.5e-9, 1.5e-8, 1.8e-8, 2.7e-10, 4.4e-10, 4.2e-11, 5.5e-9,
-        8.8e-8, 1.7e-8, 1.1e-10, 7.6e-8, 7.4e-8, 3.9e-8, 4.3e-9, 7.0e-9, 5.0e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
+        2.5e-4, 8.0e-8, 7.7e-9, 6.2e-9, 1.9e-9, 8.0e-9, 1.2e-8, 1.5e-8, 1.0e-9, 2.8e-10, 2.0e-9, 4.7e-9,
+        8.3e-8, 6.5e-9, 1.0e-10, 5.8e-8, 6.7e-8, 2.0e-8, 2.9e-9, 8.2e-9, 3.2e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0,
     ]);
 
@@ -114,8 +114,8 @@ impl UnitCosts {
         7.3e-7, 1.5e-6, 3.8e-8, 4.5e-7, 8.5e-6, 4.4e-7,
     ]);
 
-    /// Returns unit costs in seconds, per frame and then per unit of each of [`COST_QUANTITIES`], with 8·10⁶
-    /// cached voxels.
+    /// Returns unit costs in seconds, per frame and then per unit of each of [`COST_QUANTITIES`], with
+    /// [`Self::CACHED_VOXELS`].
     pub(crate) const fn new(seconds: [f64; COSTS]) -> Self {
         Self { seconds, cached_voxels: Self::CACHED_VOXELS }
     }
@@ -144,11 +144,20 @@ impl UnitCosts {
     }
 }
 
-/// Returns the far share with `cached_voxels`, divided by the far share with [`UnitCosts::CACHED_VOXELS`],
-/// for a frame that touches `touched` voxels. The far share is proportional to touched / (touched + cached
-/// voxels).
+/// Returns the share of reads that wait for memory, 0…1, among the reads that no neighboring ray shares:
+/// w² / (w² + C²) for w `touched` voxels and C `cached_voxels`. The square makes the share rise steeply at
+/// w = C: nearly all reads hit the caches if the voxels fit, nearly none if they do not.
+pub(super) fn uncached_share(touched: f64, cached_voxels: f64) -> f64 {
+    let (w, c) = (touched * touched, cached_voxels * cached_voxels);
+    w / (w + c)
+}
+
+/// Returns [`uncached_share`] with `cached_voxels`, divided by this share with [`UnitCosts::CACHED_VOXELS`],
+/// for a frame that touches `touched` voxels.
 pub(crate) fn far_ratio(touched: f64, cached_voxels: f64) -> f64 {
-    (touched + UnitCosts::CACHED_VOXELS) / (touched + cached_voxels)
+    let square = |v: f64| v * v;
+    let w = square(touched);
+    (w + square(UnitCosts::CACHED_VOXELS)) / (w + square(cached_voxels))
 }
 
 impl FrameFeatures {

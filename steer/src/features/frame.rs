@@ -1,5 +1,6 @@
 //! Estimated work of one frame, for any ray step and for any image size of the same aspect ratio.
 
+use super::cost::uncached_share;
 use super::{
     Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_DIRECTION, SHADOW_STEP, SceneQuantity,
     TransferSummary, UnitCosts, VolumeSummary,
@@ -135,9 +136,9 @@ pub(crate) struct Work {
     /// [`VOXELS_PER_READ`] times the number r of reads that no neighboring ray shares:
     /// w = 1 / (1 / n + 1 / ([`VOXELS_PER_READ`] r)).
     pub(crate) touched: f64,
-    /// Of the reads that no neighboring ray shares, the share that waits for memory, 0…1. For w touched
-    /// voxels, it is w / (w + [`UnitCosts::CACHED_VOXELS`]). A model file may have another number of cached
-    /// voxels ([`UnitCosts::cached_voxels`]).
+    /// Of the reads that no neighboring ray shares, the share that waits for memory, 0…1: [`uncached_share`]
+    /// with [`UnitCosts::CACHED_VOXELS`]. A model file may have another number of cached voxels
+    /// ([`UnitCosts::cached_voxels`]).
     pub(crate) uncached: f64,
 }
 
@@ -357,7 +358,7 @@ impl FrameFeatures {
             + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
         let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
         work.touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
-        work.uncached = work.touched / (work.touched + UnitCosts::CACHED_VOXELS);
+        work.uncached = uncached_share(work.touched, UnitCosts::CACHED_VOXELS);
         work
     }
 

@@ -499,10 +499,13 @@ mod tests {
             *seconds = dot(&truth, work);
         }
         let fit = |costs| AnalyticModel::fit(costs, &rows, PROBE_SIDE).unwrap();
-        let (plain, errors) = fit(&UnitCosts::SOFTWARE);
+        let plain = prior();
+        let mut with_conversion = plain;
+        with_conversion.seconds[COMMON_COSTS] = UnitCosts::CONVERSION.seconds[COMMON_COSTS];
+        let (plain, errors) = fit(&plain);
         let [middle, _] = quantiles(errors);
         assert!(plain.costs().seconds[COMMON_COSTS..].iter().all(|&c| c == 0.0) && middle > 0.02);
-        let (asked, errors) = fit(&UnitCosts::CONVERSION);
+        let (asked, errors) = fit(&with_conversion);
         assert!(quantiles(errors)[0] < 5e-3);
         assert!((asked.costs().seconds[COMMON_COSTS] / 7e-9 - 1.0).abs() < 0.1, "{:?}", asked.costs());
         // The file names the quantities with nonzero costs, and gives the same unit costs, in single

@@ -535,7 +535,7 @@ mod tests {
         assert_eq!((a.source, b.source), (Source::Analytic, Source::Network));
         // Both predictors use the file's number of cached voxels: with fewer cached voxels, more reads wait.
         let mut file = analytic.to_model_file().unwrap();
-        file.metadata.insert(Key::CachedVoxels.into(), "1e6".into());
+        file.metadata.insert(Key::CachedVoxels.into(), "1e4".into());
         let model = file.to_model().unwrap();
         let mut net = ModelPredictor::new(&model).unwrap();
         let (c, d) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());

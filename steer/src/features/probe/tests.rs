@@ -370,13 +370,13 @@ fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
             let shading =
                 (value(SceneQuantity::LocalSamples) + work.parted_shadow_samples) * square / (square + 64.0);
             let touched = 1.0 / (1.0 / n as f64 + 1.0 / (64.0 * (work.samples * near + shading)));
-            let expected = touched / (touched + 8.0e6);
+            let expected = touched * touched / (touched * touched + 4.0e6 * 4.0e6);
             assert!((work.uncached - expected).abs() < 1e-9 * expected, "{} of {expected}", work.uncached);
             let far = value(SceneQuantity::FarSamples);
             assert!((far - work.lane_samples * near * expected).abs() < 1e-6 * far, "{far}");
             work.uncached
         };
-        let most = n as f64 / (n as f64 + 8.0e6);
+        let most = (n * n) as f64 / ((n * n) as f64 + 4.0e6 * 4.0e6);
         assert!(share(2, 1.0) < 0.9 * most);
         assert!(share(4096, 0.1) > 0.9 * most);
         for sizes in [[2, 8], [8, 64], [64, 512], [512, 4096]] {
