@@ -23,13 +23,13 @@ $(BENCH_OUT)/models/inputs.safetensors:
 
 .PHONY: bench-peers
 bench-peers: peer-server $(BENCH_OUT)/models/inputs.safetensors ## Compare with other libraries, interleaved in one run
-	@test -x $(BENCH_OUT)/peers/release/rten-peer || echo "the Rust peers are not built: make bench-rust-peers"
+	@test -x $(BENCH_OUT)/peers/release/rten-peer || echo "the Rust peer is not built: make bench-rust-peers"
 	$(PYTHON) $(PEERS)/run.py $(BENCH_OUT)/models $(BENCH_OUT)/peers/release $(BENCH_OUT)/peers.json --rounds 2 --secs 0.1 \
 		--nice $(BENCH_NICE) $(foreach s,f32 f16 bf16 int8,--extra "entire $(s)=$(TARGET_DIR)/release/examples/peer_server --storage $(s)")
 	$(PYTHON) $(PEERS)/show.py $(BENCH_OUT)/peers.json
 
 .PHONY: bench-rust-peers
-bench-rust-peers: ## Build the Rust libraries that bench-peers compares with (many minutes)
+bench-rust-peers: ## Build the Rust library that bench-peers compares with (minutes)
 	$(CARGO) build --release --manifest-path $(PEERS)/rs/Cargo.toml --target-dir $(BENCH_OUT)/peers
 
 .PHONY: bars-inference

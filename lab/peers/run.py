@@ -5,7 +5,7 @@
 usage: run.py MODELS RUST_PEERS OUT.json [--rounds N] [--secs S] [--extra NAME=COMMAND ...] [--nice N] [--threads 1,2]
               [--only TEXT] [--compile]
 
-MODELS is the folder of gen.py, RUST_PEERS the one with the built Rust peers. Every peer is a server process, one per
+MODELS is the folder of gen.py, RUST_PEERS the one with the built Rust peer. Every peer is a server process, one per
 number of threads. Each round visits every case and, in random order, every peer. A window is S seconds of repeated
 calls, whose smallest and median time are kept. Missing peers are named and skipped.
 """
@@ -34,12 +34,6 @@ PEERS = {
     "ORT int8 dynamic": ("ort", {}, "int8/{}", "p"),
     "OpenVINO f32": ("ov", {}, "f32/{}", "pv"),
     "OpenVINO bf16": ("ov", {}, "bf16/{}", "pv"),
-    "tract": ("tract", {}, "{}", "pv"),
-    "candle f32": ("candle", {}, "{}", "p"),
-    "candle f16": ("candle", {}, "{}:f16", "p"),
-    "candle bf16": ("candle", {}, "{}:bf16", "p"),
-    "burn flex": ("burn", {"BURN_WHICH": "flex"}, "{}", "pv"),
-    "burn ndarray": ("burn", {"BURN_WHICH": "ndarray"}, "{}", "pv"),
     "rten f32": ("rten", {}, "{}", "p"),
     "rten int8": ("rten", {}, "{}_int8", "p"),
 }

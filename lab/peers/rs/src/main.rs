@@ -1,54 +1,50 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Shared part of the Rust peers: a server that reads lines `NAME BATCH SECONDS` and answers each with
+//! The inference library RTen as a server, which reads lines `NAME BATCH SECONDS` and answers each with
 //! `@@{json}`.
+//!
+//! usage: rten-peer MODELS
 
+use rten::{ModelOptions, ValueView};
+use rten_tensor::prelude::*;
+use rten_tensor::Tensor;
 use std::collections::HashMap;
 use std::io::{BufRead, Write};
 use std::time::{Duration, Instant};
 
-/// Tensors by name: shape and values.
-pub struct Tensors(pub HashMap<String, (Vec<usize>, Vec<f32>)>);
-
-impl Tensors {
-    pub fn load(path: &str) -> Tensors {
-        let b = std::fs::read(path).unwrap_or_else(|e| panic!("{path}: {e}"));
-        let s = safetensors::SafeTensors::deserialize(&b).unwrap();
-        Tensors(
-            s.tensors()
-                .into_iter()
-                .map(|(k, t)| {
-                    let d =
-                        t.data().chunks_exact(4).map(|c| f32::from_le_bytes(c.try_into().unwrap())).collect();
-                    (k, (t.shape().to_vec(), d))
-                })
-                .collect(),
-        )
-    }
-    pub fn get(&self, k: &str) -> &(Vec<usize>, Vec<f32>) {
-        &self.0[k]
-    }
-    pub fn layers(&self) -> usize {
-        self.0.keys().filter(|k| k.starts_with('l') && k.ends_with(".weight")).count()
-    }
-}
-
-pub fn input(dir: &str, name: &str, batch: usize) -> Vec<f32> {
-    let s = Tensors::load(&format!("{dir}/inputs.safetensors"));
-    if name.starts_with("vol") {
-        s.get("vol").1.clone()
-    } else {
-        s.get("pred").1[..batch * 16].to_vec()
-    }
-}
-
-pub fn threads() -> usize {
-    std::env::var("PEER_THREADS").ok().and_then(|s| s.parse().ok()).unwrap_or(1)
-}
-
 /// A prepared case: each call runs one inference and returns the output, whose sum is reported.
-pub type Case = Box<dyn FnMut() -> Vec<f32>>;
+type Case = Box<dyn FnMut() -> Vec<f32>>;
 
-pub fn serve(mut make: impl FnMut(&str, &str, usize) -> Result<Case, String>) {
+/// Inputs of a network: a volume, or `batch` rows.
+fn input(dir: &str, name: &str, batch: usize) -> Vec<f32> {
+    let path = format!("{dir}/inputs.safetensors");
+    let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{path}: {e}"));
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let (tensor, count) = if name.starts_with("vol") { ("vol", usize::MAX) } else { ("pred", batch * 16) };
+    let numbers = file.tensor(tensor).unwrap();
+    numbers.data().chunks_exact(4).take(count).map(|c| f32::from_le_bytes(c.try_into().unwrap())).collect()
+}
+
+fn case(dir: &str, name: &str, batch: usize) -> Result<Case, String> {
+    let file = match name.strip_suffix("_int8") {
+        Some(b) => format!("{dir}/{b}_elu_int8.onnx"),
+        None if name.starts_with("vol") => format!("{dir}/{name}.onnx"),
+        None => format!("{dir}/{name}_elu.onnx"),
+    };
+    let mut o = ModelOptions::with_all_ops();
+    o.prepack_weights(true);
+    let m = o.load_file(&file).map_err(|e| e.to_string())?;
+    let shape: Vec<usize> = if name.starts_with("vol") { vec![1, 1, 128, 128, 128] } else { vec![batch, 16] };
+    let x: Tensor<f32> = Tensor::from_data(shape.as_slice(), input(dir, name, batch));
+    let xi = m.node_id("x").unwrap();
+    let yi = m.node_id("y").unwrap();
+    Ok(Box::new(move || {
+        let r = m.run(vec![(xi, ValueView::from(x.view()).into())], &[yi], None).unwrap();
+        let t: Tensor<f32> = r.into_iter().next().unwrap().try_into().unwrap();
+        t.to_vec()
+    }))
+}
+
+fn main() {
     let dir = std::env::args().nth(1).expect("model dir");
     std::panic::set_hook(Box::new(|_| {}));
     let mut cache: HashMap<(String, usize), Case> = HashMap::new();
@@ -60,7 +56,7 @@ pub fn serve(mut make: impl FnMut(&str, &str, usize) -> Result<Case, String>) {
         let key = (name.clone(), batch);
         let r = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| -> Result<String, String> {
             if !cache.contains_key(&key) {
-                let c = make(&dir, &name, batch)?;
+                let c = case(&dir, &name, batch)?;
                 cache.insert(key.clone(), c);
             }
             Ok(measure(cache.get_mut(&key).unwrap(), secs))
