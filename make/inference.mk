@@ -9,8 +9,8 @@ BENCH_OUT ?= out/bench
 BENCH_NICE ?= 0
 
 .PHONY: bench
-bench: ## Time every network, SIMD level and weight type, and compare with the machine's limits (RECORD=1 stores the figures)
-	$(CARGO) bench --package entire-core --bench inference -- $(if $(RECORD),--record $$(date -u +%F))
+bench: ## Time every network, SIMD level and weight type, and compare with the machine's limits
+	$(CARGO) bench --package entire-core --bench inference
 
 .PHONY: peer-server
 peer-server:

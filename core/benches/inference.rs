@@ -4,7 +4,7 @@
 //! microseconds.
 //!
 //! ```text
-//! cargo bench -p entire-core --bench inference [-- --record DATE] [--only TEXT] [--calls N]
+//! cargo bench -p entire-core --bench inference [-- [--only TEXT] [--calls N]]
 //! ```
 //!
 //! | column | meaning |
@@ -27,7 +27,6 @@ use entire_core::nn::{
     VolumeNetParts,
 };
 use entire_core::scene::{Scalars, VolumeView};
-use std::fmt::Write;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
@@ -145,53 +144,34 @@ struct Row<'a> {
     cold: Option<f64>,
     flushed: Option<f64>,
     bytes: usize,
-    floor: Option<(f64, &'a str)>,
+    floor: Option<f64>,
 }
 
-const CSV_HEAD: &str = "network,level,storage,rows,setup_us,warm_best_us,warm_p50_us,warm_p99_us,warm_worst_us,warm_calls,\
-                        cold_p50_us,flushed_p50_us,bytes,floor_us,bound,ratio\n";
-
 impl Row<'_> {
-    /// Prints the line of the table and appends it to `csv`.
-    fn report(&self, csv: &mut String) {
+    /// Prints the line of the table.
+    fn print(&self) {
         let Row { network, storage, rows, warm, bytes, .. } = self;
         let [setup, cold, flushed] =
             [self.setup, self.cold, self.flushed].map(|t| t.map_or(String::new(), microseconds));
         let median = percentile(warm, 50);
         let [best, p50, p99, worst] =
             [warm[0], median, percentile(warm, 99), warm[warm.len() - 1]].map(microseconds);
-        let (floor, ratio) = self
-            .floor
-            .map_or_else(Default::default, |(f, _)| (microseconds(f), format!("{:.2}", median / f)));
-        let bound = self.floor.map_or("", |(_, by)| by);
-        let (level, calls) = (self.level.isa(), warm.len());
+        let (floor, ratio) =
+            self.floor.map_or_else(Default::default, |f| (microseconds(f), format!("{:.2}", median / f)));
         println!(
-            "{network:7} {:7} {storage:4} {rows:>4} {setup:>9} | {best:>9} {p50:>9} {p99:>9} {worst:>9} {calls:>8} | \
+            "{network:7} {:7} {storage:4} {rows:>4} {setup:>9} | {best:>9} {p50:>9} {p99:>9} {worst:>9} {:>8} | \
              {cold:>9} {flushed:>9} | {bytes:>9} {floor:>8} {ratio:>6}",
-            level
-        );
-        let _ = writeln!(
-            csv,
-            "{network},{level},{storage},{rows},{setup},{best},{p50},{p99},{worst},{calls},{cold},{flushed},{bytes},{floor},\
-             {bound},{ratio}"
+            self.level.isa(),
+            warm.len()
         );
     }
 }
 
-/// Returns the lower bound of a call's time in nanoseconds, and the resource that sets it ("bytes" or
-/// "FLOP").
-fn floor(
-    bytes: usize,
-    macs: usize,
-    bandwidth: Option<f64>,
-    peak: Option<f64>,
-) -> Option<(f64, &'static str)> {
-    let bytes = bandwidth.map(|b| (bytes as f64 / b * 1e9, "bytes"));
-    let flop = peak.map(|p| ((2 * macs) as f64 / p * 1e9, "FLOP"));
-    match (bytes, flop) {
-        (Some(b), Some(f)) => Some(if f.0 > b.0 { f } else { b }),
-        (b, f) => b.or(f),
-    }
+/// Returns the lower bound of a call's time in nanoseconds.
+fn floor(bytes: usize, macs: usize, bandwidth: Option<f64>, peak: Option<f64>) -> Option<f64> {
+    let bytes = bandwidth.map(|b| bytes as f64 / b * 1e9);
+    let flop = peak.map(|p| (2 * macs) as f64 / p * 1e9);
+    bytes.into_iter().chain(flop).reduce(f64::max)
 }
 
 /// Measures the machine's peak arithmetic rate and memory bandwidth with the instructions of one SIMD level.
@@ -361,22 +341,15 @@ fn machine() -> String {
 }
 
 struct Options {
-    /// Date in the name of the CSV file with the results; `None` if no file is written.
-    record: Option<String>,
     only: String,
     calls: usize,
 }
 
 fn options() -> Options {
-    let mut found = Options { record: None, only: String::new(), calls: 1_000_000 };
+    let mut found = Options { only: String::new(), calls: 1_000_000 };
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
-            "--record" => {
-                // Cargo appends options such as `--bench`, which are not dates.
-                let date = arguments.next().filter(|date| !date.starts_with('-'));
-                found.record = Some(date.expect("--record needs a date"));
-            }
             "--only" => found.only = arguments.next().unwrap_or_default(),
             "--calls" => found.calls = arguments.next().and_then(|n| n.parse().ok()).unwrap_or(found.calls),
             _ => {}
@@ -398,7 +371,6 @@ fn main() {
     };
     let small = volume(INPUT_EDGE);
     let large = volume(LARGE_EDGE);
-    let mut csv = String::from(CSV_HEAD);
     println!(
         "network level        rows  setup us | warm best       p50       p99     worst    calls \
          |  cold p50   flushed |     bytes    floor  ratio"
@@ -460,11 +432,10 @@ fn main() {
                     bytes,
                     floor: floor(bytes, macs, bandwidth, peak),
                 };
-                line.report(&mut csv);
+                line.print();
                 // The floor of a batch is unknown if the peak rate of the arithmetic is unknown.
                 let floor = peak.and_then(|peak| floor(bytes, macs * rows, bandwidth, Some(peak)));
-                Row { rows, setup: None, warm: many, cold: None, flushed: None, floor, ..line }
-                    .report(&mut csv);
+                Row { rows, setup: None, warm: many, cold: None, flushed: None, floor, ..line }.print();
             }
         }
         let storage = Storage::F32.name();
@@ -501,7 +472,7 @@ fn main() {
                 bytes,
                 floor: floor(bytes, macs, limits::bandwidth(level, bytes), peak),
             }
-            .report(&mut csv);
+            .print();
         }
         if wanted("512 u8", "") {
             let view = VolumeView::new(Scalars::U8(&large), [LARGE_EDGE; 3]).expect("a volume");
@@ -528,21 +499,7 @@ fn main() {
                 bytes: large.len(),
                 floor: floor(large.len(), 0, limits::bandwidth(level, large.len()), None),
             }
-            .report(&mut csv);
+            .print();
         }
-    }
-    if let Some(date) = options.record {
-        let words: String = machine()
-            .chars()
-            .map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' })
-            .collect();
-        let words: Vec<_> = words.split('-').filter(|w| !w.is_empty()).collect();
-        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/records");
-        let path = format!("{folder}/{}-{date}.csv", words.join("-"));
-        let head = format!("# {}, load {load}, best level {}\n", machine(), Level::detect());
-        std::fs::create_dir_all(folder)
-            .and_then(|()| std::fs::write(&path, head + &csv))
-            .expect("a writable folder");
-        println!("recorded in {path}");
     }
 }
