@@ -2,7 +2,7 @@
 //! `farm-stand-in`: the parts of `make bars-farm`.
 
 use crate::bars;
-use crate::farm::{bars as studies, compare, second_measurement, tasks_of_trace};
+use crate::farm::{bars as studies, compare, tasks_of_trace};
 use crate::trace::Trace;
 use anyhow::{Context, Result, bail, ensure};
 use entire_farm::dispatch::Order;
@@ -69,8 +69,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         write_whole(file, &out.into_inner()?)?;
     }
     let source = options.trace.as_ref().or(options.tasks.as_ref()).map(|p| p.display().to_string());
-    let noise = trace.as_ref().map(second_measurement).transpose()?.flatten();
-    let found = compare(&tasks, source.unwrap_or_default(), noise, &options.report)?;
+    let found = compare(&tasks, source.unwrap_or_default(), &options.report)?;
     if options.bars {
         bars::print(&found)?;
     }
@@ -107,9 +106,6 @@ pub(crate) struct SimulateOptions {
     /// Number of bundles (groups of tasks) that run at once.
     #[arg(long, value_name = "N")]
     pub(crate) slots: usize,
-    /// Factor by which the seconds of the list are multiplied.
-    #[arg(long, default_value_t = 1.0, value_name = "X")]
-    pub(crate) scale: f64,
     /// Time that each bundle takes in addition to its tasks, seconds.
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     pub(crate) latency: f64,
@@ -127,20 +123,16 @@ pub(crate) struct SimulateOptions {
 pub(crate) fn run_simulate(options: &SimulateOptions) -> Result<()> {
     ensure!(options.slots > 0, "--slots is 0; at least one is needed");
     let overhead = options.overhead.unwrap_or(options.latency);
-    for (name, value) in [("scale", options.scale), ("latency", options.latency), ("overhead", overhead)] {
-        check(name, value)?;
-    }
+    check("latency", options.latency)?;
+    check("overhead", overhead)?;
     let tasks = read_tasks(&options.tasks)?;
-    let scaled = |by: By| -> Result<Vec<f64>> {
-        Ok(times(&tasks, by)?.into_iter().map(|t| t * options.scale).collect())
-    };
-    let (base, truth) = (scaled(By::Predicted)?, scaled(By::Measured)?);
-    let base = if options.uniform { vec![1.0; base.len()] } else { base };
+    let base = times(&tasks, if options.uniform { By::Uniform } else { By::Predicted })?;
+    let truth = times(&tasks, By::Measured)?;
     let volume = volume_numbers(&tasks);
     let volumes = volume.iter().max().map_or(1, |v| v + 1);
     let mut load = vec![0.0; volumes];
     for (task, v) in tasks.iter().zip(&volume) {
-        load[*v] = task.load_s * options.scale;
+        load[*v] = task.load_s;
     }
     let plain = options.arrival || options.uniform;
     let setting = Setting {

@@ -271,7 +271,7 @@ fn balance(work: &Work<'_>) -> Result<()> {
         let tasks = cases::tasks_path(work.out, set, mode);
         if tasks.exists() {
             let report = work.out.join("cases").join(format!("farm-{set}-{mode}"));
-            compare(&read_tasks(&tasks)?, tasks.display().to_string(), None, &report)?;
+            compare(&read_tasks(&tasks)?, tasks.display().to_string(), &report)?;
         }
     }
     Ok(())

@@ -53,16 +53,12 @@ pub(crate) fn world(seconds: Vec<f64>, volume: Vec<usize>, load: Vec<f64>, slots
 /// The ratio is the makespan of the longest-first assignment by predicted times, divided by the makespan of
 /// the longest-first assignment by measured times. Neither assignment is improved by exchanges.
 fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
-    worst(&times(tasks, By::Predicted)?, &times(tasks, By::Measured)?)
-}
-
-/// Returns the ratio of [`worst_static`] for tasks with the times `judge`, assigned by the times `decide`.
-pub(super) fn worst(decide: &[f64], judge: &[f64]) -> Result<(f64, usize)> {
+    let (predicted, measured) = (times(tasks, By::Predicted)?, times(tasks, By::Measured)?);
     let mut worst = (0.0f64, 0);
     for nodes in 2..=64 {
         let speeds = vec![1.0; nodes];
-        let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(judge, &speeds);
-        let ratio = of(decide)? / of(judge)?;
+        let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(&measured, &speeds);
+        let ratio = of(&predicted)? / of(&measured)?;
         if ratio > worst.0 {
             worst = (ratio, nodes);
         }

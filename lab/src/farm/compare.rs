@@ -1,8 +1,6 @@
 //! Comparison of methods of load balancing, judged by measured times.
 
-use super::bars::worst;
 use crate::bars::Bar;
-use crate::trace::Trace;
 use anyhow::{Context, Result};
 use entire_farm::list::lower_bound;
 use entire_farm::{By, Method, Task, plan, play, simulate_queue, times};
@@ -14,31 +12,6 @@ use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
 use std::path::Path;
-
-/// Factor by which noise alone lengthens the makespan: a second measurement serves as the prediction.
-///
-/// For each repeat, tasks are assigned longest first, once by the medians of the other repeats and once by
-/// this repeat. Both makespans are computed with the times of this repeat, and the first is divided by the
-/// second. The largest of these ratios at 2 to 64 nodes is the result of the repeat. Returns the least and
-/// the largest result over the repeats; `None` with fewer than two repeats.
-pub(crate) fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
-    let repeats: Vec<&[f64]> =
-        trace.frames.iter().filter_map(|f| f.first()).map(|p| &p.seconds[..]).collect();
-    let count = repeats.iter().map(|r| r.len()).min().unwrap_or(0);
-    let mut range: Option<(f64, f64)> = None;
-    for judge in 0..if count < 2 { 0 } else { count } {
-        let judged: Vec<f64> = repeats.iter().map(|r| r[judge]).collect();
-        let others = |r: &[f64]| -> Option<f64> {
-            let mut rest: Vec<f64> =
-                r.iter().enumerate().filter(|(i, _)| *i != judge).map(|(_, t)| *t).collect();
-            median(&mut rest)
-        };
-        let decided: Vec<f64> = repeats.iter().filter_map(|r| others(r)).collect();
-        let (worst, _) = worst(&decided, &judged)?;
-        range = Some(range.map_or((worst, worst), |(low, high)| (low.min(worst), high.max(worst))));
-    }
-    Ok(range)
-}
 
 /// Methods of the comparison: title, method, times by which the method plans.
 const METHODS: [(&str, Method, By); 6] = [
@@ -64,14 +37,9 @@ fn any_order(measured: &[f64], speeds: &[f64]) -> Result<f64> {
     Ok(sum / RANDOM_ORDERS as f64)
 }
 
-/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars. `source` is
-/// the origin of the tasks, and `noise` the result of [`second_measurement`]; both are for the report.
-pub(crate) fn compare(
-    tasks: &[Task],
-    source: String,
-    noise: Option<(f64, f64)>,
-    folder: &Path,
-) -> Result<Vec<Bar>> {
+/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars. `source` states
+/// the origin of the tasks.
+pub(crate) fn compare(tasks: &[Task], source: String, folder: &Path) -> Result<Vec<Bar>> {
     make_folder(folder)?;
     let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;
     // Indices: method, number of nodes minus 2.
@@ -118,16 +86,6 @@ pub(crate) fn compare(
          from the longest tasks).",
     );
     println!("{}", table.to_text());
-    if let Some((low, high)) = noise {
-        let text = format!(
-            "Effect of noise: for each repeat, tasks are assigned longest first, once by the medians of the \
-             other repeats and once by this repeat. By the times of this repeat, the first assignment takes \
-             longer than the second: at the worst number of nodes, by a factor of {low:.3} to {high:.3}, \
-             depending on the repeat."
-        );
-        println!("{text}");
-        page.paragraph(&text);
-    }
     page.heading("Where the numbers come from");
     let mut facts = vec![("Tasks", source)];
     facts.extend(Provenance::of("scheduled, not rendered".into()).facts());

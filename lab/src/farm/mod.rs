@@ -5,5 +5,5 @@ mod compare;
 mod search;
 mod tasks;
 
-pub(crate) use compare::{compare, second_measurement};
+pub(crate) use compare::compare;
 pub(crate) use tasks::tasks_of_trace;
