@@ -3,12 +3,11 @@
 use crate::inputs::{Layout, open_volume, volume_features};
 use anyhow::{Context, Result};
 use entire_core::model::Model;
-use entire_core::nn::PredNet;
 use entire_io::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor};
 use entire_io::metrics::{Metrics, median};
 use entire_steer::control::{HybridOptions, ObserveFlags, Session};
 use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
-use entire_steer::predict::{Inputs, check_predictions, load};
+use entire_steer::predict::{Inputs, load};
 use rand::SeedableRng;
 use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
@@ -26,8 +25,6 @@ pub struct WarmLatency {
     /// Median seconds of one prediction: from the frame's camera to the checked prediction, without the work
     /// per volume and per transfer function.
     pub seconds: f64,
-    /// Median seconds of the network alone, included in `seconds`.
-    pub network_seconds: f64,
     /// Median seconds of the work per transfer function; 0 if the model uses no scene features.
     pub transfer_seconds: f64,
 }
@@ -94,7 +91,7 @@ pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f
     means
 }
 
-/// Measures the warm latency on frames of the first volume: the median over many calls of each stage.
+/// Measures the warm latency on frames of the first volume: the median over many calls.
 ///
 /// # Errors
 /// When the model uses scene features and the volume's file is missing: stored features cannot be timed.
@@ -103,7 +100,6 @@ pub fn warm_latency(
     layout: &Layout,
     tables: &[Table],
     frames: &[&TimedFrame],
-    rows: &[f32],
 ) -> Result<WarmLatency> {
     const FRAMES: usize = 64;
     const ROUNDS: usize = 40;
@@ -114,23 +110,8 @@ pub fn warm_latency(
         .take(FRAMES)
         .copied()
         .collect();
-    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
-    let net = PredNet::new(parts)?;
-    let mut scratch = net.scratch(1)?;
-    let width = layout.width();
-    let mut held = rows[..width * FRAMES.min(rows.len() / width)].to_vec();
-    held.chunks_exact_mut(width).for_each(|row| layout.hold(row));
-    let mut times = Vec::new();
-    for _ in 0..ROUNDS {
-        for row in held.chunks_exact(width) {
-            let start = Instant::now();
-            std::hint::black_box(net.predict(std::hint::black_box(row), &mut scratch));
-            times.push(start.elapsed().as_secs_f64());
-        }
-    }
-    let network_seconds = median(&mut times).unwrap_or(f64::NAN);
+    let mut predictor = load(model)?;
     let code = vec![0.0; model.volumenet.as_ref().map_or(0, |v| v.fc.outputs)];
-    let mut row = vec![0.0f32; width];
     let mut summary = None;
     if layout.needs_summary() {
         let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
@@ -166,16 +147,12 @@ pub fn warm_latency(
                 volume_features: Some(&code),
                 lobes: Some(&f.scene.lobes),
             };
-            layout.write(std::hint::black_box(&inputs), &mut row)?;
-            layout.hold(&mut row);
-            let mut seconds = [net.predict(&row, &mut scratch)];
-            check_predictions(&mut seconds)?;
-            std::hint::black_box(seconds);
+            std::hint::black_box(predictor.predict(std::hint::black_box(&inputs))?);
             all.push(start.elapsed().as_secs_f64());
         }
     }
     let seconds = median(&mut all).unwrap_or(f64::NAN);
-    Ok(WarmLatency { seconds, network_seconds, transfer_seconds: median(&mut transfer_times).unwrap_or(0.0) })
+    Ok(WarmLatency { seconds, transfer_seconds: median(&mut transfer_times).unwrap_or(0.0) })
 }
 
 /// Returns the seconds that a session predicts. The session plans and observes the frames in their order, as

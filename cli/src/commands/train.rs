@@ -216,7 +216,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let bar = templated_bar(INPUTS_BAR);
         let rows = layout.rows(&tables, part(p), &pool, &bar)?;
         bar.finish_and_clear();
-        let predicted = predict_rows(&model, &layout, &rows)?;
+        let predicted = predict_rows(&model, &layout, &rows, None)?;
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));

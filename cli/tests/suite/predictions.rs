@@ -66,7 +66,7 @@ fn no_more_predictions_than_are_known_had_to_be_made_positive() {
             let layout = Layout::of_model(model).unwrap();
             // Some tables lack the features of some models.
             let Ok(rows) = layout.rows(&table, &refs, &pool, &ProgressBar::hidden()) else { continue };
-            let predicted = predict_rows(model, &layout, &rows).unwrap();
+            let predicted = predict_rows(model, &layout, &rows, None).unwrap();
             assert!(!predicted.iter().any(|s| invalid(*s)), "{name} on {}", path.display());
             // The shortest time replaces all outputs below it.
             let shortest = f64::from(*PREDICTED_SECONDS.start());

@@ -22,7 +22,7 @@ use entire_io::metrics::Metrics;
 use entire_io::volume::Volume;
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
-use entire_train::fit::{FitContext, Recipe, predict, predict_stored};
+use entire_train::fit::{FitContext, Recipe, predict, predict_rows};
 use entire_train::inputs::Layout;
 use entire_train::split::TimedFrames;
 use indicatif::ProgressBar;
@@ -327,7 +327,9 @@ fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> R
     let OnSet { set, data, context, .. } = *on;
     for (split, part) in set.splits.iter().zip(&data.splits).filter(|(split, _)| split.main) {
         let Some(stored) = out.of(&set.name, &split.name, name).map(|r| r.metrics.rmse) else { continue };
-        let small = predict_stored(model, Storage::Int8, context, &part.frames)?;
+        let layout = Layout::of_model(model)?;
+        let rows = layout.rows(context.tables, &part.frames, context.pool, &ProgressBar::hidden())?;
+        let small = predict_rows(model, &layout, &rows, Some(Storage::Int8))?;
         if let Some(m) = Metrics::new(&small, &part.seconds) {
             out.eight_bit.push((set.name.clone(), name.to_owned(), m.rmse / stored));
         }

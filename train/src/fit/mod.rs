@@ -57,31 +57,21 @@ pub struct FittedModel {
 
 /// Returns the seconds that the model's network predicts for rows of the model's layout, computed as in a
 /// session: rows are clamped to the training range, if the model states it. The seconds are finite and
-/// positive.
+/// positive. `storage` is the storage format of the network's weights; `None`: that of a session.
 ///
 /// # Errors
 /// When the model holds no PredNet, or its output for a row is not finite.
-pub fn predict_rows(model: &Model, layout: &Layout, rows: &[f32]) -> Result<Vec<f64>> {
-    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
-    rows_by_network(&PredNet::new(parts)?, layout, rows)
-}
-
-/// As [`predict_rows`], but with another storage format of the network's weights.
-///
-/// # Errors
-/// Those of [`predict_rows`].
-pub fn predict_rows_stored(
+pub fn predict_rows(
     model: &Model,
-    storage: Storage,
     layout: &Layout,
     rows: &[f32],
+    storage: Option<Storage>,
 ) -> Result<Vec<f64>> {
     let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
-    rows_by_network(&PredNet::with(parts, Level::detect(), storage)?, layout, rows)
-}
-
-/// As [`predict_rows`], with the model's network already built.
-fn rows_by_network(net: &PredNet, layout: &Layout, rows: &[f32]) -> Result<Vec<f64>> {
+    let net = match storage {
+        Some(storage) => PredNet::with(parts, Level::detect(), storage)?,
+        None => PredNet::new(parts)?,
+    };
     let mut scratch = net.scratch(1)?;
     let (width, mut rows) = (layout.width(), rows.to_vec());
     rows.chunks_exact_mut(width).for_each(|row| layout.hold(row));
@@ -93,29 +83,9 @@ fn rows_by_network(net: &PredNet, layout: &Layout, rows: &[f32]) -> Result<Vec<f
 /// Returns the seconds that a model file predicts for frames.
 ///
 /// # Errors
-/// When the model's inputs cannot be computed.
-pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
-    let (rows, layout) = rows_of(model, context, frames)?;
-    predict_rows(model, &layout, &rows)
-}
-
-/// As [`predict`], but with another storage format of the network's weights.
-///
-/// # Errors
 /// When the model's inputs cannot be computed, or the model contains no network.
-pub fn predict_stored(
-    model: &Model,
-    storage: Storage,
-    context: &FitContext<'_>,
-    frames: &[&TimedFrame],
-) -> Result<Vec<f64>> {
-    let (rows, layout) = rows_of(model, context, frames)?;
-    predict_rows_stored(model, storage, &layout, &rows)
-}
-
-/// Returns a model's inputs for frames, and their layout.
-fn rows_of(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<(Vec<f32>, Layout)> {
+pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
     let layout = Layout::of_model(model)?;
     let rows = layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
-    Ok((rows, layout))
+    predict_rows(model, &layout, &rows, None)
 }

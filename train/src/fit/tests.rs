@@ -143,7 +143,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
             let mut row = vec![0.0; layout.width()];
             layout.write(&asked, &mut row).unwrap();
-            let by_row = predict_rows(&model, &layout, &row).unwrap()[0];
+            let by_row = predict_rows(&model, &layout, &row, None).unwrap()[0];
             for found in [predicted, by_row] {
                 assert!((found / expected - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
             }
@@ -153,7 +153,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let mut scratch = factor.scratch(1).unwrap();
             let change = f64::from(factor.predict(&held, &mut scratch) / factor.predict(&x, &mut scratch));
             let by_predictor = limited_predictor.predict(&asked).unwrap();
-            let by_row = predict_rows(&limited, &limits, &row).unwrap()[0];
+            let by_row = predict_rows(&limited, &limits, &row, None).unwrap()[0];
             for found in [f64::from(by_predictor.seconds), by_row] {
                 assert!((found / (expected * change) - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
             }

@@ -16,7 +16,7 @@ use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::predict::UpperBound;
 use entire_train::bound;
 use entire_train::evaluation::{PROBE_SHARE, by_kind, in_session, noise_by_kind, probe_means, warm_latency};
-use entire_train::fit::{predict_rows, predict_rows_stored};
+use entire_train::fit::predict_rows;
 use entire_train::inputs::Layout;
 use entire_train::split::{GroupBy, Split};
 use report::{Evaluation, PREDICTIONS, Predictor, detail_table, noise_text, tables_of, write_report};
@@ -172,8 +172,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let bar = templated_bar(INPUTS_BAR);
         let rows = m.layout.rows(&tables, &refs, &pool, &bar).with_context(|| m.name.clone())?;
         bar.finish_and_clear();
-        let predicted = predict_rows(&m.model, &m.layout, &rows)?;
-        let latency = match warm_latency(&m.model, &m.layout, &tables, &refs, &rows) {
+        let predicted = predict_rows(&m.model, &m.layout, &rows, None)?;
+        let latency = match warm_latency(&m.model, &m.layout, &tables, &refs) {
             Ok(latency) => Some(latency),
             Err(e) => {
                 note(&format!("{}: no latency was measured ({e:#})", m.name));
@@ -190,7 +190,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     for (m, rows) in models.iter().zip(&inputs) {
         for &storage in &options.storage {
-            let predicted = predict_rows_stored(&m.model, storage, &m.layout, rows);
+            let predicted = predict_rows(&m.model, &m.layout, rows, Some(storage));
             let name = format!("{}, {} weights", m.name, storage);
             let stored = assess(name, predicted.with_context(|| m.name.clone())?, bound::of(&m.model))?;
             predictors.push(Predictor { frames_seen: frames_seen(m), ..stored });

@@ -70,7 +70,7 @@ pub(super) fn tables_of(predictors: &[Predictor]) -> (Table, Table, Table) {
     let mut overall = Table::headed(
         "predictor | #frames | #in training or validation | #RMSE, s | #RMSE/SD | #MAE, s | #median error, % | \
          #p95, % | #p99, % | #R² in log | #within upper bound, % | #µs per prediction | \
-         #µs per prediction in the network | #µs per transfer function",
+         #µs per transfer function",
     );
     for p in predictors {
         let m = &p.metrics;
@@ -88,7 +88,6 @@ pub(super) fn tables_of(predictors: &[Predictor]) -> (Table, Table, Table) {
             format!("{:.4}", m.r2_log).into(),
             p.bound_coverage.map(|c| format!("{:.1}", 100.0 * c)).into(),
             micro(|l| l.seconds).into(),
-            micro(|l| l.network_seconds).into(),
             micro(|l| l.transfer_seconds).into(),
         ]);
     }
