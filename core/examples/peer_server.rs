@@ -3,7 +3,7 @@
 //! program prints one line `@@{json}` with the result. So a script can alternate between programs of several
 //! libraries.
 //!
-//! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
+//! usage: peer_server [--storage f32|f16|bf16|int8] MODELS
 //!
 //! `MODELS` is a folder of networks in the format of `lab/peers` (`NAME.safetensors` with `l0.weight`, …,
 //! `inputs.safetensors`). The environment variable `PEER_THREADS` sets the number of threads (1 or 2).
@@ -33,7 +33,6 @@ type Problem = Box<dyn std::error::Error>;
 struct Options {
     models: PathBuf,
     storage: Storage,
-    level: Level,
     /// Pool of two threads; `None` for one thread.
     pool: Option<rayon::ThreadPool>,
 }
@@ -45,33 +44,21 @@ impl Options {
 }
 
 fn options() -> Result<Options, Problem> {
-    let (mut models, mut storage, mut level) = (None, Storage::F32, Level::detect());
+    let (mut models, mut storage) = (None, Storage::F32);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
-        let mut value = || arguments.next().ok_or(format!("{argument} needs a value"));
-        match argument.as_str() {
-            "--storage" => {
-                let name = value()?;
-                storage =
-                    Storage::ALL.into_iter().find(|s| s.to_string() == name).ok_or("unknown storage")?;
-            }
-            "--level" => {
-                let isa = value()?;
-                level = Level::available().find(|l| l.isa() == isa).ok_or("this CPU lacks the level")?;
-            }
-            _ => models = Some(PathBuf::from(argument)),
+        if argument == "--storage" {
+            let name = arguments.next().ok_or("--storage needs a value")?;
+            storage = Storage::ALL.into_iter().find(|s| s.to_string() == name).ok_or("unknown storage")?;
+        } else {
+            models = Some(PathBuf::from(argument));
         }
     }
     let pool = match std::env::var("PEER_THREADS").as_deref() {
         Ok("2") => Some(rayon::ThreadPoolBuilder::new().num_threads(2).build()?),
         _ => None,
     };
-    Ok(Options {
-        models: models.ok_or("usage: peer_server [--storage S] [--level L] MODELS")?,
-        storage,
-        level,
-        pool,
-    })
+    Ok(Options { models: models.ok_or("usage: peer_server [--storage S] MODELS")?, storage, pool })
 }
 
 fn floats(file: &SafeTensors<'_>, name: &str) -> Result<(Vec<usize>, Vec<f32>), Problem> {
@@ -109,7 +96,7 @@ fn case<'a>(options: &'a Options, name: &str, rows: usize) -> Result<Case<'a>, P
         return encoding(options, name);
     }
     let parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
-    let net = PredNet::with(&parts, options.level, options.storage)?;
+    let net = PredNet::with(&parts, Level::detect(), options.storage)?;
     let x = inputs(&options.models, rows)?;
     if rows == 1 {
         let mut scratch = net.scratch(1)?;
@@ -166,7 +153,7 @@ fn volumenet(path: &Path) -> Result<VolumeNetParts, Problem> {
 fn encoding<'a>(options: &'a Options, name: &str) -> Result<Case<'a>, Problem> {
     let (name, from_floats) = name.strip_suffix(":f32").map_or((name, false), |name| (name, true));
     let parts = volumenet(&options.models.join(format!("{name}.safetensors")))?;
-    let net = VolumeNet::with(&parts, options.level)?;
+    let net = VolumeNet::with(&parts, Level::detect())?;
     let file = std::fs::read(options.models.join("inputs.safetensors"))?;
     let (_, volume) = floats(&SafeTensors::deserialize(&file)?, "vol")?;
     let bytes: Vec<u8> = volume.iter().map(|v| (v * 255.0).round() as u8).collect();
@@ -193,7 +180,7 @@ fn resampling(options: &Options, n: usize, seconds: f64) -> Result<String, Probl
     let bytes: Vec<u8> = (0..n * n * n).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&bytes), [n; 3])?;
     let executor = options.executor();
-    let (mut resampler, mut out) = (Resampler::new(options.level), vec![0.0; 128 * 128 * 128]);
+    let (mut resampler, mut out) = (Resampler::new(Level::detect()), vec![0.0; 128 * 128 * 128]);
     let (mut times, mut read) = (Vec::new(), f64::INFINITY);
     let end = Instant::now() + Duration::from_secs_f64(seconds);
     while Instant::now() < end || times.len() < 5 {
@@ -255,7 +242,7 @@ fn float64(parts: &PredNetParts, row: &[f32]) -> f64 {
 fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> {
     let mut parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
     parts.target = Target::LogSeconds;
-    let net = PredNet::with(&parts, options.level, options.storage)?;
+    let net = PredNet::with(&parts, Level::detect(), options.storage)?;
     let x = inputs(&options.models, rows)?;
     let exact: Vec<f64> = x.chunks_exact(net.inputs()).map(|row| float64(&parts, row).exp()).collect();
     let mut batch = vec![0.0; rows];
@@ -286,7 +273,7 @@ fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem>
         output: Some(Normalization { mean: vec![-4.0], std: vec![0.5] }),
         target: Target::LogSeconds,
     };
-    let net = PredNet::with(&parts, options.level, options.storage)?;
+    let net = PredNet::with(&parts, Level::detect(), options.storage)?;
     let (x, mut scratch) = ([0.7f32; 24], net.scratch(1)?);
     if !cold {
         let mut case: Case<'_> =
