@@ -6,7 +6,6 @@ pub mod child;
 pub mod clock;
 pub mod dataset;
 pub mod device;
-pub mod enlarge;
 pub mod files;
 pub mod identity;
 pub mod interrupt;

@@ -17,7 +17,6 @@ use entire_cli::pictures::{BEST_PSNR, psnr, resized, scaled_size, ssim};
 use entire_cli::steering::play::{scale_at, volume_at};
 use entire_core::scene::Frame;
 use entire_io::dataset::Timing;
-use entire_io::enlarge::enlarge;
 use entire_io::identity::difference;
 use entire_io::machine::Provenance;
 use entire_io::metrics::median;
@@ -51,7 +50,7 @@ impl TraceVolume {
     /// When the file cannot be read or the enlarged volume does not fit.
     pub fn open(&self) -> Result<Volume> {
         let volume = Volume::open(&self.file)?;
-        if self.enlarge == 1 { Ok(volume) } else { enlarge(&volume, self.enlarge) }
+        volume.enlarged(self.enlarge)
     }
 }
 

@@ -8,8 +8,7 @@ use entire_core::nn::{VolumeNet, VolumeNetParts};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Manifest, Scene, Table, TimedFrame};
-use entire_io::enlarge::{MAX_FACTOR, enlarge, resample};
-use entire_io::volume::Volume;
+use entire_io::volume::{MAX_FACTOR, Volume};
 use entire_steer::features::{
     Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, TransferSummary, VolumeSummary,
 };
@@ -346,11 +345,11 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
     }
     let edge = table.manifest.as_ref().and_then(Manifest::resampled_to_edge);
     if let Some(edge) = edge.filter(|&edge| want == [edge; 3]) {
-        return resample(&volume, edge);
+        return volume.resampled(edge);
     }
     let factor = want[0] / have[0].max(1);
     if (2..=MAX_FACTOR).contains(&factor) && have.map(|n| n * factor) == want {
-        return enlarge(&volume, factor);
+        return volume.enlarged(factor);
     }
     bail!(
         "volume {name} has {have:?} voxels, but {} says {want:?}; is it another file of the same name?",

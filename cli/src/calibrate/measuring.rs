@@ -9,7 +9,6 @@ use super::pool::{Candidate, Pool};
 use crate::collection::timed_repeats;
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::dataset::{Clock, NoiseFloor, TimedFrame, Timing, noise_floor};
-use entire_io::enlarge::enlarge;
 use entire_io::identity;
 use entire_io::metrics::median;
 use entire_io::volume::{Volume, VolumeData};
@@ -213,7 +212,7 @@ impl<'a> Measuring<'a> {
             if let Some(what) = identity::difference(&self.pool.files[volume], &identity::of_volume(path)?) {
                 bail!("{} changed during the calibration: {what}; calibrate again", path.display());
             }
-            let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
+            let opened = opened.enlarged(factor).with_context(named)?;
             let bytes = |v: &Volume| match v.data() {
                 VolumeData::U8(voxels) => size_of_val(&voxels[..]),
                 VolumeData::U16(voxels) => size_of_val(&voxels[..]),

@@ -3,7 +3,6 @@
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
 use entire_io::dataset::{MANIFEST_FORMAT, Manifest, STEP_REFERENCE, Scene};
-use entire_io::enlarge::{enlarge, resample};
 use entire_io::files::without_dots;
 use entire_io::identity::{self, Identity};
 use entire_io::machine;
@@ -232,9 +231,8 @@ impl Protocol {
     /// For an edge or a factor that is not accepted.
     pub fn sized(&self, volume: Volume) -> Result<Volume> {
         match self.proxy {
-            Some(edge) => resample(&volume, edge),
-            None if self.enlarge == 1 => Ok(volume),
-            None => enlarge(&volume, self.enlarge),
+            Some(edge) => volume.resampled(edge),
+            None => volume.enlarged(self.enlarge),
         }
     }
 

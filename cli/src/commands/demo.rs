@@ -18,7 +18,6 @@ use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
 use entire_io::clock::ClockChoice;
-use entire_io::enlarge::enlarge;
 use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
 use entire_io::options::{DrawSettings, RenderArgs, parse_distance, parse_size, thread_pool};
@@ -219,7 +218,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let volume = open_volume(&file, &options.reading)?;
     // By default, a small volume is enlarged, so that its frames take as long as those of larger volumes.
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
-    let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
+    let volume = volume.enlarged(factor)?;
     let view = volume.view();
     let described = describe(&shown, &volume, factor);
     print_line(format!("volume     {described}"))?;

@@ -9,7 +9,6 @@ use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::VolumeView;
 use entire_io::clock::ClockChoice;
 use entire_io::dataset::{Scene, Writer};
-use entire_io::enlarge::enlarge;
 use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, open_model, write_json};
 use entire_io::machine::Provenance;
 use entire_io::options::{
@@ -189,10 +188,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let volumes = options
         .volumes
         .iter()
-        .map(|file| {
-            let volume = open_volume(file, &options.reading)?;
-            if options.enlarge == 1 { Ok(volume) } else { enlarge(&volume, options.enlarge) }
-        })
+        .map(|file| open_volume(file, &options.reading)?.enlarged(options.enlarge))
         .collect::<Result<Vec<Volume>>>()?;
     let volume = &volumes[0];
     let shown = options.volumes[0].display().to_string();

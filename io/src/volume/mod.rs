@@ -41,18 +41,15 @@ mod stream;
 mod vti;
 
 pub(crate) use element::{Element, Endian};
-pub use reading::{Fill, Range, Reading};
+pub use reading::{Fill, MAX_FACTOR, Range, Reading, open_volume, open_watched_volume};
 pub use stream::Watcher;
 pub(crate) use stream::{Companions, Folder, Stream};
 
-use crate::files::{note, without_mark};
-use anyhow::{Context, Result, bail, ensure};
+use crate::files::without_mark;
+use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
-use reading::{hide_fill, narrow, non_finite};
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::{Arc, Mutex, PoisonError};
 
 /// Owned voxels in one of the types that the core takes.
 #[derive(Clone, Debug, PartialEq)]
@@ -199,82 +196,6 @@ impl Volume {
         Ok(Self { data, dims, spacing, range, name, source, notes: Vec::new() })
     }
 
-    /// Reads a volume file. The format follows from the name's ending, else from the first bytes.
-    ///
-    /// # Errors
-    /// One line that names the file, what was expected, what was found and what to do: a missing or
-    /// unreadable file, an unknown format, a broken header, a zero size, fewer bytes of voxels than the
-    /// header requires or at least twice as many, several components or time steps.
-    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        Self::open_as(path, &Reading::default(), None)
-    }
-
-    /// Reads a volume file as [`Volume::open`] does, with the options `reading`. The watcher may observe the
-    /// progress and stop the reading.
-    ///
-    /// # Errors
-    /// Those of [`Volume::open`] and of the watcher; when `reading` names an array that the file lacks, or
-    /// the format has no named arrays; when every finite voxel holds one of the given fill values.
-    pub fn open_as(
-        path: impl AsRef<Path>,
-        reading: &Reading,
-        watcher: Option<Arc<dyn Watcher>>,
-    ) -> Result<Self> {
-        let path = path.as_ref();
-        let shown = path.display();
-        let mut stream = Stream::open(path, watcher.as_ref())?;
-        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let format = match Format::of_name(&name) {
-            None => Format::of_content(stream.peek().with_context(|| format!("{shown}"))?),
-            known => known,
-        };
-        let format = format.with_context(|| {
-            let known = Format::ENDINGS.map(|(_, all)| all.join(", ")).join(", ");
-            format!("{shown}: not a volume format that is read here; accepted are {known}")
-        })?;
-        let folder = Folder::new(path.parent().unwrap_or(Path::new("")), watcher);
-        let mut volume =
-            Self::read(format, stream, &name, &folder, reading).with_context(|| format!("{shown}"))?;
-        if volume.name.is_empty() {
-            volume.name = stem(&name).to_owned();
-        }
-        volume.source = path.to_owned();
-        Ok(volume)
-    }
-
-    /// Reads a volume of a known format from a stream. `file_name` is the file's name, from which the names
-    /// of raw and JSON files that belong together are derived. Data files come from `companions`.
-    pub(crate) fn read(
-        format: Format,
-        stream: Stream<'_>,
-        file_name: &str,
-        companions: &dyn Companions,
-        reading: &Reading,
-    ) -> Result<Self> {
-        let array = reading.array.as_deref();
-        if let Some(array) = array.filter(|_| format != Format::VtkImage) {
-            bail!("array {array:?} was requested; a file of this format holds one volume without a name");
-        }
-        let mut parts = match format {
-            Format::Nrrd => nrrd::read(stream, companions),
-            Format::MetaImage => metaimage::read(stream, companions),
-            Format::VtkImage => vti::read(stream, array),
-            Format::Nifti => nifti::read(stream),
-            Format::Json => openscivis::read_json(stream, file_name, companions),
-            Format::Raw => openscivis::read_raw(stream, file_name, companions),
-        }?;
-        let spacing = parts.spacing.map(|s| s as f32);
-        let mut notes = parts.notes;
-        notes.extend(hide_fill(&mut parts.data, parts.dims, reading)?);
-        let mut volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
-        notes.extend(non_finite(&volume.view()));
-        notes.extend(narrow(&volume.view(), reading.range));
-        let range = reading.range_of(&volume.view()).unwrap_or(volume.range);
-        volume.set_range(range)?;
-        volume.notes = notes;
-        Ok(volume)
-    }
-
     /// Returns a view of the voxels for the core, with the spacing, and with the range that was set, else the
     /// default range of [`VolumeView::new`] (computed once, when the volume was made).
     pub fn view(&self) -> VolumeView<'_> {
@@ -330,49 +251,10 @@ impl Volume {
     }
 }
 
-/// Reads a volume file and prints its notes ([`Volume::notes`]) on standard error.
-///
-/// # Errors
-/// Those of [`Volume::open_as`].
-pub fn open_volume(path: &Path, reading: &Reading) -> Result<Volume> {
-    open_watched_volume(path, reading, None)
-}
-
-/// Reads a volume file as [`open_volume`] does; the watcher may observe the progress and stop the reading.
-///
-/// # Errors
-/// Those of [`Volume::open_as`].
-pub fn open_watched_volume(
-    path: &Path,
-    reading: &Reading,
-    watcher: Option<Arc<dyn Watcher>>,
-) -> Result<Volume> {
-    let volume = Volume::open_as(path, reading, watcher)?;
-    say_notes(&volume);
-    Ok(volume)
-}
-
-/// Prints the notes of a volume's reader on standard error, each only once.
-fn say_notes(volume: &Volume) {
-    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
-    for text in volume.notes() {
-        let text = format!("{}: {text}", volume.source().display());
-        if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
-            note(&text);
-        }
-    }
-}
-
 /// Returns a name without a given ASCII ending, in upper or lower case; `None` if the name ends otherwise.
 pub(crate) fn strip_ending<'a>(name: &'a str, ending: &str) -> Option<&'a str> {
     let (rest, found) = name.split_at_checked(name.len().checked_sub(ending.len())?)?;
     found.eq_ignore_ascii_case(ending).then_some(rest)
-}
-
-/// Returns a file name without its ending; `.nii.gz` and the like count as one ending.
-fn stem(name: &str) -> &str {
-    let name = strip_ending(name, ".gz").filter(|rest| !rest.is_empty()).unwrap_or(name);
-    Path::new(name).file_stem().and_then(|stem| stem.to_str()).unwrap_or(name)
 }
 
 /// Checks three sizes from a header.
@@ -454,21 +336,6 @@ fn not_a_volume(sizes: &[u64], spatial: &[bool]) -> anyhow::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn names_lose_their_endings() {
-        for (name, expected) in [
-            ("a.nrrd", "a"),
-            ("a.b.nii.gz", "a.b"),
-            ("a.GZ", "a"),
-            (".gz", ".gz"),
-            ("plain", "plain"),
-            (".hidden", ".hidden"),
-            ("ü.gz", "ü"),
-        ] {
-            assert_eq!(stem(name), expected, "{name}");
-        }
-    }
 
     #[test]
     fn single_element_axes_are_dropped_and_others_named() {

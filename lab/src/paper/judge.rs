@@ -13,7 +13,6 @@ use crate::study::{Bounds, Line, Low, Runner, by_proxy, line_of, with_twins};
 use anyhow::{Context, Result};
 use entire_core::model::Model;
 use entire_io::dataset::{Clock, TimedFrame};
-use entire_io::enlarge::enlarge;
 use entire_io::metrics::{Metrics, median, percentile, usable};
 use entire_io::volume::Volume;
 use entire_train::evaluation::PROBE_SHARE;
@@ -113,7 +112,7 @@ impl At<'_> {
         let job = self.place.jobs.first().context("no volume")?;
         let volume = Volume::open(self.place.root.join(&job.path))?;
         let factor = self.work.paper.enlarge;
-        let volume = if factor > 1 { enlarge(&volume, factor)? } else { volume };
+        let volume = volume.enlarged(factor)?;
         let shading = self.loaded.tables[0].frames.first().context("no frame")?.scene.shading;
         Bench::new(&volume, shading).map(Some)
     }

@@ -16,7 +16,6 @@ use entire_core::kernels::Storage;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_io::dataset::feature_table::FeatureTable;
 use entire_io::dataset::{Clock, Table, TimedFrame, noise_floor};
-use entire_io::enlarge::enlarge;
 use entire_io::files::{fnv1a_text, make_folder, read_bytes, read_model_file, write_whole};
 use entire_io::metrics::Metrics;
 use entire_io::volume::Volume;
@@ -198,7 +197,7 @@ impl Runner<'_> {
         let clock: Clock = study.clock.parse()?;
         let mut out = Findings::default();
         let (path, factor) = &study.latency_volume;
-        let volume = enlarge(&Volume::open(path)?, *factor)?;
+        let volume = Volume::open(path)?.enlarged(*factor)?;
         self.bar.set_length((study.sets.len() * study.predictors.len()) as u64);
         for set in &study.sets {
             let tables = SetTables::read(set)?;

@@ -206,7 +206,6 @@ const IO: &Rooms = &[
     ("machine", &[]),
     ("metrics", &[]),
     ("path", &["files"]),
-    ("enlarge", &["volume"]),
     ("dataset", &["files", "identity", "metrics", "volume"]),
     ("options", &["dataset", "device", "machine", "volume"]),
     ("clock", &["dataset", "device", "files"]),
