@@ -6,7 +6,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 /// The template of the bar for computing inputs.
 pub const INPUTS_BAR: &str = "computing inputs [{bar:30}] {pos}/{len} frames, {eta} left";
 
-/// Returns a bar with a prefix, the time left and a message.
+/// Returns a bar with a prefix, the time left and a message. A dropped bar disappears.
 pub fn progress_bar(what: &str) -> ProgressBar {
     let bar = templated_bar("{prefix} [{bar:32}] {pos}/{len}, {eta} left  {wide_msg}");
     bar.set_prefix(what.to_owned());

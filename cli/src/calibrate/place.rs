@@ -4,10 +4,12 @@ use crate::collection::{Job, ensure_utf8};
 use anyhow::{Context, Result};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::scene::Shading;
+use entire_io::clock::ClockChoice;
 use entire_io::dataset::Clock;
 use entire_io::device::names_software;
 use entire_io::files::{note, read_model_file};
 use entire_io::identity::{self, Identity, is_volume};
+use entire_vk_raycaster::Renderer;
 use serde::Deserialize as _;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -85,6 +87,47 @@ pub(crate) fn of_another_kind(path: &Path, file: &ModelFile, backend: &str, devi
     })
 }
 
+/// Returns the machine's model for a shading mode, with its name, and the clock of frame times, which for
+/// `auto` is the clock that this model states. The model is ignored, with a note, if it states no
+/// clock or another clock than the requested one. It is also ignored if it was calibrated on a GPU and a
+/// renderer in software draws, or the reverse.
+pub(crate) fn machine_model_for(
+    shading: Shading,
+    asked: ClockChoice,
+    renderer: &dyn Renderer,
+) -> Result<(Option<(String, ModelFile)>, ClockChoice)> {
+    let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
+    if let Some(why) = of_another_kind(&path, &file, renderer.backend(), &renderer.device()) {
+        note(&format!(
+            "{why}; `entire calibrate --shade {shading}` with the same --device makes a model of this \
+             device, which replaces the present model unless --out names another file"
+        ));
+        return Ok((None, asked));
+    }
+    let Some(clock) = stated.filter(|c| asked.clock().is_none_or(|a| a == *c)) else {
+        note(&format!("{} {}", path.display(), ignored(shading, stated, asked)));
+        return Ok((None, asked));
+    };
+    Ok((Some((format!("{}, of this machine", path.display()), file)), clock.into()))
+}
+
+/// Returns the reason why the machine's model is ignored, and the remedy.
+fn ignored(shading: Shading, stated: Option<Clock>, asked: ClockChoice) -> String {
+    let asked = asked.clock().map(Clock::name);
+    let remedy = asked.map_or(String::new(), |name| format!(" --clock {name}"));
+    match (stated, asked) {
+        (Some(stated), Some(asked)) => format!(
+            "is ignored: it predicts {} time, but frames are timed by the clock {asked} (`entire calibrate \
+             --shade {shading}{remedy}` makes a model of that clock)",
+            stated.name()
+        ),
+        _ => format!(
+            "is ignored: it states no clock (`entire calibrate --shade {shading}{remedy}` makes a model that \
+             states its clock)"
+        ),
+    }
+}
+
 /// Returns the file of the machine's model for a shading mode.
 ///
 /// # Errors
@@ -138,6 +181,19 @@ pub(crate) fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_model_that_is_ignored_can_be_made_again_by_the_command_in_the_note() {
+        let said = ignored(Shading::None, Some(Clock::Cpu), ClockChoice::Wall);
+        assert!(said.contains("predicts cpu time") && said.contains("--shade none --clock wall`"), "{said}");
+        for (asked, command) in [
+            (ClockChoice::Auto, "`entire calibrate --shade local`"),
+            (ClockChoice::Wall, "`entire calibrate --shade local --clock wall`"),
+        ] {
+            let said = ignored(Shading::Local, None, asked);
+            assert!(said.contains("states no clock") && said.contains(command), "{said}");
+        }
+    }
 
     #[test]
     fn a_volume_is_calibrated_with_or_held_out() {

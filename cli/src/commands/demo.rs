@@ -1,19 +1,19 @@
 //! `entire demo`: calibrate, play a path under several controllers, and report.
 
-use crate::calibrate::place::{DATA_FOLDER, calibrated_on, volumes_in};
+use crate::calibrate::place::{DATA_FOLDER, calibrated_on, machine_model_for, volumes_in};
 use crate::calibrate::pool::SMALL_VOLUME;
 use crate::calibrate::{MachineModel, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
 use crate::commands::steer::{INTERRUPTED_MESSAGE, describe};
 use crate::program::print_line;
 use crate::shipped::shipped_priors;
-use crate::steering::calibrate::CALIBRATION_STEPS;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
-use crate::steering::play::Course;
-use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
+use crate::steering::model::steering_model;
+use crate::steering::play::{Course, Race};
 use crate::steering::report::{Story, make_report_folder, table, write};
 use crate::steering::rivals::PID_GAINS;
+use crate::steering::sampling::{CALIBRATION_STEPS, prepare};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
@@ -214,13 +214,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     ensure!(options.scenes >= 4, "--scenes is {}; at least 4 scenes are needed", options.scenes);
     make_report_folder(&options.out)?;
-    let shown = file.display().to_string();
     let volume = open_volume(&file, &options.reading)?;
     // By default, a small volume is enlarged, so that its frames take as long as those of larger volumes.
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
     let volume = volume.enlarged(factor)?;
     let view = volume.view();
-    let described = describe(&shown, &volume, factor);
+    let described = describe(&volume, factor);
     print_line(format!("volume     {described}"))?;
     let path_file = Generated::Switches.path(&view, options.frames)?;
     let path = path_file.resolve()?;
@@ -243,7 +242,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         draw.height,
         if shrunk { ", made smaller so that the demo ends in time" } else { "" }
     ))?;
-    let seed_name = volume.name().to_owned();
     let seen = |(_, model): &(String, ModelFile)| calibrated_on(&model.metadata, &file);
     let seen = machines.as_ref().map(seen).transpose()?.flatten() == Some(true);
     let machines = match machines {
@@ -255,15 +253,15 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     ensure!(!stop(), INTERRUPTED_MESSAGE);
     let made = machines.as_ref().map(|(_, file)| file.to_bytes()).transpose()?;
     let (steers, log_sd) = steering_model(None, machines, draw.shading, &view)?;
+    let keep = path.switches();
     let race = Race {
-        volume: &view,
-        file: &file,
-        series: &[],
+        volumes: std::slice::from_ref(&volume),
+        path: &path,
+        keep: &keep,
         course: Course::steady(options.max_image_sample_distance),
-        seed_name: &seed_name,
         seed: options.seed,
-        draw,
         scenes: (options.scenes, 1),
+        draw,
         controllers: &ControllerKind::DEFAULT_SET,
         target: None,
         model: &steers,
@@ -283,9 +281,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         prepared.fixed_step
     ))?;
 
-    let keep = path.switches();
-    let playback =
-        play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
+    let playback = race.run(&prepared, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
         "Each frame was drawn under every controller before the next frame began. The order of the \

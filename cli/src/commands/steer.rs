@@ -1,12 +1,13 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
+use crate::calibrate::place::machine_model_for;
 use crate::collection::{Job, ensure_utf8, manifest_of};
 use crate::steering::contenders::ControllerKind;
-use crate::steering::play::{Course, Playback};
-use crate::steering::race::{Race, machine_model_for, prepare, run as play, steering_model};
+use crate::steering::model::steering_model;
+use crate::steering::play::{Course, Playback, Race};
 use crate::steering::report::{FILES, Story, make_report_folder, table, write};
+use crate::steering::sampling::prepare;
 use anyhow::{Context, Result, bail, ensure};
-use entire_core::scene::VolumeView;
 use entire_io::clock::ClockChoice;
 use entire_io::dataset::{Scene, Writer};
 use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, open_model, write_json};
@@ -190,10 +191,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         .iter()
         .map(|file| open_volume(file, &options.reading)?.enlarged(options.enlarge))
         .collect::<Result<Vec<Volume>>>()?;
-    let volume = &volumes[0];
-    let shown = options.volumes[0].display().to_string();
-    let view = volume.view();
-    let series: Vec<VolumeView<'_>> = volumes[1..].iter().map(Volume::view).collect();
+    let view = volumes[0].view();
     let (path, path_name) = match (stored, options.generate) {
         (Some((path, file)), _) => {
             let name = format!("{} ({})", path.name, file.display());
@@ -218,22 +216,23 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     let draw = DrawSettings::new(options.size, &options.render, clock);
-    let seed_name = volume.name().to_owned();
     let (steers, log_sd) = steering_model(named.zip(model), machines, draw.shading, &view)?;
+    let mut keep = path.switches();
+    keep.truncate(PICTURED_SWITCHES);
+    keep.extend(&options.pictures);
     let race = Race {
-        volume: &view,
-        file: &options.volumes[0],
-        series: &series,
+        volumes: &volumes,
+        path: &path,
+        keep: &keep,
         course: Course {
             hold,
             scales: &options.scales,
             max_image_sample_distance: options.max_image_sample_distance,
             limits,
         },
-        seed_name: &seed_name,
         seed: options.seed,
-        draw,
         scenes: (options.scenes, options.repeats),
+        draw,
         controllers: &options.controllers,
         target: Some(target),
         model: &steers,
@@ -242,28 +241,19 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut timings =
         options.table.as_ref().map(|file| begin_table(file, &options.out, &path)).transpose()?;
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
-    let mut keep = path.switches();
-    keep.truncate(PICTURED_SWITCHES);
-    keep.extend(&options.pictures);
-    let playback =
-        play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
+    let playback = race.run(&prepared, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
     let story = Story {
         title: "Steering a frame time".into(),
         lead: format!(
-            "{shown}, path {}: {} frames, target {:.1} ms, {} controllers.",
+            "{}, path {}: {} frames, target {:.1} ms, {} controllers.",
+            volumes[0].source().display(),
             path.name,
             path.frames.len(),
             target * 1e3,
             options.controllers.len()
         ),
         target: format!("{:.2} ms, as requested ({})", target * 1e3, options.target),
-        volume: options
-            .volumes
-            .iter()
-            .zip(&volumes)
-            .map(|(file, volume)| describe(&file.display().to_string(), volume, options.enlarge))
-            .collect::<Vec<_>>()
-            .join("; "),
+        volume: volumes.iter().map(|volume| describe(volume, options.enlarge)).collect::<Vec<_>>().join("; "),
         path: path_name,
         predictor: prepared.predictor.clone(),
         response: prepared.curve.clone(),
@@ -272,11 +262,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     };
     let metrics = write(&options.out, &story, &draw, &playback)?;
     if let (Some(timings), Some(file)) = (&mut timings, &options.table) {
-        let written = write_table(timings, options, &volumes, &path, &draw, &playback)?;
+        let written = write_table(timings, &volumes, &path, &draw, &playback)?;
         let settings = json!({ "steering": true, "reading": options.reading });
         let mut manifest = manifest_of(renderer.as_ref(), 0, 1, settings);
-        for volume in &options.volumes {
-            manifest.files.insert(volume.display().to_string(), identity::of_volume(volume)?);
+        for file in volumes.iter().map(Volume::source) {
+            manifest.files.insert(file.display().to_string(), identity::of_volume(file)?);
         }
         manifest.write(file)?;
         println!("table      {}: {written} frames", file.display());
@@ -316,14 +306,13 @@ fn begin_table(file: &Path, out: &Path, path: &FlightPath) -> Result<Writer> {
 /// Writes every frame that each controller drew to a timing table; returns their number.
 fn write_table(
     table: &mut Writer,
-    options: &Options,
     volumes: &[Volume],
     path: &FlightPath,
     draw: &DrawSettings,
     playback: &Playback,
 ) -> Result<u64> {
     let mut number = 0;
-    let jobs: Vec<Job> = options.volumes.iter().map(|file| Job::from_path(file)).collect();
+    let jobs: Vec<Job> = volumes.iter().map(|volume| Job::from_path(volume.source())).collect();
     for (i, at) in path.frames.iter().enumerate() {
         let volume = playback.volumes[i];
         let job = &jobs[volume];
@@ -342,8 +331,8 @@ fn write_table(
     Ok(number)
 }
 
-pub(super) fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
-    let [x, y, z] = volume.dims();
+pub(super) fn describe(volume: &Volume, factor: usize) -> String {
+    let (shown, [x, y, z]) = (volume.source().display(), volume.dims());
     let enlarged = if factor == 1 { String::new() } else { format!(", enlarged trilinearly x{factor}") };
     format!("{shown}: {x} x {y} x {z} voxels{enlarged}")
 }

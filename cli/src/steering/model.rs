@@ -1,10 +1,12 @@
-//! The model that steering predicts with, and its errors on the played volume.
+//! The model that steering predicts with: its choice, and its errors on the played volume.
 
-use super::calibrate::{Quality, Sample};
-use crate::calibrate::place::calibrated_on;
+use super::sampling::{Quality, Sample};
+use crate::calibrate::place::{calibrated_on, shading_of};
+use crate::shipped::shipped_model;
 use anyhow::{Context, Result};
-use entire_core::model::Model;
-use entire_core::scene::VolumeView;
+use entire_core::model::{Model, ModelFile};
+use entire_core::scene::{Shading, VolumeView};
+use entire_io::files::note;
 use entire_steer::features::Changes;
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_train::inputs::volume_features;
@@ -125,4 +127,41 @@ impl Steers {
             100.0 * p95_error
         )
     }
+}
+
+/// Returns name and model of the predictor: the given model, else the machine's, else the shipped one. The
+/// flag is true unless the model is the shipped one.
+pub(crate) fn chosen_model(
+    given: Option<(String, Model)>,
+    machine: Option<(String, ModelFile)>,
+    shading: Shading,
+) -> Result<(String, Model, bool)> {
+    if let Some((title, model)) = given {
+        return Ok((title, model, true));
+    }
+    let known = machine.is_some();
+    let (title, file) = machine.map_or_else(|| shipped_model(shading), Ok)?;
+    Ok((title, file.to_model()?, known))
+}
+
+/// Returns the [chosen](chosen_model) model, and its error for controllers, if it is known. Sessions scale
+/// the shipped model to this machine frame by frame.
+pub(crate) fn steering_model(
+    given: Option<(String, Model)>,
+    machine: Option<(String, ModelFile)>,
+    shading: Shading,
+    volume: &VolumeView<'_>,
+) -> Result<(SteeringModel, Option<f32>)> {
+    if let Some((name, model)) = &given
+        && let Some(fitted) = shading_of(model).filter(|fitted| *fitted != shading)
+    {
+        note(&format!(
+            "{name} was fitted to frames with --shade {fitted}; this path is drawn with --shade {shading}"
+        ));
+    }
+    let (title, model, known) = chosen_model(given, machine, shading)?;
+    let corrected = if known { "" } else { ", corrected by the measured time of every frame" };
+    let model = SteeringModel::new(title + corrected, model, volume)?;
+    let log_sd = model.predictor()?.log_sd().filter(|_| known);
+    Ok((model, log_sd))
 }

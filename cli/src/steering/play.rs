@@ -1,16 +1,20 @@
 //! Playing a path: every frame under every controller.
 
+use super::contenders::{ControllerKind, contender};
 use super::metrics::{Metrics, Played};
+use super::model::SteeringModel;
+use super::sampling::Prepared;
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Frame, VolumeView};
 use entire_io::dataset::Timing;
 use entire_io::options::DrawSettings;
 use entire_io::path::FlightPath;
+use entire_io::progress::progress_bar;
+use entire_io::volume::Volume;
 use entire_steer::control::{ObserveFlags, Quality, Reason, Session, StepLimits};
 use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
-use indicatif::ProgressBar;
 
 /// Quantity that a controller sets by its decision's `step`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,7 +62,7 @@ pub struct Contender {
     pub name: String,
     /// The session that plans the controller's frames and learns from their times.
     pub session: Session,
-    /// True if the controller may choose the image sample distance in addition to the step, up to the task's
+    /// True if the controller may choose the image sample distance in addition to the step, up to the course's
     /// maximum.
     pub chooses_image_sample_distance: bool,
     /// Quantity that the controller's decisions set.
@@ -87,7 +91,7 @@ pub(crate) struct Record {
     pub(crate) seconds: f64,
     /// PSNR against the reference picture, decibels.
     pub(crate) psnr: f64,
-    /// The picture; `None` unless the frame is one of `Task::keep`.
+    /// The picture; `None` unless the frame is one of `Race::keep`.
     pub(crate) image: Option<Image>,
 }
 
@@ -95,7 +99,7 @@ pub(crate) struct Record {
 pub(crate) struct Reference {
     /// Seconds at the reference step by the chosen clock.
     pub(crate) seconds: f64,
-    /// The picture; `None` unless the frame is one of `Task::keep`.
+    /// The picture; `None` unless the frame is one of `Race::keep`.
     pub(crate) image: Option<Image>,
 }
 
@@ -149,7 +153,7 @@ impl Playback {
 
 #[derive(Clone, Debug)]
 pub(crate) struct Shown<'a> {
-    pub(crate) view: &'a VolumeView<'a>,
+    pub(crate) view: VolumeView<'a>,
     pub(crate) summary: VolumeSummary,
     /// VolumeNet's output for the volume, if a model uses it.
     pub(crate) volume_features: Option<Vec<f32>>,
@@ -168,20 +172,76 @@ pub(crate) struct Course<'a> {
     pub(crate) limits: StepLimits,
 }
 
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Task<'a> {
-    pub(crate) volumes: &'a [Shown<'a>],
-    pub(crate) path: &'a FlightPath,
-    /// Target, seconds.
-    pub(crate) target: f64,
-    pub(crate) course: Course<'a>,
-    pub(crate) keep: &'a [usize],
-}
-
 impl Course<'_> {
     pub(crate) fn steady(max_image_sample_distance: f32) -> Self {
         let limits = StepLimits::default();
         Self { hold: 0, scales: &[], max_image_sample_distance, limits }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Task<'a> {
+    volumes: &'a [Shown<'a>],
+    path: &'a FlightPath,
+    keep: &'a [usize],
+    course: Course<'a>,
+    /// Target, seconds.
+    target: f64,
+}
+
+/// A comparison of controllers.
+#[derive(Clone, Debug)]
+pub(crate) struct Race<'a> {
+    /// The volume, or the volumes of a series. Random scenes are of the first volume only.
+    pub(crate) volumes: &'a [Volume],
+    pub(crate) path: &'a FlightPath,
+    /// Frames whose pictures are kept.
+    pub(crate) keep: &'a [usize],
+    pub(crate) course: Course<'a>,
+    /// Seed of the random scenes.
+    pub(crate) seed: u64,
+    /// Number of random scenes, and of their renderings at each step.
+    pub(crate) scenes: (usize, usize),
+    pub(crate) draw: DrawSettings,
+    pub(crate) controllers: &'a [ControllerKind],
+    /// Target, seconds; `None` for [`TARGET_SHARE`](super::sampling::TARGET_SHARE) of the median time of the
+    /// random scenes.
+    pub(crate) target: Option<f64>,
+    pub(crate) model: &'a SteeringModel,
+    /// The predictor's error, if it is known, for controllers that correct the predictor.
+    pub(crate) log_sd: Option<f32>,
+}
+
+impl Race<'_> {
+    /// Plays the path.
+    ///
+    /// Returns `None` when `stop` returned true.
+    pub(crate) fn run(
+        &self,
+        prepared: &Prepared,
+        renderer: &mut dyn Renderer,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Option<Playback>> {
+        let contender = |kind: &ControllerKind| {
+            let predictor = self.model.predictor()?;
+            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, self.log_sd))
+        };
+        let mut contenders: Vec<Contender> = self.controllers.iter().map(contender).collect::<Result<_>>()?;
+        let mut shown = Vec::new();
+        for (i, volume) in self.volumes.iter().enumerate() {
+            let view = volume.view();
+            let (summary, volume_features) = if i == 0 {
+                (prepared.summary.clone(), self.model.volume_features().map(<[f32]>::to_vec))
+            } else if stop() {
+                return Ok(None);
+            } else {
+                (VolumeSummary::new(&view)?, self.model.encode(&view)?)
+            };
+            shown.push(Shown { view, summary, volume_features });
+        }
+        let (path, keep, course) = (self.path, self.keep, self.course);
+        let task = Task { volumes: &shown, path, keep, course, target: prepared.target };
+        play(&task, &self.draw, renderer, &mut contenders, stop)
     }
 }
 
@@ -207,13 +267,12 @@ pub(crate) fn choose_pictures(session: &mut Session) -> entire_core::Result<()> 
 /// contenders rotates by one from frame to frame. Changes of the transfer function are not timed.
 ///
 /// Returns `None` when `stop` returned true.
-pub(crate) fn play(
+fn play(
     task: &Task<'_>,
     draw: &DrawSettings,
     renderer: &mut dyn Renderer,
     contenders: &mut [Contender],
     stop: &dyn Fn() -> bool,
-    progress: &ProgressBar,
 ) -> Result<Option<Playback>> {
     ensure!(!contenders.is_empty(), "there is no controller to play");
     ensure!(!task.volumes.is_empty(), "there is no volume to show");
@@ -244,15 +303,16 @@ pub(crate) fn play(
         volumes: (0..frames).map(volume_of).collect(),
         limits: task.course.limits,
     };
-    progress.set_length(task.path.frames.len() as u64);
-    progress.reset_eta();
+    let bar = progress_bar("play");
+    bar.set_length(task.path.frames.len() as u64);
+    bar.reset_eta();
     for (index, at) in task.path.frames.iter().enumerate() {
         let place = || format!("frame {index} of the path");
         let volume = &task.volumes[volume_of(index)];
         let swapped = volume_of(index) != shown;
         if swapped {
             shown = volume_of(index);
-            renderer.set_volume(volume.view).with_context(place)?;
+            renderer.set_volume(&volume.view).with_context(place)?;
             for contender in contenders.iter_mut() {
                 contender.session.set_volume(volume.summary.clone(), volume.volume_features.clone());
             }
@@ -321,7 +381,7 @@ pub(crate) fn play(
         }
         let seconds = draw.seconds(&Timing::new(reference.time, reference.counts))?;
         playback.references.push(Reference { seconds, image: keep.then_some(reference.image) });
-        progress.inc(1);
+        bar.inc(1);
     }
     Ok(Some(playback))
 }
@@ -330,7 +390,6 @@ pub(crate) fn play(
 mod tests {
     use super::*;
     use crate::scripted::ScriptedRenderer;
-    use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
     use entire_core::scene::{GaussianLobe, Scalars, Shading, Skipping, TransferFunction};
     use entire_io::dataset::Clock;
@@ -406,14 +465,9 @@ mod tests {
             clock: Clock::Wall,
         };
         let path = path();
-        let shown = [Shown { view: &view, summary, volume_features: None }];
-        let task = Task {
-            volumes: &shown,
-            path: &path,
-            target: 1.4e-3,
-            course: Course::steady(distance),
-            keep: &[20],
-        };
+        let shown = [Shown { view, summary, volume_features: None }];
+        let course = Course::steady(distance);
+        let task = Task { volumes: &shown, path: &path, keep: &[20], course, target: 1.4e-3 };
         let asked = std::cell::Cell::new(0u64);
         let stop = || {
             asked.set(asked.get() + 1);
@@ -421,7 +475,7 @@ mod tests {
         };
         let mut renderer = law;
         renderer.noise = noise;
-        play(&task, &draw, &mut renderer, &mut contenders, &stop, &ProgressBar::hidden()).unwrap()
+        play(&task, &draw, &mut renderer, &mut contenders, &stop).unwrap()
     }
 
     #[test]

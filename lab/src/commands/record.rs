@@ -3,8 +3,7 @@
 
 use crate::trace::{Recording, TRACE_FORMAT, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
-use entire_cli::steering::calibrate::measure;
-use entire_cli::steering::race::calibration_scenes;
+use entire_cli::steering::sampling::measure;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_io::clock::{ClockChoice, waited_for};
 use entire_io::dataset::{Clock, Scene, Timing, Writer};
@@ -204,20 +203,17 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
             TraceVolume { file: file.clone(), enlarge: options.enlarge, files: Vec::new() }.open()?;
         let view = volume.view();
         let shown = file.display().to_string();
-        let bar = progress_bar(&format!("calibrate {shown}"));
         let samples = measure(
             &view,
             &VolumeSummary::new(&view)?,
             &draw,
-            &calibration_scenes(),
             (SEED, &shown),
             (scenes, options.repeats),
             renderer.as_mut(),
             &|| interrupt::requested(&stop),
-            &bar,
-        );
-        bar.finish_and_clear();
-        let samples = samples?.context("interrupted; nothing is kept")?;
+            &format!("calibrate {shown}"),
+        )?;
+        let samples = samples.context("interrupted; nothing is kept")?;
         for s in samples {
             let scene = Scene {
                 volume: shown.clone(),

@@ -10,9 +10,9 @@ use crate::replay::{
 };
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
-use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::model::SteeringModel;
+use entire_cli::steering::sampling::Sample;
 use entire_io::files::{make_folder, note, open_model};
 use entire_io::path::parse_target;
 use std::path::PathBuf;

@@ -2,9 +2,8 @@
 
 use crate::calibrate::place::{machine_model, of_another_kind};
 use crate::steering::contenders::{ControllerKind, controller};
-use crate::steering::model::SteeringModel;
+use crate::steering::model::{SteeringModel, chosen_model};
 use crate::steering::play::choose_pictures;
-use crate::steering::race::chosen_model;
 use crate::steering::rivals::StepResponse;
 use anyhow::{Context, Result};
 use clap::ValueEnum;

@@ -1,5 +1,9 @@
-//! Random frames of a volume, each at several ray steps, to measure the time saved by coarser steps.
+//! Random frames of a volume, each at several ray steps: the time saved by coarser steps, the predictor's
+//! errors, and the default target.
 
+use super::model::Steers;
+use super::play::Race;
+use super::report::ResponseCurve;
 use super::rivals::StepResponse;
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{
@@ -8,10 +12,10 @@ use entire_core::scene::{
 use entire_io::dataset::Timing;
 use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
+use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
 use entire_steer::features::{FrameFeatures, PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use entire_vk_raycaster::Renderer;
-use indicatif::ProgressBar;
 
 /// Ray steps at which every random scene is rendered, reference steps. The first one is the reference step.
 pub(crate) const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
@@ -33,9 +37,9 @@ pub struct Sample {
     pub seconds: f64,
 }
 
-/// Renders `scenes` random scenes at six ray steps, each `repeats` times, and keeps the median time. Scenes
-/// come from `distribution` (its sizes and steps are not used) with `seed` and `name`; their transfer
-/// functions are random and differ from those of a path.
+/// Renders `scenes` random scenes at six ray steps, each `repeats` times, and keeps the median time. `seed`
+/// and `name` choose the scenes; their transfer functions are random and differ from those of a path. The
+/// progress bar is labeled `label`.
 ///
 /// Returns `None` when `stop` returned true.
 ///
@@ -46,18 +50,20 @@ pub fn measure(
     volume: &VolumeView<'_>,
     summary: &VolumeSummary,
     draw: &DrawSettings,
-    distribution: &SceneDistribution,
     (seed, name): (u64, &str),
     (scenes, repeats): (usize, usize),
     renderer: &mut dyn Renderer,
     stop: &dyn Fn() -> bool,
-    progress: &ProgressBar,
+    label: &str,
 ) -> Result<Option<Vec<Sample>>> {
     ensure!(scenes > 0 && repeats > 0, "calibration needs at least one scene, rendered at least once");
     renderer.set_volume(volume)?;
     let mut samples = Vec::with_capacity(scenes * CALIBRATION_STEPS.len());
-    progress.set_length(scenes as u64);
-    progress.reset_eta();
+    let bar = progress_bar(label);
+    bar.set_length(scenes as u64);
+    bar.reset_eta();
+    // As in collections, but with one to three lobes, so that some scenes show a nearly empty volume.
+    let distribution = SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() };
     for scene in 0..scenes {
         let place = || format!("random scene {scene}");
         let drawn = distribution.draw(seed, name, scene as u64);
@@ -95,7 +101,7 @@ pub fn measure(
                 seconds,
             });
         }
-        progress.inc(1);
+        bar.inc(1);
     }
     Ok(Some(samples))
 }
@@ -156,6 +162,80 @@ impl Quality {
             log_sd: (logs.iter().map(|l| l * l).sum::<f64>() / logs.len() as f64).sqrt(),
         })
     }
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Prepared {
+    pub(crate) summary: VolumeSummary,
+    /// G: relative frame time over ray step.
+    pub(crate) response: StepResponse,
+    /// G with the samples that it was fitted to.
+    pub(crate) curve: ResponseCurve,
+    pub(crate) predictor: Steers,
+    /// Target, seconds.
+    pub(crate) target: f64,
+    /// Median seconds of the random scenes at the reference step.
+    pub(crate) full_quality: f64,
+    /// Origin of the target; empty if the target was given.
+    pub(crate) target_reason: String,
+    pub(crate) fixed_step: f32,
+}
+
+/// Default target as a share of the median time of the random scenes at the reference step. At this target,
+/// most scenes must be drawn at steps coarser than the reference step, and few at the coarsest step.
+pub(crate) const TARGET_SHARE: f64 = 0.5;
+
+/// Renders random scenes of the volume at several steps and derives from them G, the predictor's errors, the
+/// default target and the fixed step. The predictor is not fitted to these scenes.
+///
+/// Returns `None` when `stop` returned true.
+pub(crate) fn prepare(
+    race: &Race<'_>,
+    renderer: &mut dyn Renderer,
+    stop: &dyn Fn() -> bool,
+) -> Result<Option<Prepared>> {
+    let volume = &race.volumes[0];
+    let view = volume.view();
+    let summary = VolumeSummary::new(&view)?;
+    if stop() {
+        return Ok(None);
+    }
+    let seed = (race.seed, volume.name());
+    let samples = measure(&view, &summary, &race.draw, seed, race.scenes, renderer, stop, "measure")?;
+    let Some(samples) = samples else { return Ok(None) };
+    let response = response(&samples)?;
+    let predictor = Steers {
+        title: race.model.title().to_owned(),
+        on_this_volume: race
+            .model
+            .quality(&samples)
+            .context("the model cannot predict frames of the volume")?,
+        calibrated_on_this_volume: race.model.calibrated_on(volume.source())?,
+    };
+    let at_reference = samples.iter().filter(|s| s.setting.step == 1.0).map(|s| s.seconds);
+    let full_quality = median(&mut at_reference.collect::<Vec<_>>()).context("no scene was timed")?;
+    let (target, target_reason) = match race.target {
+        Some(target) => (target, String::new()),
+        None => {
+            let target = TARGET_SHARE * full_quality;
+            // Over a millisecond, the target is rounded to a tenth of a millisecond.
+            let target = if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target };
+            let share = 100.0 * TARGET_SHARE;
+            (target, format!("{share:.0} % of the median random scene's time at the reference step"))
+        }
+    };
+    let fixed_step = response.step_ratio((target / full_quality) as f32);
+    let curve = ResponseCurve::new(&samples, &response);
+    Ok(Some(Prepared {
+        summary,
+        response,
+        curve,
+        predictor,
+        target,
+        full_quality,
+        target_reason,
+        fixed_step,
+    }))
 }
 
 #[cfg(test)]
