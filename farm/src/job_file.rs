@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping};
-use entire_io::device::Device;
+use entire_io::options::Device;
 use entire_io::volume::{Fill, Range, Reading};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

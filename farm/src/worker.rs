@@ -10,9 +10,9 @@ use super::spool::tail;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::Arcball;
 use entire_io::child::wait_at_most;
-use entire_io::device;
 use entire_io::files::{make_folder_of, write_whole};
 use entire_io::identity;
+use entire_io::options::open_renderer;
 use entire_io::volume::{Reading, open_volume};
 use entire_report::encode_png;
 use serde::de::DeserializeOwned;
@@ -74,7 +74,7 @@ impl Worker {
         let painter = match &renderer {
             Renderer::Entire { .. } => {
                 let (draw, device) = draw_settings(&renderer)?;
-                let renderer = device::open(device)?;
+                let renderer = open_renderer(device)?;
                 Painter::Own(Box::new(Own { renderer, draw, held: None, transfer: None }))
             }
             Renderer::Command { command, timeout_s } => Painter::Program(command.clone(), limit(timeout_s)),

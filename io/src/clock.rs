@@ -2,7 +2,7 @@
 //! clock: seconds of two clocks can differ by a large factor.
 
 use crate::dataset::{Clock, TimedFrame};
-use crate::device;
+use crate::options::is_software;
 use anyhow::{Result, bail, ensure};
 use clap::ValueEnum;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -96,7 +96,7 @@ pub fn concrete<'a>(asked: ClockChoice, frames: impl IntoIterator<Item = &'a Tim
 /// Returns the chosen clock; for `auto`, device timestamps on a GPU that has them, else wall time.
 pub fn waited_for(asked: ClockChoice, renderer: &dyn Renderer) -> Clock {
     let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
-    let auto = if timestamps && !device::is_software(renderer) { Clock::Device } else { Clock::Wall };
+    let auto = if timestamps && !is_software(renderer) { Clock::Device } else { Clock::Wall };
     asked.clock().unwrap_or(auto)
 }
 

@@ -5,7 +5,6 @@
 pub mod child;
 pub mod clock;
 pub mod dataset;
-pub mod device;
 pub mod files;
 pub mod identity;
 pub mod interrupt;

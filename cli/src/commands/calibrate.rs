@@ -11,13 +11,14 @@ use clap::builder::{PossibleValue, PossibleValuesParser};
 use entire_core::scene::{Shading, Skipping};
 use entire_io::clock::ClockChoice;
 use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables, read_pictures, shaded};
-use entire_io::device::{self, Device};
 use entire_io::files::{
     check_model_out, ensure_distinct, ensure_not_input, make_folder_of, note, open_model, read_model_file,
     write_whole,
 };
 use entire_io::interrupt;
-use entire_io::options::{check_termination, shades, skip_parser, thread_pool};
+use entire_io::options::{
+    Device, check_termination, names_software, open_renderer, shades, skip_parser, thread_pool,
+};
 use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
 use entire_steer::calibrate::fit_quality;
@@ -202,7 +203,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     ensure_distinct(&[&outs[..], options.table.as_slice()].concat()).context("--table and --out")?;
     let threads = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = open_renderer(options.device)?;
     let clock = entire_io::clock::waited_for(options.clock, renderer.as_ref());
     ensure!(
         clock != Clock::Device || renderer.limits().is_some_and(|l| l.timestamps.is_some()),
@@ -285,7 +286,7 @@ fn from_tables(options: &Options) -> Result<()> {
     // Device timestamps of a software renderer are no better than wall time, so `auto` means wall time, as in
     // a calibration that renders frames.
     let software = |table: &entire_io::dataset::Table| {
-        table.manifest.as_ref().is_some_and(|m| device::names_software(&m.renderer, &m.device))
+        table.manifest.as_ref().is_some_and(|m| names_software(&m.renderer, &m.device))
     };
     let asked = match options.clock {
         ClockChoice::Auto if tables.iter().all(software) => ClockChoice::Wall,

@@ -8,11 +8,11 @@ use entire_io::clock::{ClockChoice, concrete};
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
 use entire_io::files::{ensure_distinct, fnv1a_text, make_folder_of, note, parse_model, read_model_bytes};
 use entire_io::identity::{self, Identity};
-use entire_io::options::{RenderArgs, check_termination};
+use entire_io::options::{RenderArgs, check_termination, open_renderer};
 use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
 use entire_io::volume::{Reading, open_watched_volume};
-use entire_io::{device, interrupt, machine};
+use entire_io::{interrupt, machine};
 use entire_train::split::Split;
 use entire_train::teacher::Teacher;
 use entire_vk_raycaster::Renderer;
@@ -187,7 +187,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             teacher = Some(json!({ "file": name, "fnv1a": fnv1a_text(&bytes), "splits": splits }));
             Box::new(Teacher::new(&name, &model).with_context(|| format!("{}", path.display()))?)
         }
-        None => device::open(options.render.device)?,
+        None => open_renderer(options.render.device)?,
     };
 
     let mut manifest = protocol.manifest(&jobs, renderer.as_ref())?;

@@ -20,11 +20,11 @@ use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
 use entire_io::clock::ClockChoice;
 use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
-use entire_io::options::{DrawSettings, RenderArgs, parse_distance, parse_size, thread_pool};
+use entire_io::options::{DrawSettings, RenderArgs, open_renderer, parse_distance, parse_size, thread_pool};
 use entire_io::path::Generated;
 use entire_io::progress::templated_bar;
 use entire_io::volume::{Reading, open_volume};
-use entire_io::{device, identity, interrupt};
+use entire_io::{identity, interrupt};
 use entire_train::fit::typical_costs;
 use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
@@ -226,7 +226,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
-    let mut renderer = device::open(options.render.device)?;
+    let mut renderer = open_renderer(options.render.device)?;
     print_line(format!("renderer   {} ({})", renderer.device(), renderer.backend()))?;
     let (machines, clock) = machine_model_for(options.render.shade, options.clock, renderer.as_ref())?;
     let clock = entire_io::clock::waited_for(clock, renderer.as_ref());

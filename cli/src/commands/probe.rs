@@ -1,7 +1,7 @@
 //! `entire probe`: the rates of this machine for rays, samples and skips.
 
 use anyhow::{Context, Result};
-use entire_io::device::{self, Device};
+use entire_io::options::{Device, open_renderer};
 use entire_vk_raycaster::{Probe, ProbeOptions, WorkCounts, probe};
 use serde_json::json;
 use std::fmt::Write as _;
@@ -53,7 +53,7 @@ const MAX_DIFFERENCE: u8 = 2;
 const MEAN: f64 = 0.1;
 
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = open_renderer(options.device)?;
     let options_of_probe =
         ProbeOptions { frame_seconds: options.frame_ms * 1e-3, repeats: options.repeats as usize };
     let found = probe(&mut *renderer, options_of_probe).context("the probe could not be rendered")?;

@@ -2,10 +2,9 @@
 
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction};
-use entire_io::device;
 use entire_io::files::{ensure_not_input, make_folder_of, note, numbers_in, parse_numbers, write_whole};
 use entire_io::metrics::median;
-use entire_io::options::{RenderArgs, parse_size};
+use entire_io::options::{RenderArgs, open_renderer, parse_size};
 use entire_io::path::camera;
 use entire_io::volume::{Reading, open_volume};
 use entire_report::encode_png;
@@ -111,7 +110,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     .checked()?;
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
     let volume = open_volume(&options.volume, &options.reading)?;
-    let mut renderer = device::open(options.render.device)?;
+    let mut renderer = open_renderer(options.render.device)?;
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
     let table_time = renderer.set_transfer(&table)?;

@@ -13,12 +13,13 @@ use entire_io::dataset::{Scene, Writer};
 use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, open_model, write_json};
 use entire_io::machine::Provenance;
 use entire_io::options::{
-    DrawSettings, RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size,
+    DrawSettings, RenderArgs, open_renderer, parse_distance, parse_hold, parse_limits, parse_scale,
+    parse_size,
 };
 use entire_io::path::{FlightPath, Generated, parse_target};
 use entire_io::scenes::RandomScene;
 use entire_io::volume::{Reading, Volume, open_volume};
-use entire_io::{device, identity, interrupt};
+use entire_io::{identity, interrupt};
 use entire_steer::control::StepLimits;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -209,7 +210,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
     make_report_folder(&options.out)?;
-    let mut renderer = device::open(options.render.device)?;
+    let mut renderer = open_renderer(options.render.device)?;
     let (machines, clock) = match model {
         Some(_) => (None, clock),
         None => machine_model_for(options.render.shade, clock, renderer.as_ref())?,

@@ -7,10 +7,9 @@ use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, manifests_of, mixed, noise_floor, open_tables,
     shaded, timed,
 };
-use entire_io::device::names_software;
 use entire_io::files::{check_model_out, ensure_not_input, note, open_model, write_whole};
 use entire_io::metrics::Metrics;
-use entire_io::options::thread_pool;
+use entire_io::options::{names_software, thread_pool};
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_io::{interrupt, machine};
 use entire_report::{Card, CardFigures};

@@ -12,10 +12,9 @@ use clap::{Subcommand, ValueEnum};
 use description::Panel;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_farm::read_tasks;
-use entire_io::device::{self, Device};
 use entire_io::files::{note, open_model};
 use entire_io::interrupt;
-use entire_io::options::thread_pool;
+use entire_io::options::{Device, open_renderer, thread_pool};
 use entire_train::teacher::Teacher;
 use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
@@ -225,7 +224,7 @@ fn collect_all(work: &Work<'_>, step: &StepOptions) -> Result<()> {
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             Box::new(Teacher::new(&name, &open_model(path)?)?) as Box<dyn Renderer>
         }
-        None => device::open(step.device)?,
+        None => open_renderer(step.device)?,
     };
     collect::collect(work, &places, renderer.as_mut())?;
     places.iter().try_for_each(|p| yt::collect(work, p))
@@ -243,11 +242,11 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
         improved::run(work)?;
     }
     if wanted(Panel::Pictures) {
-        let mut renderer = device::open(step.device)?;
+        let mut renderer = open_renderer(step.device)?;
         pictures::draw(work, &found(work)?, renderer.as_mut())?;
     }
     if wanted(Panel::Renderings) {
-        let mut renderer = device::open(step.device)?;
+        let mut renderer = open_renderer(step.device)?;
         pictures::draw_renderings(work, &found(work)?, renderer.as_mut())?;
     }
     if wanted(Panel::Balancing) {
@@ -315,7 +314,7 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
         options("steering-tuned", Some(tuned), &[ControllerKind::Algorithm1, ControllerKind::Hybrid]);
     let by_ours = options("steering-ours", None, &[ControllerKind::Hybrid]);
     [&by_network, &by_tuned, &by_ours].into_iter().try_for_each(replay::run)?;
-    let mut renderer = device::open(step.device)?;
+    let mut renderer = open_renderer(step.device)?;
     let replays = [&*by_network.out, &*by_tuned.out, &*by_ours.out];
     control::keep(work, (&traces, &calibration), replays, (set, mode), renderer.as_mut())
 }

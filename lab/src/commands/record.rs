@@ -7,10 +7,9 @@ use entire_cli::steering::sampling::measure;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_io::clock::{ClockChoice, waited_for};
 use entire_io::dataset::{Clock, Scene, Timing, Writer};
-use entire_io::device;
 use entire_io::files::make_folder_of;
 use entire_io::interrupt;
-use entire_io::options::{DrawSettings, RenderArgs, parse_hold, parse_scale, parse_size};
+use entire_io::options::{DrawSettings, RenderArgs, open_renderer, parse_hold, parse_scale, parse_size};
 use entire_io::path::{Generated, PathFile};
 use entire_io::progress::progress_bar;
 use entire_steer::features::VolumeSummary;
@@ -180,7 +179,7 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
 
 /// Opens the renderer, and returns it with the settings with which it draws.
 fn opened(options: &Options) -> Result<(Box<dyn Renderer>, DrawSettings)> {
-    let renderer = device::open(options.render.device)?;
+    let renderer = open_renderer(options.render.device)?;
     let clock = waited_for(options.clock, renderer.as_ref());
     Ok((renderer, DrawSettings::new(options.size, &options.render, clock)))
 }

@@ -7,9 +7,9 @@ use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_io::clock::{ClockChoice, waited_for};
 use entire_io::dataset::Clock;
-use entire_io::device::{self, Device};
 use entire_io::files::{make_folder, write_json};
 use entire_io::machine::Provenance;
+use entire_io::options::{Device, open_renderer};
 use entire_io::progress::progress_bar;
 use entire_report::{Page, Table};
 use entire_vk_raycaster::Renderer;
@@ -64,7 +64,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     // Two controllers play on a real renderer: OLP only reacts, hybrid predicts and reacts.
     let real_methods = [ControllerKind::Olp, ControllerKind::Hybrid];
     if let Some(device) = options.device {
-        let mut renderer = device::open(device)?;
+        let mut renderer = open_renderer(device)?;
         let clock = waited_for(options.clock, renderer.as_ref());
         real = play(&real_methods, Some((renderer.as_mut(), clock)))?;
         name = format!("{name}; real: {}, clock {}", renderer.device(), clock.name());

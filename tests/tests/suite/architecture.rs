@@ -200,15 +200,14 @@ const IO: &Rooms = &[
     ("progress", &["quiet"]),
     ("files", &["quiet"]),
     ("volume", &["files"]),
-    ("device", &["files"]),
     ("identity", &["files", "volume"]),
     ("interrupt", &["volume"]),
     ("machine", &[]),
     ("metrics", &[]),
     ("path", &["files"]),
     ("dataset", &["files", "identity", "metrics", "volume"]),
-    ("options", &["dataset", "device", "machine", "volume"]),
-    ("clock", &["dataset", "device", "files"]),
+    ("options", &["dataset", "files", "machine", "volume"]),
+    ("clock", &["dataset", "files", "options"]),
     ("scenes", &["dataset", "files"]),
 ];
 
