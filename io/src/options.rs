@@ -3,10 +3,11 @@
 use crate::dataset::{Clock, Timing};
 use crate::files::note;
 use crate::machine;
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use entire_core::scene::{Camera, Frame, MAX_IMAGE_SIDE, Shading, Skipping};
+use entire_steer::control::StepLimits;
 use entire_vk_raycaster::{CpuRaycaster, Renderer, VulkanOptions, VulkanRaycaster};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::{Deserialize, Serialize};
@@ -205,13 +206,41 @@ pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     }
 }
 
+/// Parses a target frame time, in seconds: `33ms`, `0.033s`, `33000us`, `30fps` or `30hz`.
+///
+/// # Errors
+/// For any other text; the error names the accepted forms.
+pub fn parse_target(text: &str) -> Result<f64> {
+    let lower = text.trim().to_ascii_lowercase();
+    let split = lower.find(|c: char| c.is_alphabetic() && c != 'e').unwrap_or(lower.len());
+    let (number, unit) = lower.split_at(split);
+    let accepted = "give a time like 33ms or 0.033s, or a rate like 30fps";
+    let value: f64 =
+        number.trim().parse().map_err(|_| anyhow!("target {text:?} has no number; {accepted}"))?;
+    let seconds = match unit.trim() {
+        "ms" => value * 1e-3,
+        "s" => value,
+        "us" | "µs" | "μs" => value * 1e-6,
+        "fps" | "hz" => 1.0 / value,
+        _ => bail!("target {text:?} has no known unit; {accepted}"),
+    };
+    ensure!(
+        seconds.is_finite() && seconds > 0.0 && value > 0.0,
+        "target {text:?} is not a finite positive time; {accepted}"
+    );
+    Ok(seconds)
+}
+
 /// Parses the limits of the ray step, in reference steps: `FINEST,COARSEST`.
 ///
 /// # Errors
-/// When the text is not two numbers.
-pub fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
+/// When the text is not two numbers, or not those of a range ([`StepLimits::check`]).
+pub fn parse_limits(text: &str) -> std::result::Result<StepLimits, String> {
     let pair = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
-    pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
+    let (finest, coarsest) = pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))?;
+    let limits = StepLimits { finest, coarsest };
+    limits.check().map_err(|e| e.to_string())?;
+    Ok(limits)
 }
 
 /// Parses a frame number and the image scale from that frame on: `FRAME:SCALE`.
@@ -262,4 +291,28 @@ pub fn thread_pool(threads: Option<usize>) -> Result<ThreadPool> {
         .num_threads(threads.unwrap_or_else(machine::cores))
         .build()
         .context("cannot start the threads")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn targets_are_times_or_rates() {
+        for (text, seconds) in [
+            ("33ms", 0.033),
+            ("0.5 s", 0.5),
+            ("500us", 5e-4),
+            ("500µs", 5e-4),
+            ("500 μs", 5e-4),
+            ("40fps", 0.025),
+            ("25 Hz", 0.04),
+            ("1e-2s", 0.01),
+        ] {
+            assert!((parse_target(text).unwrap() - seconds).abs() < 1e-12, "{text}");
+        }
+        for text in ["", "33", "ms", "-3ms", "0fps", "0ms", "nan s", "3 parsecs", "inf s"] {
+            assert!(parse_target(text).is_err(), "{text}");
+        }
+    }
 }

@@ -7,8 +7,7 @@ use crate::steering::contenders::ControllerKind;
 use anyhow::{Context, Result};
 use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::ensure_no_table;
-use entire_io::options::{check_termination, parse_size, shade_parser, skip_parser};
-use entire_io::path::parse_target;
+use entire_io::options::{check_termination, parse_size, parse_target, shade_parser, skip_parser};
 use entire_io::volume::Reading;
 use std::path::PathBuf;
 

@@ -14,9 +14,9 @@ use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, o
 use entire_io::machine::Provenance;
 use entire_io::options::{
     DrawSettings, RenderArgs, open_renderer, parse_distance, parse_hold, parse_limits, parse_scale,
-    parse_size,
+    parse_size, parse_target,
 };
-use entire_io::path::{FlightPath, Generated, parse_target};
+use entire_io::path::{FlightPath, Generated};
 use entire_io::scenes::RandomScene;
 use entire_io::volume::{Reading, Volume, open_volume};
 use entire_io::{identity, interrupt};
@@ -121,7 +121,7 @@ pub(crate) struct Options {
     /// Finest and coarsest allowed step, in reference steps. Controllers that act on image resolution have
     /// their own ranges.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
-    pub(crate) limits: (f32, f32),
+    pub(crate) limits: StepLimits,
     /// Enlarge the volume trilinearly by this factor along each axis.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub(crate) enlarge: usize,
@@ -143,8 +143,6 @@ pub(super) const INTERRUPTED_MESSAGE: &str = "interrupted; no report was written
 
 pub(crate) fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
-    let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };
-    limits.check()?;
     ensure!(!options.controllers.is_empty(), "--controllers names no controller");
     for (i, kind) in options.controllers.iter().enumerate() {
         ensure!(!options.controllers[..i].contains(kind), "--controllers names {} twice", kind.name());
@@ -229,7 +227,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             hold,
             scales: &options.scales,
             max_image_sample_distance: options.max_image_sample_distance,
-            limits,
+            limits: options.limits,
         },
         seed: options.seed,
         scenes: (options.scenes, options.repeats),

@@ -181,7 +181,6 @@ fn bad_input_is_one_line_and_status_1() {
         ("--target -5ms", "finite positive"),
         ("--target 9ms --scales 9:1,3:0.5", "ordered by frame"),
         ("--target 9ms --hold 3", "several volumes"),
-        ("--target 9ms --limits 4,2", "step limits"),
         ("--target 9ms --scenes 3", "at least 4 scenes"),
         ("--target 9ms --controllers pid,pid", "twice"),
         ("--target 9ms --controllers pid --max-image-sample-distance 2", "for the controller hybrid"),
@@ -232,6 +231,7 @@ fn bad_input_is_one_line_and_status_1() {
     }
     let far = "--target 9ms --max-image-sample-distance 0.5 --generate orbit";
     fails(dir.path(), &line(far), 2, &["from 1 to 20"]);
+    fails(dir.path(), &line("--target 9ms --generate orbit --limits 4,2"), 2, &["step limits"]);
     fails(dir.path(), "demo", 1, &["project's root"]);
 }
 

@@ -32,12 +32,10 @@
 //! parallel camera: the later keyframe must then switch.
 
 mod generated;
-mod target;
 #[cfg(test)]
 mod tests;
 
 pub use generated::Generated;
-pub use target::parse_target;
 
 use crate::files::read_text;
 use anyhow::{Context, Result, anyhow, ensure};

@@ -148,25 +148,6 @@ fn generated_paths_fit_any_volume() {
 }
 
 #[test]
-fn targets_are_times_or_rates() {
-    for (text, seconds) in [
-        ("33ms", 0.033),
-        ("0.5 s", 0.5),
-        ("500us", 5e-4),
-        ("500µs", 5e-4),
-        ("500 μs", 5e-4),
-        ("40fps", 0.025),
-        ("25 Hz", 0.04),
-        ("1e-2s", 0.01),
-    ] {
-        assert!((parse_target(text).unwrap() - seconds).abs() < 1e-12, "{text}");
-    }
-    for text in ["", "33", "ms", "-3ms", "0fps", "0ms", "nan s", "3 parsecs", "inf s"] {
-        assert!(parse_target(text).is_err(), "{text}");
-    }
-}
-
-#[test]
 fn every_frame_between_extreme_keyframes_has_a_camera() {
     let key = |frame: usize, degrees: &str| {
         format!(

@@ -14,7 +14,7 @@ use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::model::SteeringModel;
 use entire_cli::steering::sampling::Sample;
 use entire_io::files::{make_folder, note, open_model};
-use entire_io::path::parse_target;
+use entire_io::options::parse_target;
 use std::path::PathBuf;
 use std::sync::Arc;
 
