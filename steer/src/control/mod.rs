@@ -8,7 +8,6 @@
 mod budget;
 #[cfg(test)]
 mod caller_tests;
-mod coarsening;
 mod constants;
 mod history;
 mod hybrid;

@@ -1,14 +1,13 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
 mod adaptive_probe;
-mod pictures;
+mod coarsening;
 #[cfg(feature = "calibrate")]
 mod recording;
 mod state;
 #[cfg(not(feature = "calibrate"))]
 mod unrecorded;
 
-use super::coarsening::Coarsening;
 use super::{Controller, Decision, HybridOptions, Observed, PlanRequest, Reason, StepLimits};
 use crate::adapt::{ObserveFlags, Verdict, check_seconds};
 use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
@@ -16,6 +15,7 @@ use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Qu
 use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::vec::Vec;
+use coarsening::Coarsening;
 use entire_core::bail;
 use entire_core::memory::{collected, reserve};
 use entire_core::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
