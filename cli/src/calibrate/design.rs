@@ -130,9 +130,7 @@ mod tests {
             Candidate { volume: 0, factor: 1, scene, work, random: false }
         };
         Pool {
-            volumes: Vec::new(),
             files: Vec::new(),
-            reading: Default::default(),
             candidates: amounts.iter().map(candidate).collect(),
             prior: UnitCosts::SOFTWARE,
             expected: vec![1.0; amounts.len()],

@@ -205,10 +205,10 @@ impl<'a> Measuring<'a> {
 
     fn show(&mut self, volume: usize, factor: usize) -> Result<()> {
         let key = (volume, factor);
-        let path = &self.pool.volumes[volume];
+        let path = &self.settings.volumes[volume];
         let named = || path.display().to_string();
         if !self.volumes.contains_key(&key) {
-            let opened = Volume::open_as(path, &self.pool.reading, None)?;
+            let opened = Volume::open_as(path, &self.settings.reading, None)?;
             if let Some(what) = identity::difference(&self.pool.files[volume], &identity::of_volume(path)?) {
                 bail!("{} changed during the calibration: {what}; calibrate again", path.display());
             }

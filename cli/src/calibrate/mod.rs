@@ -20,6 +20,7 @@ use entire_core::model::ModelFile;
 use entire_core::scene::{Shading, Skipping};
 use entire_io::dataset::{Clock, Groups, Table, Timed, TimedFrame, manifests_of, mixed, noise_floor, timed};
 use entire_io::files::note;
+use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
 use entire_steer::calibrate::{Chosen, FEWEST_FRAMES, Observed, fit_frames, fit_quality, prior_costs};
 use entire_steer::predict::{Quality, UnitCosts};
@@ -144,9 +145,9 @@ pub(crate) fn calibrate(
     renderer: &mut dyn Renderer,
     threads: &rayon::ThreadPool,
     stop: &dyn Fn() -> bool,
-    bar: &ProgressBar,
 ) -> Result<MachineModel> {
     let start = Instant::now();
+    let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
     let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(0.0));
     bar.set_length(settings.seconds.ceil() as u64);
     bar.set_message("choosing frames");
@@ -157,7 +158,7 @@ pub(crate) fn calibrate(
     let frames_end =
         deadline - Duration::from_secs_f64(PICTURES_SHARE * settings.seconds).min(deadline - start);
     let built_in = Quality::built_in(renderer.backend());
-    let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, bar);
+    let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, &bar);
     measuring.run()?;
     let compared = measuring.pictures(deadline)?;
     // With too few scenes the model states no quality law.
@@ -191,17 +192,17 @@ pub(crate) fn calibrate(
     let judged = |i: usize| !enough || random[i];
     let chosen = fit_frames(&files, &[typical], &observed)?;
     let (kind, seconds) = ((settings.shading, settings.clock), start.elapsed().as_secs_f64());
+    let volumes = settings.volumes.iter().map(|path| path.to_string_lossy().into_owned());
     let report = Report {
         rounds,
         warm_ups,
         others,
         pictures: quality.map(|fitted| Pictures { error: "rmse", fitted }),
-        files: pool.named_files(),
+        files: volumes.zip(pool.files).collect(),
         ..Report::new(kind, names, &observed, &chosen, judged, noise, seconds)?
     };
     let mut file = chosen.file;
     report.write_into(&mut file, (renderer.backend(), &renderer.device()), &observed, &chosen.crossed)?;
-    bar.finish_and_clear();
     Ok(MachineModel { file, report, frames })
 }
 
@@ -315,7 +316,7 @@ mod tests {
         let settings = Settings { seconds: 30.0, clock: Clock::Device, ..Settings::brief(vec![path]) };
         let threads = entire_io::options::thread_pool(Some(1)).unwrap();
         let mut renderer = CpuRaycaster::new();
-        let error = calibrate(&settings, &[], &mut renderer, &threads, &|| false, &ProgressBar::hidden());
+        let error = calibrate(&settings, &[], &mut renderer, &threads, &|| false);
         let text = format!("{:#}", error.err().unwrap());
         assert!(text.contains("calibration frame") && text.contains("no clock device"), "{text}");
     }
@@ -327,7 +328,7 @@ mod tests {
         let settings = Settings { seconds: FIT_SECONDS, ..Settings::brief(vec![path]) };
         let threads = entire_io::options::thread_pool(Some(1)).unwrap();
         let mut renderer = ScriptedRenderer::default();
-        let error = calibrate(&settings, &[], &mut renderer, &threads, &|| false, &ProgressBar::hidden());
+        let error = calibrate(&settings, &[], &mut renderer, &threads, &|| false);
         let text = error.err().unwrap().to_string();
         for part in ["0 frames were drawn within 1 s", "choice of frames took", "give --seconds "] {
             assert!(text.contains(part), "{part}: {text}");

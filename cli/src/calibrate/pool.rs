@@ -7,14 +7,12 @@ use entire_core::model::ModelFile;
 use entire_io::dataset::{Manifest, Scene, Table, TimedFrame};
 use entire_io::identity::{self, Identity};
 use entire_io::scenes::SceneDistribution;
-use entire_io::volume::{Reading, open_volume};
+use entire_io::volume::open_volume;
 use entire_steer::calibrate::prior_costs;
 use entire_steer::features::SceneQuantity;
 use entire_steer::predict::{COST_QUANTITIES, COSTS, UnitCosts};
 use entire_train::inputs::{measure, work_of};
 use indicatif::ProgressBar;
-use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// Number of candidates per volume and enlargement.
 const PER_VOLUME: u64 = 36;
@@ -71,9 +69,8 @@ impl Candidate {
 }
 
 pub(crate) struct Pool {
-    pub(crate) volumes: Vec<PathBuf>,
+    /// Identities of each volume's files.
     pub(crate) files: Vec<Vec<Identity>>,
-    pub(crate) reading: Reading,
     /// The candidates; a frame's number is its index.
     pub(crate) candidates: Vec<Candidate>,
     pub(crate) prior: UnitCosts,
@@ -82,12 +79,6 @@ pub(crate) struct Pool {
 }
 
 impl Pool {
-    /// Returns the identities of each volume's files, by the volume's name in tables (its path as given).
-    pub(crate) fn named_files(&self) -> BTreeMap<String, Vec<Identity>> {
-        let name = |path: &PathBuf| path.to_string_lossy().into_owned();
-        self.volumes.iter().map(name).zip(self.files.iter().cloned()).collect()
-    }
-
     /// Draws candidates of every volume and computes their features.
     pub(crate) fn draw(
         settings: &Settings,
@@ -140,15 +131,14 @@ impl Pool {
             })
             .collect();
         let expected = candidates.iter().map(|c| prior.time(&c.work)).collect();
-        let (volumes, reading) = (settings.volumes.clone(), settings.reading.clone());
-        Ok(Self { volumes, files, reading, candidates, prior, expected })
+        Ok(Self { files, candidates, prior, expected })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use entire_io::volume::Range;
+    use entire_io::volume::{Range, Reading};
 
     #[test]
     fn every_seed_draws_candidates() {

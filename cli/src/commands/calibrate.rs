@@ -12,17 +12,15 @@ use entire_core::scene::{Shading, Skipping};
 use entire_io::clock::ClockChoice;
 use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables, read_pictures, shaded};
 use entire_io::files::{
-    check_model_out, ensure_distinct, ensure_not_input, make_folder_of, note, open_model, read_model_file,
-    write_whole,
+    check_model_out, ensure_distinct, ensure_not_input, make_folder_of, note, read_model_file, write_whole,
 };
 use entire_io::interrupt;
 use entire_io::options::{
     Device, check_termination, names_software, open_renderer, shades, skip_parser, thread_pool,
 };
-use entire_io::progress::templated_bar;
 use entire_io::volume::Reading;
 use entire_steer::calibrate::fit_quality;
-use entire_steer::predict::{Quality, UnitCosts};
+use entire_steer::predict::Quality;
 use entire_train::fit::{typical_costs, typical_costs_of};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -139,15 +137,6 @@ fn shades_or_all() -> PossibleValuesParser {
 
 const ALL: &str = "all";
 
-impl Options {
-    fn modes(&self) -> Result<Vec<Shading>> {
-        Ok(match self.shade.as_str() {
-            ALL => vec![Shading::None, Shading::Local, Shading::Scatter],
-            one => vec![one.parse()?],
-        })
-    }
-}
-
 pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(s) if (5.0..=3600.0).contains(&s) => Ok(s),
@@ -155,26 +144,28 @@ pub(super) fn parse_seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
-    match &options.out {
-        None => file_of(shading).context(
-            "there is no home folder to keep the machine's model in; name a file with --out, or set XDG_DATA_HOME",
-        ),
-        Some(out) if options.shade == ALL => {
-            let stem = out.file_stem().context("--out names no file")?.to_string_lossy().into_owned();
-            Ok(out.with_file_name(format!("{stem}-{shading}.safetensors")))
-        }
-        Some(out) => Ok(out.clone()),
-    }
-}
-
-/// Returns the model files of the shading modes, and makes their folders.
-fn outs_of(options: &Options, modes: &[Shading]) -> Result<Vec<PathBuf>> {
-    let outs: Vec<PathBuf> = modes.iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
-    for out in &outs {
-        check_model_out(out)?;
-        // The prior is read again for each mode, so no mode's model may replace it.
-        ensure_not_input(out, options.prior.as_deref())?;
+/// Returns the shading modes with their model files, and makes the files' folders.
+fn outs_of(options: &Options) -> Result<Vec<(Shading, PathBuf)>> {
+    let modes = match options.shade.as_str() {
+        ALL => vec![Shading::None, Shading::Local, Shading::Scatter],
+        one => vec![one.parse()?],
+    };
+    let mut outs = Vec::new();
+    for shading in modes {
+        let out = match &options.out {
+            None => file_of(shading).context(
+                "there is no home folder to keep the machine's model in; name a file with --out, or set \
+                 XDG_DATA_HOME",
+            )?,
+            Some(out) if options.shade == ALL => {
+                let stem = out.file_stem().context("--out names no file")?.to_string_lossy().into_owned();
+                out.with_file_name(format!("{stem}-{shading}.safetensors"))
+            }
+            Some(out) => out.clone(),
+        };
+        check_model_out(&out)?;
+        ensure_not_input(&out, options.prior.as_deref())?;
+        outs.push((shading, out));
     }
     Ok(outs)
 }
@@ -197,10 +188,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         options.volumes.clone()
     };
     check_termination(options.termination)?;
-    let modes = options.modes()?;
-    let outs = outs_of(options, &modes)?;
+    let outs = outs_of(options)?;
     // A model that replaced the open table would lose the table's frames.
-    ensure_distinct(&[&outs[..], options.table.as_slice()].concat()).context("--table and --out")?;
+    let files: Vec<PathBuf> = outs.iter().map(|(_, out)| out).chain(&options.table).cloned().collect();
+    ensure_distinct(&files).context("--table and --out")?;
     let threads = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
     let mut renderer = open_renderer(options.device)?;
@@ -210,13 +201,16 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         "--clock device: {} has no timestamps, so device time cannot be measured; choose --clock wall",
         renderer.device()
     );
-    say_prior_clock(options, clock)?;
+    let prior = prior_of(options, clock)?;
     let begin = |file: &PathBuf| make_folder_of(file).and_then(|()| Writer::create(file));
     let mut table = options.table.as_ref().map(begin).transpose()?;
     let mut written = 0;
     print_line(format!("renderer   {} ({})", renderer.device(), renderer.backend()))?;
-    for (&shading, out) in modes.iter().zip(&outs) {
-        let priors = priors_of(options, shading, &typical_costs(renderer.backend(), &renderer.device()))?;
+    for &(shading, ref out) in &outs {
+        let priors = match &prior {
+            Some(prior) => vec![prior.clone()],
+            None => shipped_priors(shading, &typical_costs(renderer.backend(), &renderer.device()))?,
+        };
         let settings = Settings {
             volumes: volumes.clone(),
             reading: options.reading.clone(),
@@ -230,10 +224,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             steps: options.steps.clone(),
             seed: options.seed,
         };
-        let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
         let stopped = || interrupt::requested(&stop);
         let MachineModel { file, report, frames } =
-            calibrate(&settings, &priors, renderer.as_mut(), &threads, &stopped, &bar)?;
+            calibrate(&settings, &priors, renderer.as_mut(), &threads, &stopped)?;
         write_whole(out, &file.to_bytes()?)?;
         if let Some(table) = &mut table {
             for f in &frames {
@@ -256,28 +249,20 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Returns the priors with their names: the model of --prior, else the shipped priors of the shading mode for
-/// a renderer with these typical costs.
-fn priors_of(options: &Options, shading: Shading, typical: &UnitCosts) -> Result<Vec<NamedPrior>> {
-    match &options.prior {
-        Some(path) => Ok(vec![(path.display().to_string(), read_model_file(path)?.0)]),
-        None => shipped_priors(shading, typical),
-    }
-}
-
-/// Prints a note if the given prior and the new model predict seconds of different clocks.
-fn say_prior_clock(options: &Options, clock: Clock) -> Result<()> {
-    let Some(path) = &options.prior else { return Ok(()) };
-    let theirs = entire_io::clock::of(&open_model(path)?);
-    if let Some(text) = entire_io::clock::started_from(&path.display().to_string(), theirs, clock) {
+/// Returns the model of --prior with its name. Prints a note if this prior and the new model predict seconds
+/// of different clocks.
+fn prior_of(options: &Options, clock: Clock) -> Result<Option<NamedPrior>> {
+    let Some(path) = &options.prior else { return Ok(None) };
+    let (file, model) = read_model_file(path)?;
+    let name = path.display().to_string();
+    if let Some(text) = entire_io::clock::started_from(&name, entire_io::clock::of(&model), clock) {
         note(&text);
     }
-    Ok(())
+    Ok(Some((name, file)))
 }
 
 fn from_tables(options: &Options) -> Result<()> {
-    let modes = options.modes()?;
-    let outs = outs_of(options, &modes)?;
+    let outs = outs_of(options)?;
     let tables = open_tables(&options.data, options.root.as_deref())?;
     let renderer = tables.iter().find_map(|table| table.manifest.as_ref()).map(|m| m.renderer.as_str());
     let built_in = renderer.and_then(Quality::built_in);
@@ -292,14 +277,17 @@ fn from_tables(options: &Options) -> Result<()> {
         ClockChoice::Auto if tables.iter().all(software) => ClockChoice::Wall,
         clock => clock,
     };
-    let used = modes.iter().flat_map(|&shading| shaded(&tables, Some(shading)));
+    let used = outs.iter().flat_map(|(shading, _)| shaded(&tables, Some(*shading)));
     let clock = entire_io::clock::concrete(asked, used)?;
-    say_prior_clock(options, clock)?;
-    for (&shading, out) in modes.iter().zip(&outs) {
+    let prior = prior_of(options, clock)?;
+    for &(shading, ref out) in &outs {
         if let Some(text) = left_out(&tables, clock, Some(shading)) {
             note(&text);
         }
-        let priors = priors_of(options, shading, &typical_costs_of(&tables))?;
+        let priors = match &prior {
+            Some(prior) => vec![prior.clone()],
+            None => shipped_priors(shading, &typical_costs_of(&tables))?,
+        };
         let (file, report) = calibrate_to_tables(&tables, (shading, clock), &priors, pictures, &threads)?;
         write_whole(out, &file.to_bytes()?)?;
         say(&report, out)?;

@@ -22,7 +22,6 @@ use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
 use entire_io::options::{DrawSettings, RenderArgs, open_renderer, parse_distance, parse_size, thread_pool};
 use entire_io::path::Generated;
-use entire_io::progress::templated_bar;
 use entire_io::volume::{Reading, open_volume};
 use entire_io::{identity, interrupt};
 use entire_train::fit::typical_costs;
@@ -129,8 +128,7 @@ fn calibrated(
     };
     let priors = shipped_priors(draw.shading, &typical_costs(renderer.backend(), &renderer.device()))?;
     let threads = thread_pool(None)?;
-    let bar = templated_bar("calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
-    let MachineModel { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop, &bar)?;
+    let MachineModel { file, report, .. } = calibrate(&settings, &priors, renderer, &threads, stop)?;
     for warning in report.warnings() {
         print_line(format!("{:<11}{warning}", "note"))?;
     }

@@ -152,9 +152,7 @@ mod tests {
         let candidates = vec![candidate(0.0, 40.0), candidate(40.0, 0.0)];
         assert_eq!(candidates[0].samples_per_pixel(), 40.0);
         let pool = Pool {
-            volumes: Vec::new(),
             files: Vec::new(),
-            reading: Default::default(),
             expected: vec![1e-3; candidates.len()],
             candidates,
             prior: UnitCosts::SOFTWARE,
