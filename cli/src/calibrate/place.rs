@@ -4,7 +4,7 @@ use crate::collection::{Job, ensure_utf8};
 use anyhow::{Context, Result};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::scene::Shading;
-use entire_io::clock::ClockChoice;
+use entire_io::clock::{ClockChoice, waited_for};
 use entire_io::dataset::Clock;
 use entire_io::files::{note, read_model_file};
 use entire_io::identity::{self, Identity, is_volume};
@@ -87,28 +87,29 @@ pub(crate) fn of_another_kind(path: &Path, file: &ModelFile, backend: &str, devi
     })
 }
 
-/// Returns the machine's model for a shading mode, with its name, and the clock of frame times, which for
-/// `auto` is the clock that this model states. The model is ignored, with a note, if it states no
-/// clock or another clock than the requested one. It is also ignored if it was calibrated on a GPU and a
-/// renderer in software draws, or the reverse.
+/// Returns the machine's model for a shading mode, with its name, and the clock of frame times: `asked`; for
+/// `auto`, the clock that this model states, else that of the renderer. The model is ignored, with a note, if
+/// it states no clock or another clock than the requested one. It is also ignored if it was calibrated on a
+/// GPU and a renderer in software draws, or the reverse.
 pub(crate) fn machine_model_for(
     shading: Shading,
     asked: ClockChoice,
     renderer: &dyn Renderer,
-) -> Result<(Option<(String, ModelFile)>, ClockChoice)> {
-    let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
+) -> Result<(Option<(String, ModelFile)>, Clock)> {
+    let without = Ok((None, waited_for(asked, renderer)));
+    let Some((path, file, stated)) = machine_model(shading)? else { return without };
     if let Some(why) = of_another_kind(&path, &file, renderer.backend(), &renderer.device()) {
         note(&format!(
             "{why}; `entire calibrate --shade {shading}` with the same --device makes a model of this \
              device, which replaces the present model unless --out names another file"
         ));
-        return Ok((None, asked));
+        return without;
     }
     let Some(clock) = stated.filter(|c| asked.clock().is_none_or(|a| a == *c)) else {
         note(&format!("{} {}", path.display(), ignored(shading, stated, asked)));
-        return Ok((None, asked));
+        return without;
     };
-    Ok((Some((format!("{}, of this machine", path.display()), file)), clock.into()))
+    Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
 }
 
 /// Returns the reason why the machine's model is ignored, and the remedy.

@@ -4,13 +4,13 @@ use crate::calibrate::place::{DATA_FOLDER, calibrated_on, machine_model_for, vol
 use crate::calibrate::pool::SMALL_VOLUME;
 use crate::calibrate::{MachineModel, Settings, calibrate};
 use crate::commands::calibrate::parse_seconds;
-use crate::commands::steer::{INTERRUPTED_MESSAGE, describe};
+use crate::commands::steer::describe;
 use crate::program::print_line;
 use crate::shipped::shipped_priors;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::model::steering_model;
-use crate::steering::play::{Course, Race};
+use crate::steering::play::{Course, INTERRUPTED, Race};
 use crate::steering::report::{Story, make_report_folder, table, write};
 use crate::steering::rivals::PID_GAINS;
 use crate::steering::sampling::{CALIBRATION_STEPS, prepare};
@@ -153,12 +153,12 @@ fn fit_size(
     renderer.set_transfer(&transfer)?;
     let camera = Camera::from_arcball(Arcball { rx: 15.0, ry: 30.0, dz: 2.2 })?;
     let frame = Frame { step: 2.0, ..draw.frame(camera)? }.checked()?;
-    ensure!(!stop(), INTERRUPTED_MESSAGE);
+    ensure!(!stop(), INTERRUPTED);
     renderer.render(&frame)?;
     const TRIALS: u32 = 4;
     let begin = Instant::now();
     for _ in 0..TRIALS {
-        ensure!(!stop(), INTERRUPTED_MESSAGE);
+        ensure!(!stop(), INTERRUPTED);
         renderer.render(&frame)?;
     }
     let seconds = begin.elapsed().as_secs_f64() / f64::from(TRIALS) * renderings;
@@ -227,7 +227,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut renderer = open_renderer(options.render.device)?;
     print_line(format!("renderer   {} ({})", renderer.device(), renderer.backend()))?;
     let (machines, clock) = machine_model_for(options.render.shade, options.clock, renderer.as_ref())?;
-    let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     print_line(format!("clock      {}", clock.name()))?;
     let asked = DrawSettings::new(options.size, &options.render, clock);
     let renderings =
@@ -248,9 +247,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             .context("cannot calibrate")?
             .or(machines),
     };
-    ensure!(!stop(), INTERRUPTED_MESSAGE);
+    ensure!(!stop(), INTERRUPTED);
     let made = machines.as_ref().map(|(_, file)| file.to_bytes()).transpose()?;
-    let (steers, log_sd) = steering_model(None, machines, draw.shading, &view)?;
+    let steers = steering_model(None, machines, draw.shading, &view)?;
     let keep = path.switches();
     let race = Race {
         volumes: std::slice::from_ref(&volume),
@@ -263,9 +262,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         controllers: &ControllerKind::DEFAULT_SET,
         target: None,
         model: &steers,
-        log_sd,
     };
-    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
+    let prepared = prepare(&race, renderer.as_mut(), &stop)?;
     print_line(format!("predictor  {}", prepared.predictor.sentence()))?;
     print_line(format!(
         "reference  {:.1} ms at the reference step, median of {} random scenes",
@@ -279,7 +277,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         prepared.fixed_step
     ))?;
 
-    let playback = race.run(&prepared, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
+    let playback = race.run(&prepared, renderer.as_mut(), &stop)?;
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
         "Each frame was drawn under every controller before the next frame began. The order of the \

@@ -8,7 +8,7 @@ use crate::steering::play::{Course, Playback, Race};
 use crate::steering::report::{FILES, Story, make_report_folder, table, write};
 use crate::steering::sampling::prepare;
 use anyhow::{Context, Result, bail, ensure};
-use entire_io::clock::ClockChoice;
+use entire_io::clock::{ClockChoice, agreed, unstated, waited_for};
 use entire_io::dataset::{Scene, Writer};
 use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, open_model, write_json};
 use entire_io::machine::Provenance;
@@ -139,8 +139,6 @@ const MAX_IMAGE_SAMPLE_DISTANCE: f32 = 4.0;
 /// Number of switches whose pictures are kept for the report.
 const PICTURED_SWITCHES: usize = 20;
 
-pub(super) const INTERRUPTED_MESSAGE: &str = "interrupted; no report was written";
-
 pub(crate) fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target).context("--target")?;
     ensure!(!options.controllers.is_empty(), "--controllers names no controller");
@@ -172,8 +170,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let model = options.model.as_deref().map(open_model).transpose()?;
     let named = options.model.as_ref().map(|p| p.display().to_string());
     let given = named.as_deref().zip(model.as_ref());
-    let clock = entire_io::clock::agreed(options.clock, given)?;
-    if let Some(text) = clock.clock().and_then(|clock| entire_io::clock::unstated(clock, given)) {
+    let clock = agreed(options.clock, given)?;
+    if let Some(text) = clock.clock().and_then(|clock| unstated(clock, given)) {
         note(&text);
     }
     // The path is checked before the volumes are read, which may take minutes.
@@ -210,12 +208,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     make_report_folder(&options.out)?;
     let mut renderer = open_renderer(options.render.device)?;
     let (machines, clock) = match model {
-        Some(_) => (None, clock),
+        Some(_) => (None, waited_for(clock, renderer.as_ref())),
         None => machine_model_for(options.render.shade, clock, renderer.as_ref())?,
     };
-    let clock = entire_io::clock::waited_for(clock, renderer.as_ref());
     let draw = DrawSettings::new(options.size, &options.render, clock);
-    let (steers, log_sd) = steering_model(named.zip(model), machines, draw.shading, &view)?;
+    let steers = steering_model(named.zip(model), machines, draw.shading, &view)?;
     let mut keep = path.switches();
     keep.truncate(PICTURED_SWITCHES);
     keep.extend(&options.pictures);
@@ -235,12 +232,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         controllers: &options.controllers,
         target: Some(target),
         model: &steers,
-        log_sd,
     };
     let mut timings =
         options.table.as_ref().map(|file| begin_table(file, &options.out, &path)).transpose()?;
-    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
-    let playback = race.run(&prepared, renderer.as_mut(), &stop)?.context(INTERRUPTED_MESSAGE)?;
+    let prepared = prepare(&race, renderer.as_mut(), &stop)?;
+    let playback = race.run(&prepared, renderer.as_mut(), &stop)?;
     let story = Story {
         title: "Steering a frame time".into(),
         lead: format!(

@@ -20,6 +20,8 @@ pub struct SteeringModel {
     title: String,
     model: Arc<Model>,
     volume_features: Option<Vec<f32>>,
+    /// Error of the predictor, if it is known, for controllers that correct the predictor.
+    pub(crate) log_sd: Option<f32>,
 }
 
 impl SteeringModel {
@@ -31,7 +33,7 @@ impl SteeringModel {
     pub fn new(title: String, model: Model, volume: &VolumeView<'_>) -> Result<Self> {
         load(&model)?;
         let volume_features = volume_features(&model, volume)?;
-        Ok(Self { title, model: Arc::new(model), volume_features })
+        Ok(Self { title, model: Arc::new(model), volume_features, log_sd: None })
     }
 
     /// Returns VolumeNet's output for a volume, if the model uses it.
@@ -144,14 +146,14 @@ pub(crate) fn chosen_model(
     Ok((title, file.to_model()?, known))
 }
 
-/// Returns the [chosen](chosen_model) model, and its error for controllers, if it is known. Sessions scale
-/// the shipped model to this machine frame by frame.
+/// Returns the [chosen](chosen_model) model. Sessions scale the shipped model, whose error here is unknown, to
+/// this machine frame by frame.
 pub(crate) fn steering_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,
     shading: Shading,
     volume: &VolumeView<'_>,
-) -> Result<(SteeringModel, Option<f32>)> {
+) -> Result<SteeringModel> {
     if let Some((name, model)) = &given
         && let Some(fitted) = shading_of(model).filter(|fitted| *fitted != shading)
     {
@@ -161,7 +163,7 @@ pub(crate) fn steering_model(
     }
     let (title, model, known) = chosen_model(given, machine, shading)?;
     let corrected = if known { "" } else { ", corrected by the measured time of every frame" };
-    let model = SteeringModel::new(title + corrected, model, volume)?;
-    let log_sd = model.predictor()?.log_sd().filter(|_| known);
-    Ok((model, log_sd))
+    let mut model = SteeringModel::new(title + corrected, model, volume)?;
+    model.log_sd = model.predictor()?.log_sd().filter(|_| known);
+    Ok(model)
 }

@@ -208,23 +208,22 @@ pub(crate) struct Race<'a> {
     /// random scenes.
     pub(crate) target: Option<f64>,
     pub(crate) model: &'a SteeringModel,
-    /// The predictor's error, if it is known, for controllers that correct the predictor.
-    pub(crate) log_sd: Option<f32>,
 }
 
+/// Message of the error of an interrupted comparison.
+pub(crate) const INTERRUPTED: &str = "interrupted; no report was written";
+
 impl Race<'_> {
-    /// Plays the path.
-    ///
-    /// Returns `None` when `stop` returned true.
+    /// Plays the path, until `stop` returns true, which is an error.
     pub(crate) fn run(
         &self,
         prepared: &Prepared,
         renderer: &mut dyn Renderer,
         stop: &dyn Fn() -> bool,
-    ) -> Result<Option<Playback>> {
+    ) -> Result<Playback> {
         let contender = |kind: &ControllerKind| {
             let predictor = self.model.predictor()?;
-            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, self.log_sd))
+            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, self.model.log_sd))
         };
         let mut contenders: Vec<Contender> = self.controllers.iter().map(contender).collect::<Result<_>>()?;
         let mut shown = Vec::new();
@@ -232,16 +231,15 @@ impl Race<'_> {
             let view = volume.view();
             let (summary, volume_features) = if i == 0 {
                 (prepared.summary.clone(), self.model.volume_features().map(<[f32]>::to_vec))
-            } else if stop() {
-                return Ok(None);
             } else {
+                ensure!(!stop(), INTERRUPTED);
                 (VolumeSummary::new(&view)?, self.model.encode(&view)?)
             };
             shown.push(Shown { view, summary, volume_features });
         }
         let (path, keep, course) = (self.path, self.keep, self.course);
         let task = Task { volumes: &shown, path, keep, course, target: prepared.target };
-        play(&task, &self.draw, renderer, &mut contenders, stop)
+        play(&task, &self.draw, renderer, &mut contenders, stop)?.context(INTERRUPTED)
     }
 }
 

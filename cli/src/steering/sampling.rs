@@ -2,7 +2,7 @@
 //! errors, and the default target.
 
 use super::model::Steers;
-use super::play::Race;
+use super::play::{INTERRUPTED, Race};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
 use anyhow::{Context, Result, ensure};
@@ -186,23 +186,20 @@ pub(crate) struct Prepared {
 pub(crate) const TARGET_SHARE: f64 = 0.5;
 
 /// Renders random scenes of the volume at several steps and derives from them G, the predictor's errors, the
-/// default target and the fixed step. The predictor is not fitted to these scenes.
-///
-/// Returns `None` when `stop` returned true.
+/// default target and the fixed step. The predictor is not fitted to these scenes. It is an error if `stop`
+/// returns true.
 pub(crate) fn prepare(
     race: &Race<'_>,
     renderer: &mut dyn Renderer,
     stop: &dyn Fn() -> bool,
-) -> Result<Option<Prepared>> {
+) -> Result<Prepared> {
     let volume = &race.volumes[0];
     let view = volume.view();
     let summary = VolumeSummary::new(&view)?;
-    if stop() {
-        return Ok(None);
-    }
+    ensure!(!stop(), INTERRUPTED);
     let seed = (race.seed, volume.name());
     let samples = measure(&view, &summary, &race.draw, seed, race.scenes, renderer, stop, "measure")?;
-    let Some(samples) = samples else { return Ok(None) };
+    let samples = samples.context(INTERRUPTED)?;
     let response = response(&samples)?;
     let predictor = Steers {
         title: race.model.title().to_owned(),
@@ -226,16 +223,7 @@ pub(crate) fn prepare(
     };
     let fixed_step = response.step_ratio((target / full_quality) as f32);
     let curve = ResponseCurve::new(&samples, &response);
-    Ok(Some(Prepared {
-        summary,
-        response,
-        curve,
-        predictor,
-        target,
-        full_quality,
-        target_reason,
-        fixed_step,
-    }))
+    Ok(Prepared { summary, response, curve, predictor, target, full_quality, target_reason, fixed_step })
 }
 
 #[cfg(test)]
