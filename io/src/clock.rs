@@ -2,49 +2,15 @@
 //! clock: seconds of two clocks can differ by a large factor.
 
 use crate::dataset::{Clock, TimedFrame};
-use crate::options::is_software;
+use crate::options::{described, is_software};
 use anyhow::{Result, bail, ensure};
-use clap::ValueEnum;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_vk_raycaster::Renderer;
 
-/// Choice of a clock by an option.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum ClockChoice {
-    /// The clock that the text of this option names for `auto`; without such a text, the device's timestamps
-    /// if all frames have them, else wall time.
-    #[default]
-    Auto,
-    /// Device timestamps.
-    Device,
-    /// Wall time on the host.
-    Wall,
-    /// Process CPU time, all threads.
-    Cpu,
-}
-
-impl ClockChoice {
-    /// The chosen clock; `None` for `auto`.
-    pub fn clock(self) -> Option<Clock> {
-        match self {
-            Self::Auto => None,
-            Self::Device => Some(Clock::Device),
-            Self::Wall => Some(Clock::Wall),
-            Self::Cpu => Some(Clock::Cpu),
-        }
-    }
-}
-
-impl From<Clock> for ClockChoice {
-    fn from(clock: Clock) -> Self {
-        match clock {
-            Clock::Device => Self::Device,
-            Clock::Wall => Self::Wall,
-            Clock::Cpu => Self::Cpu,
-        }
-    }
-}
+/// Choice of a clock by an option; `None` for `auto`: the clock that the text of the option names, or without
+/// such a text, the device's timestamps if all frames have them, else wall time.
+pub type ClockChoice = Option<Clock>;
 
 /// Returns the clock that a model states: under [`Key::Clock`], else in its provenance. `None` if it states
 /// no clock.
@@ -63,12 +29,29 @@ pub fn set(file: &mut ModelFile, clock: Clock) {
     file.metadata.insert(Key::Clock.into(), clock.name().into());
 }
 
+/// Value of `--clock` that leaves the choice to the command.
+const AUTO: &str = "auto";
+
+/// Returns the names of the clocks, with their descriptions.
+fn named_clocks() -> Vec<PossibleValue> {
+    let texts = ["Device timestamps", "Wall time on the host", "Process CPU time, all threads"];
+    described([Clock::Device, Clock::Wall, Clock::Cpu].map(Clock::name), texts)
+}
+
 /// Returns the parser of an option for the clocks that a model can state: all but `auto`, which depends on
 /// the device.
 pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
-    let fixed = ClockChoice::value_variants().iter().filter(|c| c.clock().is_some());
-    PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
-        .try_map(|name| name.parse::<Clock>())
+    PossibleValuesParser::new(named_clocks()).try_map(|name| name.parse::<Clock>())
+}
+
+/// Returns the parser of `--clock`.
+pub fn clock_parser() -> impl TypedValueParser<Value = ClockChoice> {
+    let auto = PossibleValue::new(AUTO).help(
+        "The clock that the text of this option names for `auto`; without such a text, the device's timestamps \
+         if all frames have them, else wall time",
+    );
+    PossibleValuesParser::new([auto].into_iter().chain(named_clocks()))
+        .try_map(|name| if name == AUTO { Ok(None) } else { name.parse::<Clock>().map(Some) })
 }
 
 /// Returns the chosen clock; for `auto`, device time if every repeat of the frames has it, wall time if no
@@ -77,7 +60,7 @@ pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
 /// # Errors
 /// When only some repeats have device timestamps: their times are not comparable.
 pub fn concrete<'a>(asked: ClockChoice, frames: impl IntoIterator<Item = &'a TimedFrame>) -> Result<Clock> {
-    if let Some(clock) = asked.clock() {
+    if let Some(clock) = asked {
         return Ok(clock);
     }
     let (mut all, mut with) = (0usize, 0usize);
@@ -97,7 +80,7 @@ pub fn concrete<'a>(asked: ClockChoice, frames: impl IntoIterator<Item = &'a Tim
 pub fn waited_for(asked: ClockChoice, renderer: &dyn Renderer) -> Clock {
     let timestamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
     let auto = if timestamps && !is_software(renderer) { Clock::Device } else { Clock::Wall };
-    asked.clock().unwrap_or(auto)
+    asked.unwrap_or(auto)
 }
 
 /// Returns the clock whose seconds a new model learns: `asked` if given, else the clock of `base` (name and
@@ -119,7 +102,7 @@ pub fn for_training<'a>(
             if frames.clone().into_iter().all(|f| f.seconds(wanted).is_some()) {
                 wanted
             } else {
-                let found = concrete(ClockChoice::Auto, frames)?;
+                let found = concrete(None, frames)?;
                 crate::files::note(&format!(
                     "some frames have no {} time, so the model predicts {} seconds; to choose another \
                      clock, use --clock",
@@ -173,7 +156,7 @@ pub fn agreed<'a>(
     let mut found: Option<(&str, Clock)> = None;
     for (name, model) in models {
         let Some(clock) = of(model) else { continue };
-        if let Some(other) = asked.clock().filter(|c| *c != clock) {
+        if let Some(other) = asked.filter(|c| *c != clock) {
             bail!(
                 "{name} predicts {} seconds, but --clock asks for {}; leave --clock out, or make a model for \
                  the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine or, \
@@ -193,7 +176,7 @@ pub fn agreed<'a>(
         }
         found = Some((name, clock));
     }
-    Ok(found.map_or(asked, |f| f.1.into()))
+    Ok(found.map(|f| f.1).or(asked))
 }
 
 #[cfg(test)]
@@ -231,12 +214,12 @@ mod tests {
     fn models_and_commands_that_disagree_are_refused_with_a_remedy() {
         let (cpu, wall, none) =
             (model(Some(Clock::Cpu), None), model(Some(Clock::Wall), None), model(None, None));
-        assert_eq!(agreed(ClockChoice::Auto, [("a", &cpu), ("c", &none)]).unwrap(), ClockChoice::Cpu);
-        assert_eq!(agreed(ClockChoice::Wall, [("b", &wall)]).unwrap(), ClockChoice::Wall);
-        assert_eq!(agreed(ClockChoice::Wall, [("c", &none)]).unwrap(), ClockChoice::Wall);
-        let text = agreed(ClockChoice::Wall, [("a", &cpu)]).unwrap_err().to_string();
+        assert_eq!(agreed(None, [("a", &cpu), ("c", &none)]).unwrap(), Some(Clock::Cpu));
+        assert_eq!(agreed(Some(Clock::Wall), [("b", &wall)]).unwrap(), Some(Clock::Wall));
+        assert_eq!(agreed(Some(Clock::Wall), [("c", &none)]).unwrap(), Some(Clock::Wall));
+        let text = agreed(Some(Clock::Wall), [("a", &cpu)]).unwrap_err().to_string();
         assert!(text.contains("a predicts cpu seconds") && text.contains("--clock wall"), "{text}");
-        let text = agreed(ClockChoice::Auto, [("a", &cpu), ("b", &wall)]).unwrap_err().to_string();
+        let text = agreed(None, [("a", &cpu), ("b", &wall)]).unwrap_err().to_string();
         assert!(text.contains("a predicts cpu seconds and b wall seconds"), "{text}");
     }
 
@@ -276,10 +259,10 @@ mod tests {
     fn auto_becomes_the_clock_that_all_frames_have() {
         let wall = Timing { wall: Some(0.1), ..Timing::default() };
         let both = Timing { device: Some(0.1), cpu: Some(0.2), ..wall };
-        assert_eq!(concrete(ClockChoice::Auto, [&frame(&[wall])]).unwrap(), Clock::Wall);
-        assert_eq!(concrete(ClockChoice::Auto, [&frame(&[both])]).unwrap(), Clock::Device);
-        assert_eq!(concrete(ClockChoice::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
-        let mixed = concrete(ClockChoice::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
+        assert_eq!(concrete(None, [&frame(&[wall])]).unwrap(), Clock::Wall);
+        assert_eq!(concrete(None, [&frame(&[both])]).unwrap(), Clock::Device);
+        assert_eq!(concrete(Some(Clock::Cpu), [&frame(&[both])]).unwrap(), Clock::Cpu);
+        let mixed = concrete(None, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
         assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
         // The default is CPU time. A fine-tuned model keeps its clock. If frames have no time by the chosen
         // clock, a clock that all frames have replaces it.
@@ -287,7 +270,7 @@ mod tests {
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);
         assert_eq!(
-            for_training(Some(ClockChoice::Wall), Some(("m", Clock::Device)), &frames).unwrap(),
+            for_training(Some(Some(Clock::Wall)), Some(("m", Clock::Device)), &frames).unwrap(),
             Clock::Wall
         );
         assert_eq!(for_training(None, None, &[frame(&[wall])]).unwrap(), Clock::Wall);

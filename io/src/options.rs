@@ -155,7 +155,10 @@ impl DrawSettings {
 }
 
 /// Returns the values of an option, by name, with their descriptions.
-fn described<const N: usize>(names: [&'static str; N], texts: [&'static str; N]) -> Vec<PossibleValue> {
+pub(crate) fn described<const N: usize>(
+    names: [&'static str; N],
+    texts: [&'static str; N],
+) -> Vec<PossibleValue> {
     names.into_iter().zip(texts).map(|(name, text)| PossibleValue::new(name).help(text)).collect()
 }
 

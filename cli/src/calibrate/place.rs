@@ -105,7 +105,7 @@ pub(crate) fn machine_model_for(
         ));
         return without;
     }
-    let Some(clock) = stated.filter(|c| asked.clock().is_none_or(|a| a == *c)) else {
+    let Some(clock) = stated.filter(|c| asked.is_none_or(|a| a == *c)) else {
         note(&format!("{} {}", path.display(), ignored(shading, stated, asked)));
         return without;
     };
@@ -114,7 +114,7 @@ pub(crate) fn machine_model_for(
 
 /// Returns the reason why the machine's model is ignored, and the remedy.
 fn ignored(shading: Shading, stated: Option<Clock>, asked: ClockChoice) -> String {
-    let asked = asked.clock().map(Clock::name);
+    let asked = asked.map(Clock::name);
     let remedy = asked.map_or(String::new(), |name| format!(" --clock {name}"));
     match (stated, asked) {
         (Some(stated), Some(asked)) => format!(
@@ -185,11 +185,11 @@ mod tests {
 
     #[test]
     fn a_model_that_is_ignored_can_be_made_again_by_the_command_in_the_note() {
-        let said = ignored(Shading::None, Some(Clock::Cpu), ClockChoice::Wall);
+        let said = ignored(Shading::None, Some(Clock::Cpu), Some(Clock::Wall));
         assert!(said.contains("predicts cpu time") && said.contains("--shade none --clock wall`"), "{said}");
         for (asked, command) in [
-            (ClockChoice::Auto, "`entire calibrate --shade local`"),
-            (ClockChoice::Wall, "`entire calibrate --shade local --clock wall`"),
+            (None, "`entire calibrate --shade local`"),
+            (Some(Clock::Wall), "`entire calibrate --shade local --clock wall`"),
         ] {
             let said = ignored(Shading::Local, None, asked);
             assert!(said.contains("states no clock") && said.contains(command), "{said}");

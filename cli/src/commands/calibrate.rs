@@ -9,7 +9,7 @@ use crate::shipped::shipped_priors;
 use anyhow::{Context, Result, ensure};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use entire_core::scene::{Shading, Skipping};
-use entire_io::clock::ClockChoice;
+use entire_io::clock::{ClockChoice, clock_parser};
 use entire_io::dataset::{Clock, Manifest, Writer, left_out, open_tables, read_pictures, shaded};
 use entire_io::files::{
     check_model_out, ensure_distinct, ensure_not_input, make_folder_of, note, read_model_file, write_whole,
@@ -76,7 +76,7 @@ pub(crate) struct Options {
     pub(crate) shade: String,
     /// Clock of the predicted seconds: `cpu` is processor time of all threads, `wall` is wall time, `device`
     /// is the device's timestamps; `auto` is `device` on a GPU, else `wall`.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = clock_parser(), default_value = "auto")]
     pub(crate) clock: ClockChoice,
     /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Default:
     /// machine-MODE.safetensors in the folder entire of the user's data folder.
@@ -274,7 +274,7 @@ fn from_tables(options: &Options) -> Result<()> {
         table.manifest.as_ref().is_some_and(|m| names_software(&m.renderer, &m.device))
     };
     let asked = match options.clock {
-        ClockChoice::Auto if tables.iter().all(software) => ClockChoice::Wall,
+        None if tables.iter().all(software) => Some(Clock::Wall),
         clock => clock,
     };
     let used = outs.iter().flat_map(|(shading, _)| shaded(&tables, Some(*shading)));

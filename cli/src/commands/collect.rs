@@ -4,7 +4,7 @@ use crate::collection::{
     Job, Outcome, Protocol, collect_passes, differences, ensure_utf8, pass_files, remove,
 };
 use anyhow::{Context, Result, bail, ensure};
-use entire_io::clock::{ClockChoice, concrete};
+use entire_io::clock::concrete;
 use entire_io::dataset::{Clock, Manifest, Table, Writer, noise_floor};
 use entire_io::files::{ensure_distinct, fnv1a_text, make_folder_of, note, parse_model, read_model_bytes};
 use entire_io::identity::{self, Identity};
@@ -309,7 +309,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let frames = Table::read_without_features(&options.out, 0)?.frames;
     let mut noise = serde_json::Map::new();
     let mut said = Vec::new();
-    for clock in concrete(ClockChoice::Auto, &frames).into_iter().chain([Clock::Cpu]) {
+    for clock in concrete(None, &frames).into_iter().chain([Clock::Cpu]) {
         if let Some(floor) = noise_floor(&frames, clock, |_| protocol.passes as usize) {
             said.push(format!("{} time: {}", clock.name(), floor.describe()));
             noise.insert(clock.name().into(), json!(floor));

@@ -17,7 +17,7 @@ use crate::steering::sampling::{CALIBRATION_STEPS, prepare};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
 use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
-use entire_io::clock::ClockChoice;
+use entire_io::clock::{ClockChoice, clock_parser};
 use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
 use entire_io::options::{DrawSettings, RenderArgs, open_renderer, parse_distance, parse_size, thread_pool};
@@ -79,7 +79,7 @@ pub(crate) struct Options {
     pub(crate) render: RenderArgs,
     /// The clock of frame times. `auto`: the clock of the machine's model (`entire calibrate`), else the
     /// device's timestamps on a GPU, else wall time.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = clock_parser(), default_value = "auto")]
     pub(crate) clock: ClockChoice,
     /// Enlarge the volume trilinearly by this factor along each axis; default: 2 for volumes of fewer than
     /// 160³ voxels, else 1.

@@ -8,7 +8,7 @@ use crate::steering::play::{Course, Playback, Race};
 use crate::steering::report::{FILES, Story, make_report_folder, table, write};
 use crate::steering::sampling::prepare;
 use anyhow::{Context, Result, bail, ensure};
-use entire_io::clock::{ClockChoice, agreed, unstated, waited_for};
+use entire_io::clock::{ClockChoice, agreed, clock_parser, unstated, waited_for};
 use entire_io::dataset::{Scene, Writer};
 use entire_io::files::{ensure_not_input, ensure_not_own, make_folder_of, note, open_model, write_json};
 use entire_io::machine::Provenance;
@@ -116,7 +116,7 @@ pub(crate) struct Options {
     /// The clock of frame times; `auto`: the clock of --model or of the machine's model (`entire calibrate`),
     /// else the device's timestamps on a GPU, else wall time. A --model of another clock is refused; the
     /// machine's model is ignored if it states another clock.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = clock_parser(), default_value = "auto")]
     pub(crate) clock: ClockChoice,
     /// Finest and coarsest allowed step, in reference steps. Controllers that act on image resolution have
     /// their own ranges.
@@ -171,7 +171,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let named = options.model.as_ref().map(|p| p.display().to_string());
     let given = named.as_deref().zip(model.as_ref());
     let clock = agreed(options.clock, given)?;
-    if let Some(text) = clock.clock().and_then(|clock| unstated(clock, given)) {
+    if let Some(text) = clock.and_then(|clock| unstated(clock, given)) {
         note(&text);
     }
     // The path is checked before the volumes are read, which may take minutes.

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{GroupKind, Key, Model};
-use entire_io::clock::ClockChoice;
+use entire_io::clock::{ClockChoice, clock_parser};
 use entire_io::dataset::{
     Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, manifests_of, mixed, noise_floor, open_tables,
     shaded, timed,
@@ -73,7 +73,7 @@ pub(crate) struct Options {
     /// Clock of the learned seconds. Default: the clock that the model of --fine-tune states; without such a
     /// model, auto for frames of a GPU and cpu (processor time) for other frames. If some frame has no time
     /// by the default clock, auto is used instead.
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = clock_parser())]
     pub(crate) clock: Option<ClockChoice>,
     /// Only frames with this shading: none, local, scatter or local-scatter.
     #[arg(long)]
@@ -325,7 +325,7 @@ fn learned_clock(options: &Options, tables: &[Table], base: Option<&(Display<'_>
     let on_gpu = manifests_of(tables, &frames)
         .iter()
         .any(|m| m.renderer == "vulkan" && !names_software(&m.renderer, &m.device));
-    let asked = options.clock.or((base.is_none() && on_gpu).then_some(ClockChoice::Auto));
+    let asked = options.clock.or((base.is_none() && on_gpu).then_some(None));
     entire_io::clock::for_training(asked, base, shaded(tables, options.shade))
 }
 

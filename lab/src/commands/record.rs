@@ -5,7 +5,7 @@ use crate::trace::{Recording, TRACE_FORMAT, TRACE_STEPS, Trace, TraceVolume, rec
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::steering::sampling::measure;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
-use entire_io::clock::{ClockChoice, waited_for};
+use entire_io::clock::{ClockChoice, clock_parser, waited_for};
 use entire_io::dataset::{Clock, Scene, Timing, Writer};
 use entire_io::files::make_folder_of;
 use entire_io::interrupt;
@@ -86,7 +86,7 @@ pub(crate) struct Options {
     #[command(flatten)]
     pub(crate) render: RenderArgs,
     /// The clock of frame times; `auto`: the device's timestamps on a GPU, else wall time.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = clock_parser(), default_value = "auto")]
     pub(crate) clock: ClockChoice,
     /// Enlarge the volumes trilinearly by this factor along each axis.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]

@@ -5,7 +5,7 @@ use crate::stress::{self, Verdict, bars_on_device, harmless};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use entire_cli::steering::contenders::ControllerKind;
-use entire_io::clock::{ClockChoice, waited_for};
+use entire_io::clock::{ClockChoice, clock_parser, waited_for};
 use entire_io::dataset::Clock;
 use entire_io::files::{make_folder, write_json};
 use entire_io::machine::Provenance;
@@ -38,7 +38,7 @@ pub(crate) struct Options {
     #[arg(long, value_enum)]
     pub(crate) device: Option<Device>,
     /// Clock of frame times on that device; `auto`: the device's timestamps on a GPU, else wall time.
-    #[arg(long, value_enum, default_value_t, requires = "device")]
+    #[arg(long, value_parser = clock_parser(), default_value = "auto", requires = "device")]
     pub(crate) clock: ClockChoice,
     /// Folder for the results.
     #[arg(long, default_value = "out/stress", value_name = "DIR")]

@@ -6,7 +6,7 @@ use crate::calibrate::place::shading_of;
 use anyhow::{Context, Result, ensure};
 use entire_core::kernels::Storage;
 use entire_core::model::Model;
-use entire_io::clock::{ClockChoice, agreed, concrete, unstated};
+use entire_io::clock::{ClockChoice, agreed, clock_parser, concrete, unstated};
 use entire_io::dataset::{TimedFrame, ensure_no_table, left_out, noise_floor, open_tables, shaded, timed};
 use entire_io::files::{fnv1a_text, make_folder, note, parse_model, read_model_bytes};
 use entire_io::machine;
@@ -44,7 +44,7 @@ pub(crate) struct Options {
     pub(crate) data: Vec<PathBuf>,
     /// Clock of the measured seconds; `auto`: the clock that the models state. A model that states another
     /// clock is refused.
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, value_parser = clock_parser(), default_value = "auto")]
     pub(crate) clock: ClockChoice,
     /// Only frames with this shading: none, local, scatter or local-scatter.
     #[arg(long)]
