@@ -2,9 +2,8 @@
 //! fitted to such samples, or the predictor in a model file.
 
 use anyhow::{Context, Result};
-use entire_cli::steering::model::SteeringModel;
-use entire_cli::steering::rivals::StepResponse;
-use entire_cli::steering::sampling::{Quality, Sample, response};
+use entire_cli::steering::model::{Quality, Sample, SteeringModel};
+use entire_cli::steering::rivals::{StepResponse, response};
 use entire_core::scene::{Scalars, VolumeView};
 use entire_io::dataset::{Clock, TimedFrame, read_tables};
 use entire_io::options::thread_pool;

@@ -5,6 +5,6 @@ pub mod contenders;
 pub(crate) mod metrics;
 pub mod model;
 pub mod play;
+pub mod race;
 pub mod report;
 pub mod rivals;
-pub mod sampling;

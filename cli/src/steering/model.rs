@@ -1,18 +1,72 @@
 //! The model that steering predicts with: its choice, and its errors on the played volume.
 
-use super::sampling::{Quality, Sample};
 use crate::calibrate::place::{calibrated_on, shading_of};
 use crate::shipped::shipped_model;
 use anyhow::{Context, Result};
 use entire_core::model::{Model, ModelFile};
-use entire_core::scene::{Shading, VolumeView};
+use entire_core::scene::{Arcball, GaussianLobe, Shading, VolumeView};
 use entire_io::files::note;
-use entire_steer::features::Changes;
+use entire_io::metrics::median;
+use entire_steer::features::{Changes, FrameFeatures, Setting};
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_train::inputs::volume_features;
 use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
+
+/// One rendering of a random scene.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// The scene's number.
+    pub scene: usize,
+    /// Scene features of the frame.
+    pub features: FrameFeatures,
+    /// Step, size and modes.
+    pub setting: Setting,
+    /// Camera.
+    pub camera: Arcball,
+    /// The transfer function's lobes.
+    pub lobes: Vec<GaussianLobe>,
+    /// Seconds by the chosen clock.
+    pub seconds: f64,
+}
+
+/// Errors of predictions on samples.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Quality {
+    /// Number of evaluated frames.
+    pub frames: usize,
+    /// Median of |predicted / measured − 1|.
+    pub median_error: f64,
+    /// 95th percentile of |predicted / measured − 1| (nearest rank).
+    pub p95_error: f64,
+    /// Root mean square of ln(measured / predicted), without the tenth of the values that has the largest
+    /// magnitudes.
+    pub log_sd: f64,
+}
+
+impl Quality {
+    /// Returns the errors of (predicted, measured) pairs of seconds; `None` if no pair has a finite error.
+    pub fn of(pairs: &[(f64, f64)]) -> Option<Self> {
+        let mut logs: Vec<f64> =
+            pairs.iter().map(|(p, m)| (m / p).ln().abs()).filter(|l| l.is_finite()).collect();
+        let mut errors: Vec<f64> =
+            pairs.iter().map(|(p, m)| (p / m - 1.0).abs()).filter(|e| e.is_finite()).collect();
+        if errors.is_empty() || logs.is_empty() {
+            return None;
+        }
+        errors.sort_by(f64::total_cmp);
+        logs.sort_by(f64::total_cmp);
+        logs.truncate((logs.len() * 9).div_ceil(10));
+        let rank = ((0.95 * errors.len() as f64).ceil() as usize).clamp(1, errors.len());
+        Some(Self {
+            frames: errors.len(),
+            median_error: median(&mut errors.clone())?,
+            p95_error: errors[rank - 1],
+            log_sd: (logs.iter().map(|l| l * l).sum::<f64>() / logs.len() as f64).sqrt(),
+        })
+    }
+}
 
 /// A model from which any number of contenders can get a predictor.
 #[derive(Clone, Debug)]
@@ -166,4 +220,20 @@ pub(crate) fn steering_model(
     let mut model = SteeringModel::new(title + corrected, model, volume)?;
     model.log_sd = model.predictor()?.log_sd().filter(|_| known);
     Ok(model)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quality_is_relative_to_the_measured_time() {
+        let pairs: Vec<(f64, f64)> = (0..20).map(|i| (1.1, if i == 0 { 0.1 } else { 1.0 })).collect();
+        let q = Quality::of(&pairs).unwrap();
+        assert!((q.median_error - 0.1).abs() < 1e-12 && (q.p95_error - 0.1).abs() < 1e-9);
+        // The outlier is in the excluded tenth.
+        assert!((q.log_sd - 1.1f64.ln()).abs() < 1e-12);
+        assert_eq!(Quality::of(&[]), None);
+        assert_eq!(Quality::of(&[(f64::NAN, 1.0)]), None);
+    }
 }

@@ -1,9 +1,6 @@
 //! Playing a path: every frame under every controller.
 
-use super::contenders::{ControllerKind, contender};
 use super::metrics::{Metrics, Played};
-use super::model::SteeringModel;
-use super::sampling::Prepared;
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Frame, VolumeView};
@@ -11,7 +8,6 @@ use entire_io::dataset::Timing;
 use entire_io::options::DrawSettings;
 use entire_io::path::FlightPath;
 use entire_io::progress::progress_bar;
-use entire_io::volume::Volume;
 use entire_steer::control::{ObserveFlags, Quality, Reason, Session, StepLimits};
 use entire_steer::features::{Changes, VolumeSummary};
 use entire_vk_raycaster::{Image, Renderer};
@@ -91,7 +87,7 @@ pub(crate) struct Record {
     pub(crate) seconds: f64,
     /// PSNR against the reference picture, decibels.
     pub(crate) psnr: f64,
-    /// The picture; `None` unless the frame is one of `Race::keep`.
+    /// The picture; `None` unless the frame is one of `Task::keep`.
     pub(crate) image: Option<Image>,
 }
 
@@ -99,7 +95,7 @@ pub(crate) struct Record {
 pub(crate) struct Reference {
     /// Seconds at the reference step by the chosen clock.
     pub(crate) seconds: f64,
-    /// The picture; `None` unless the frame is one of `Race::keep`.
+    /// The picture; `None` unless the frame is one of `Task::keep`.
     pub(crate) image: Option<Image>,
 }
 
@@ -180,67 +176,14 @@ impl Course<'_> {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Task<'a> {
-    volumes: &'a [Shown<'a>],
-    path: &'a FlightPath,
-    keep: &'a [usize],
-    course: Course<'a>,
-    /// Target, seconds.
-    target: f64,
-}
-
-/// A comparison of controllers.
-#[derive(Clone, Debug)]
-pub(crate) struct Race<'a> {
-    /// The volume, or the volumes of a series. Random scenes are of the first volume only.
-    pub(crate) volumes: &'a [Volume],
+pub(crate) struct Task<'a> {
+    pub(crate) volumes: &'a [Shown<'a>],
     pub(crate) path: &'a FlightPath,
     /// Frames whose pictures are kept.
     pub(crate) keep: &'a [usize],
     pub(crate) course: Course<'a>,
-    /// Seed of the random scenes.
-    pub(crate) seed: u64,
-    /// Number of random scenes, and of their renderings at each step.
-    pub(crate) scenes: (usize, usize),
-    pub(crate) draw: DrawSettings,
-    pub(crate) controllers: &'a [ControllerKind],
-    /// Target, seconds; `None` for [`TARGET_SHARE`](super::sampling::TARGET_SHARE) of the median time of the
-    /// random scenes.
-    pub(crate) target: Option<f64>,
-    pub(crate) model: &'a SteeringModel,
-}
-
-/// Message of the error of an interrupted comparison.
-pub(crate) const INTERRUPTED: &str = "interrupted; no report was written";
-
-impl Race<'_> {
-    /// Plays the path, until `stop` returns true, which is an error.
-    pub(crate) fn run(
-        &self,
-        prepared: &Prepared,
-        renderer: &mut dyn Renderer,
-        stop: &dyn Fn() -> bool,
-    ) -> Result<Playback> {
-        let contender = |kind: &ControllerKind| {
-            let predictor = self.model.predictor()?;
-            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, self.model.log_sd))
-        };
-        let mut contenders: Vec<Contender> = self.controllers.iter().map(contender).collect::<Result<_>>()?;
-        let mut shown = Vec::new();
-        for (i, volume) in self.volumes.iter().enumerate() {
-            let view = volume.view();
-            let (summary, volume_features) = if i == 0 {
-                (prepared.summary.clone(), self.model.volume_features().map(<[f32]>::to_vec))
-            } else {
-                ensure!(!stop(), INTERRUPTED);
-                (VolumeSummary::new(&view)?, self.model.encode(&view)?)
-            };
-            shown.push(Shown { view, summary, volume_features });
-        }
-        let (path, keep, course) = (self.path, self.keep, self.course);
-        let task = Task { volumes: &shown, path, keep, course, target: prepared.target };
-        play(&task, &self.draw, renderer, &mut contenders, stop)?.context(INTERRUPTED)
-    }
+    /// Target, seconds.
+    pub(crate) target: f64,
 }
 
 /// Returns the index of the volume at a frame of a series: each volume is shown for `hold` frames in turn;
@@ -265,7 +208,7 @@ pub(crate) fn choose_pictures(session: &mut Session) -> entire_core::Result<()> 
 /// contenders rotates by one from frame to frame. Changes of the transfer function are not timed.
 ///
 /// Returns `None` when `stop` returned true.
-fn play(
+pub(crate) fn play(
     task: &Task<'_>,
     draw: &DrawSettings,
     renderer: &mut dyn Renderer,
@@ -388,6 +331,7 @@ fn play(
 mod tests {
     use super::*;
     use crate::scripted::ScriptedRenderer;
+    use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
     use entire_core::scene::{GaussianLobe, Scalars, Shading, Skipping, TransferFunction};
     use entire_io::dataset::Clock;

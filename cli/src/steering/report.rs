@@ -2,10 +2,9 @@
 
 use super::contenders::ControllerKind;
 use super::metrics::{Metrics, SWITCH_FRAMES};
-use super::model::Steers;
+use super::model::{Sample, Steers};
 use super::play::{ActsOn, Playback, Record};
-use super::rivals::StepResponse;
-use super::sampling::{Sample, response_pairs};
+use super::rivals::{StepResponse, response_pairs};
 use crate::pictures::BEST_PSNR;
 use anyhow::{Context, Result};
 use entire_io::dataset::ensure_no_table;

@@ -3,7 +3,7 @@
 
 use crate::trace::{Recording, TRACE_FORMAT, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
-use entire_cli::steering::sampling::measure;
+use entire_cli::steering::race::measure;
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_io::clock::{ClockChoice, clock_parser, waited_for};
 use entire_io::dataset::{Clock, Scene, Timing, Writer};

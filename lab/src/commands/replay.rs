@@ -11,8 +11,7 @@ use crate::replay::{
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
 use entire_cli::steering::contenders::ControllerKind;
-use entire_cli::steering::model::SteeringModel;
-use entire_cli::steering::sampling::Sample;
+use entire_cli::steering::model::{Sample, SteeringModel};
 use entire_io::files::{make_folder, note, open_model};
 use entire_io::options::parse_target;
 use std::path::PathBuf;

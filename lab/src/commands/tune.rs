@@ -9,7 +9,7 @@ use crate::replay::tune::{
 };
 use crate::replay::{Disturbance, Replayable, Three};
 use anyhow::{Context, Result, ensure};
-use entire_cli::steering::sampling::Sample;
+use entire_cli::steering::model::Sample;
 use entire_io::files::{make_folder_of, write_json};
 use entire_io::progress::templated_bar;
 use entire_report::Table;

@@ -4,10 +4,10 @@ use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial
 use crate::fitted::FittedPredictor;
 use anyhow::Result;
 use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::model::Sample;
 use entire_cli::steering::play::ActsOn;
 use entire_cli::steering::report::ResponseCurve;
 use entire_cli::steering::rivals::StepResponse;
-use entire_cli::steering::sampling::Sample;
 use entire_io::files::{write_json, write_whole};
 use entire_io::machine::Provenance;
 use entire_report::{Cell, Page, Table};

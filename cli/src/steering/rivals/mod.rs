@@ -11,4 +11,5 @@ mod tests;
 pub use algorithm1::PID_GAINS;
 pub(crate) use algorithm1::{Algorithm1, Fixed, Olp, Pid, Recent};
 pub(crate) use reactive::{Filament, Reactive, Rule, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
-pub use response::StepResponse;
+pub(crate) use response::response_pairs;
+pub use response::{StepResponse, response};

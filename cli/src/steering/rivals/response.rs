@@ -1,6 +1,7 @@
 //! G: relative frame time as a function of relative ray step (paper, Algorithm 1 and supplement to use case
 //! 1).
 
+use crate::steering::model::Sample;
 use anyhow::{Result, ensure};
 
 /// The curve G(step / reference step) = time / time at the reference step: measured, made monotone,
@@ -121,6 +122,27 @@ impl StepResponse {
     pub fn points(&self) -> impl Iterator<Item = (f32, f32)> + '_ {
         self.points.iter().map(|p| (libm::exp(p.0) as f32, libm::exp(p.1) as f32))
     }
+}
+
+/// Returns G, the curve of relative frame time over ray step, from random scenes: the time of each scene at
+/// every step is divided by its time at the reference step.
+///
+/// # Errors
+/// When no scene was timed at two steps.
+pub fn response(samples: &[Sample]) -> Result<StepResponse> {
+    StepResponse::from_samples(&response_pairs(samples))
+}
+
+/// Returns the (step, time ratio) pairs that [`response`] uses, scene after scene.
+pub(crate) fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
+    samples
+        .iter()
+        .filter_map(|s| {
+            let reference = samples.iter().find(|r| r.scene == s.scene && r.setting.step == 1.0)?;
+            let ratio = s.seconds / reference.seconds;
+            (ratio.is_finite() && ratio > 0.0).then_some((s.setting.step, ratio as f32))
+        })
+        .collect()
 }
 
 #[cfg(test)]

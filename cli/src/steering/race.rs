@@ -1,41 +1,49 @@
-//! Random frames of a volume, each at several ray steps: the time saved by coarser steps, the predictor's
-//! errors, and the default target.
+//! A comparison of controllers: random frames of a volume at several ray steps, from which the time saved by
+//! coarser steps, the predictor's errors and the default target follow; then a path under every controller.
 
-use super::model::Steers;
-use super::play::{INTERRUPTED, Race};
+use super::contenders::{ControllerKind, contender};
+use super::model::{Sample, SteeringModel, Steers};
+use super::play::{Contender, Course, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
-use super::rivals::StepResponse;
+use super::rivals::{StepResponse, response};
 use anyhow::{Context, Result, ensure};
-use entire_core::scene::{
-    Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction, VolumeView,
-};
+use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, TransferFunction, VolumeView};
 use entire_io::dataset::Timing;
 use entire_io::metrics::median;
 use entire_io::options::DrawSettings;
+use entire_io::path::FlightPath;
 use entire_io::progress::progress_bar;
 use entire_io::scenes::SceneDistribution;
+use entire_io::volume::Volume;
 use entire_steer::features::{FrameFeatures, PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use entire_vk_raycaster::Renderer;
 
 /// Ray steps at which every random scene is rendered, reference steps. The first one is the reference step.
 pub(crate) const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
 
-/// One rendering of a random scene.
+/// A comparison of controllers.
 #[derive(Clone, Debug)]
-pub struct Sample {
-    /// The scene's number.
-    pub scene: usize,
-    /// Scene features of the frame.
-    pub features: FrameFeatures,
-    /// Step, size and modes.
-    pub setting: Setting,
-    /// Camera.
-    pub camera: Arcball,
-    /// The transfer function's lobes.
-    pub lobes: Vec<GaussianLobe>,
-    /// Seconds by the chosen clock.
-    pub seconds: f64,
+pub(crate) struct Race<'a> {
+    /// The volume, or the volumes of a series. Random scenes are of the first volume only.
+    pub(crate) volumes: &'a [Volume],
+    pub(crate) path: &'a FlightPath,
+    /// Frames whose pictures are kept.
+    pub(crate) keep: &'a [usize],
+    pub(crate) course: Course<'a>,
+    /// Seed of the random scenes.
+    pub(crate) seed: u64,
+    /// Number of random scenes, and of their renderings at each step.
+    pub(crate) scenes: (usize, usize),
+    pub(crate) draw: DrawSettings,
+    pub(crate) controllers: &'a [ControllerKind],
+    /// Target, seconds; `None` for [`TARGET_SHARE`] of the median time of the
+    /// random scenes.
+    pub(crate) target: Option<f64>,
+    pub(crate) model: &'a SteeringModel,
 }
+
+/// Message of the error of an interrupted comparison.
+pub(crate) const INTERRUPTED: &str = "interrupted; no report was written";
 
 /// Renders `scenes` random scenes at six ray steps, each `repeats` times, and keeps the median time. `seed`
 /// and `name` choose the scenes; their transfer functions are random and differ from those of a path. The
@@ -106,64 +114,6 @@ pub fn measure(
     Ok(Some(samples))
 }
 
-/// Returns G, the curve of relative frame time over ray step, from random scenes: the time of each scene at
-/// every step is divided by its time at the reference step.
-///
-/// # Errors
-/// When no scene was timed at two steps.
-pub fn response(samples: &[Sample]) -> Result<StepResponse> {
-    StepResponse::from_samples(&response_pairs(samples))
-}
-
-/// Returns the (step, time ratio) pairs that [`response`] uses, scene after scene.
-pub(crate) fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
-    samples
-        .iter()
-        .filter_map(|s| {
-            let reference = samples.iter().find(|r| r.scene == s.scene && r.setting.step == 1.0)?;
-            let ratio = s.seconds / reference.seconds;
-            (ratio.is_finite() && ratio > 0.0).then_some((s.setting.step, ratio as f32))
-        })
-        .collect()
-}
-
-/// Errors of predictions on samples.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Quality {
-    /// Number of evaluated frames.
-    pub frames: usize,
-    /// Median of |predicted / measured − 1|.
-    pub median_error: f64,
-    /// 95th percentile of |predicted / measured − 1| (nearest rank).
-    pub p95_error: f64,
-    /// Root mean square of ln(measured / predicted), without the tenth of the values that has the largest
-    /// magnitudes.
-    pub log_sd: f64,
-}
-
-impl Quality {
-    /// Returns the errors of (predicted, measured) pairs of seconds; `None` if no pair has a finite error.
-    pub fn of(pairs: &[(f64, f64)]) -> Option<Self> {
-        let mut logs: Vec<f64> =
-            pairs.iter().map(|(p, m)| (m / p).ln().abs()).filter(|l| l.is_finite()).collect();
-        let mut errors: Vec<f64> =
-            pairs.iter().map(|(p, m)| (p / m - 1.0).abs()).filter(|e| e.is_finite()).collect();
-        if errors.is_empty() || logs.is_empty() {
-            return None;
-        }
-        errors.sort_by(f64::total_cmp);
-        logs.sort_by(f64::total_cmp);
-        logs.truncate((logs.len() * 9).div_ceil(10));
-        let rank = ((0.95 * errors.len() as f64).ceil() as usize).clamp(1, errors.len());
-        Some(Self {
-            frames: errors.len(),
-            median_error: median(&mut errors.clone())?,
-            p95_error: errors[rank - 1],
-            log_sd: (logs.iter().map(|l| l * l).sum::<f64>() / logs.len() as f64).sqrt(),
-        })
-    }
-}
-
 #[derive(Clone, Debug)]
 pub(crate) struct Prepared {
     pub(crate) summary: VolumeSummary,
@@ -226,18 +176,32 @@ pub(crate) fn prepare(
     Ok(Prepared { summary, response, curve, predictor, target, full_quality, target_reason, fixed_step })
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn quality_is_relative_to_the_measured_time() {
-        let pairs: Vec<(f64, f64)> = (0..20).map(|i| (1.1, if i == 0 { 0.1 } else { 1.0 })).collect();
-        let q = Quality::of(&pairs).unwrap();
-        assert!((q.median_error - 0.1).abs() < 1e-12 && (q.p95_error - 0.1).abs() < 1e-9);
-        // The outlier is in the excluded tenth.
-        assert!((q.log_sd - 1.1f64.ln()).abs() < 1e-12);
-        assert_eq!(Quality::of(&[]), None);
-        assert_eq!(Quality::of(&[(f64::NAN, 1.0)]), None);
+impl Race<'_> {
+    /// Plays the path, until `stop` returns true, which is an error.
+    pub(crate) fn run(
+        &self,
+        prepared: &Prepared,
+        renderer: &mut dyn Renderer,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Playback> {
+        let contender = |kind: &ControllerKind| {
+            let predictor = self.model.predictor()?;
+            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, self.model.log_sd))
+        };
+        let mut contenders: Vec<Contender> = self.controllers.iter().map(contender).collect::<Result<_>>()?;
+        let mut shown = Vec::new();
+        for (i, volume) in self.volumes.iter().enumerate() {
+            let view = volume.view();
+            let (summary, volume_features) = if i == 0 {
+                (prepared.summary.clone(), self.model.volume_features().map(<[f32]>::to_vec))
+            } else {
+                ensure!(!stop(), INTERRUPTED);
+                (VolumeSummary::new(&view)?, self.model.encode(&view)?)
+            };
+            shown.push(Shown { view, summary, volume_features });
+        }
+        let (path, keep, course) = (self.path, self.keep, self.course);
+        let task = Task { volumes: &shown, path, keep, course, target: prepared.target };
+        play(&task, &self.draw, renderer, &mut contenders, stop)?.context(INTERRUPTED)
     }
 }
