@@ -154,14 +154,6 @@ REMOVED = {
         "options_out_of_range_are_refused",
         "slabs_that_do_not_fit_are_refused_and_leave_no_trace",
     ],
-    "the study of a GPU as a program: `make gpu-study` is a script": [
-        "a_short_study_ends_in_time_and_goes_on_where_it_ended",
-        "a_gpu_study_takes_no_time_limit_that_is_no_number",
-        "outcomes_are_kept_and_failed_steps_run_again",
-        "the_noise_floor_is_that_of_the_median_of_repeats",
-        "a_step_is_done_failed_or_cut_short_and_its_last_line_is_kept",
-        "volumes_that_no_calibration_renders_are_found_in_the_projects_data",
-    ],
     "training losses": ["a_high_quantile_lies_above_that_share_of_frames"],
 }
 # Patterns of test names in source files: of Rust, libtest-mimic, Python and CMake.

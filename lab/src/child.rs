@@ -11,11 +11,12 @@ use std::time::{Duration, Instant};
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Waits until a process ends; returns its exit status, and true if the process was asked to end. Once `over` returns
-/// true (a deadline has passed, or the user asked to stop), SIGTERM asks the process to end; if it still runs after
+/// true (a deadline has passed, or the user asked to stop), `signal` asks the process to end; if it still runs after
 /// `grace`, it is killed.
 pub(crate) fn wait(
     child: &mut Child,
     over: impl Fn() -> bool,
+    signal: Signal,
     grace: Duration,
 ) -> Result<(ExitStatus, bool)> {
     let mut asked: Option<Instant> = None;
@@ -27,7 +28,7 @@ pub(crate) fn wait(
             None if over() => {
                 // Until the exit status is read, no other process can get this id. An error is ignored, since a
                 // process that does not end is killed below.
-                let _ = kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGTERM);
+                let _ = kill(Pid::from_raw(child.id().cast_signed()), signal);
                 asked = Some(Instant::now());
             }
             Some(at) if at.elapsed() >= grace => {
@@ -55,14 +56,14 @@ mod tests {
         let script = format!("trap '{on_term}' TERM; : >'{}'; while :; do sleep 0.05; done", ready.display());
         let mut child = Command::new("/bin/sh").args(["-c", &script]).spawn().unwrap();
         let begin = Instant::now();
-        let ended = wait(&mut child, || ready.exists(), grace).unwrap();
+        let ended = wait(&mut child, || ready.exists(), Signal::SIGTERM, grace).unwrap();
         (ended, begin.elapsed())
     }
 
     #[test]
     fn a_process_ends_by_itself_when_it_is_asked_or_when_it_is_killed() {
         let mut child = Command::new("/bin/sh").args(["-c", "exit 3"]).spawn().unwrap();
-        let (status, asked) = wait(&mut child, || false, Duration::ZERO).unwrap();
+        let (status, asked) = wait(&mut child, || false, Signal::SIGTERM, Duration::ZERO).unwrap();
         assert_eq!((status.code(), asked), (Some(3), false));
         let ((status, asked), _) = told_to_end("exit 7", Duration::from_secs(60));
         assert_eq!((status.code(), asked), (Some(7), true));

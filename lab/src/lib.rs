@@ -7,6 +7,7 @@ pub mod command_line;
 mod commands;
 mod farm;
 mod fitted;
+mod gpu;
 mod latency;
 mod paper;
 pub mod replay;

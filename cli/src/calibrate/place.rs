@@ -147,15 +147,31 @@ pub fn machine_file(shading: Shading) -> Result<PathBuf> {
 pub(crate) const DATA_FOLDER: &str = "data";
 
 /// Ensemble members that the shipped models were trained on.
-const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
+pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
 
 /// Returns every volume ([`is_volume`]) below a folder, sorted by name; other files are ignored. Of an
 /// ensemble, only the training members ([`TRAINING_MEMBERS`]) are returned, so that the other members remain
-/// unseen test data. Volumes with paths that tables cannot hold are left out, with a note.
+/// unseen test data.
 ///
 /// # Errors
 /// When a folder cannot be read.
-pub(crate) fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
+pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    volumes_of(folder, |member| member.is_none_or(|m| TRAINING_MEMBERS.contains(&m)))
+}
+
+/// Returns the volumes below a folder that [`volumes_in`] leaves out, sorted by name: those of held-out
+/// ensemble members.
+///
+/// # Errors
+/// When a folder cannot be read.
+pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    volumes_of(folder, |member| member.is_some_and(|m| !TRAINING_MEMBERS.contains(&m)))
+}
+
+/// Returns the volumes below a folder, sorted by name, for whose ensemble member `wanted` returns true
+/// (`None` for a volume outside any ensemble). Volumes with paths that tables cannot hold are left out, with
+/// a note.
+fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -169,7 +185,7 @@ pub(crate) fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
                     continue;
                 }
                 let member = Job::from_path(&path).member;
-                if member.is_empty() || TRAINING_MEMBERS.contains(&member.as_str()) {
+                if wanted(Some(member.as_str()).filter(|m| !m.is_empty())) {
                     out.push(path);
                 }
             }
@@ -213,8 +229,9 @@ mod tests {
             let name = std::ffi::OsStr::from_bytes(b"v\xe9.nrrd");
             std::fs::write(data.path().join(name), "").unwrap();
         }
-        let [seen, _, _, _, scan] = paths;
+        let [seen, first, second, _, scan] = paths;
         assert_eq!(volumes_in(data.path()).unwrap(), [seen, scan]);
+        assert_eq!(held_out_in(data.path()).unwrap(), [first, second]);
     }
 
     #[test]

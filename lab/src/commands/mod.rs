@@ -3,6 +3,7 @@
 pub(crate) mod disturb;
 pub(crate) mod farm;
 pub(crate) mod frames;
+pub(crate) mod gpu_study;
 pub(crate) mod paper;
 pub(crate) mod record;
 pub(crate) mod replay;

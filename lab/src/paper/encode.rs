@@ -7,6 +7,7 @@ use super::volumes::Place;
 use crate::child;
 use anyhow::{Context, Result, bail, ensure};
 use entire_io::files::{make_folder, read_text, write_json};
+use nix::sys::signal::Signal;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
@@ -171,7 +172,7 @@ fn train(
         command.args(["--threads", &threads.to_string()]);
     }
     let mut child = command.spawn().with_context(|| format!("cannot start {}", work.python.display()))?;
-    let (status, stopped) = child::wait(&mut child, || work.stop(), END_TIME_LIMIT)?;
+    let (status, stopped) = child::wait(&mut child, || work.stop(), Signal::SIGTERM, END_TIME_LIMIT)?;
     if stopped {
         bail!("{}", work.stopped());
     }

@@ -18,6 +18,13 @@ fn help_shows_examples_and_wrong_usage_exits_with_2() {
 }
 
 #[test]
+fn a_gpu_study_takes_no_time_limit_that_is_no_number() {
+    let output = lab(&["gpu-study", "--seconds", "nan"]);
+    let said = printed(&output.stderr);
+    assert!(output.status.code() == Some(1) && said.contains("--seconds is no number"), "{said}");
+}
+
+#[test]
 fn record_says_where_it_cannot_write_before_anything_is_drawn() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("file");

@@ -237,6 +237,7 @@ const CLI: &Rooms = &[
 const LAB: &Rooms = &[
     ("bars", &[]),
     ("child", &[]),
+    ("gpu", &["child"]),
     ("latency", &[]),
     ("stress", &["bars"]),
     ("trace", &[]),
@@ -249,7 +250,7 @@ const LAB: &Rooms = &[
     ("paper", &["bars", "child", "fitted", "latency", "replay", "study", "trace"]),
     (
         "commands",
-        &["bars", "farm", "fitted", "latency", "paper", "replay", "ship", "stress", "study", "trace"],
+        &["bars", "farm", "fitted", "gpu", "latency", "paper", "replay", "ship", "stress", "study", "trace"],
     ),
     ("command_line", &["commands"]),
 ];
