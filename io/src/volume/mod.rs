@@ -36,12 +36,14 @@ mod nifti;
 mod nrrd;
 mod openscivis;
 mod reading;
+mod resample;
 mod several;
 mod stream;
 mod vti;
 
 pub(crate) use element::{Element, Endian};
-pub use reading::{Fill, MAX_FACTOR, Range, Reading, open_volume, open_watched_volume};
+pub use reading::{Fill, Range, Reading, open_volume, open_watched_volume};
+pub use resample::MAX_FACTOR;
 pub use stream::Watcher;
 pub(crate) use stream::{Companions, Folder, Stream};
 
