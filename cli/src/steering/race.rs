@@ -70,7 +70,7 @@ pub fn measure(
     let bar = progress_bar(label);
     bar.set_length(scenes as u64);
     bar.reset_eta();
-    // As in collections, but with one to three lobes, so that some scenes show a nearly empty volume.
+    // Collections draw three lobes by default. With one to three lobes, some scenes show a nearly empty volume.
     let distribution = SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() };
     for scene in 0..scenes {
         let place = || format!("random scene {scene}");

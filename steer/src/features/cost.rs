@@ -148,16 +148,17 @@ impl UnitCosts {
 /// w² / (w² + C²) for w `touched` voxels and C `cached_voxels`. The square makes the share rise steeply at
 /// w = C: nearly all reads hit the caches if the voxels fit, nearly none if they do not.
 pub(super) fn uncached_share(touched: f64, cached_voxels: f64) -> f64 {
-    let (w, c) = (touched * touched, cached_voxels * cached_voxels);
-    w / (w + c)
+    touched * touched / sum_of_squares(touched, cached_voxels)
 }
 
 /// Returns [`uncached_share`] with `cached_voxels`, divided by this share with [`UnitCosts::CACHED_VOXELS`],
 /// for a frame that touches `touched` voxels.
 pub(crate) fn far_ratio(touched: f64, cached_voxels: f64) -> f64 {
-    let square = |v: f64| v * v;
-    let w = square(touched);
-    (w + square(UnitCosts::CACHED_VOXELS)) / (w + square(cached_voxels))
+    sum_of_squares(touched, UnitCosts::CACHED_VOXELS) / sum_of_squares(touched, cached_voxels)
+}
+
+fn sum_of_squares(a: f64, b: f64) -> f64 {
+    a * a + b * b
 }
 
 impl FrameFeatures {
