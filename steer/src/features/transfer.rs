@@ -107,9 +107,10 @@ pub struct TransferSummary {
     unit_distance: f32,
     /// Prefix sums: number of visible table entries below each entry.
     opaque: [u16; TABLE_LEN + 1],
-    /// Prefix sums of the entries' transmittances over [`CORRELATION_LENGTH`]. In double precision, because
-    /// differences of sums near 256 must resolve transmittances near 1e-12.
-    transmittance: [f64; TABLE_LEN + 1],
+    /// Prefix sums, over the entries below each entry, of the transmittance over [`CORRELATION_LENGTH`] and of
+    /// the number of visible entries. In double precision, because differences of sums near 256 must resolve
+    /// transmittances near 1e-12.
+    sums: [[f64; 2]; TABLE_LEN + 1],
     grid: [usize; 3],
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
     distance: Vec<u8>,
@@ -143,7 +144,7 @@ impl TransferSummary {
             entries: [[0.0; 2]; TABLE_LEN],
             unit_distance: 1.0,
             opaque: [0; TABLE_LEN + 1],
-            transmittance: [0.0; TABLE_LEN + 1],
+            sums: [[0.0; 2]; TABLE_LEN + 1],
             grid: volume.cells,
             distance: Vec::new(),
             distance_ready: false,
@@ -218,7 +219,8 @@ impl TransferSummary {
             };
             self.entries[i] = [alpha, log];
             self.opaque[i + 1] = self.opaque[i] + u16::from(counts);
-            self.transmittance[i + 1] = self.transmittance[i] + f64::from(through);
+            let [transmittance, visible] = self.sums[i];
+            self.sums[i + 1] = [transmittance + f64::from(through), visible + f64::from(u8::from(counts))];
         }
     }
 
@@ -254,39 +256,66 @@ impl TransferSummary {
         let cell = cell.min(self.cells.len() - 1);
         let mut word = self.cells[cell] ^ self.edit;
         if word & packed::EDIT != 0 {
-            word = self.compute(volume, cell) ^ self.edit;
+            self.compute(volume, [cell as i32], 1);
+            word = self.cells[cell] ^ self.edit;
         }
         let (extinction, visible, looks) = packed::unpack(word);
         let occupied = self.occupied.get(cell).copied().unwrap_or(1.0);
         (word != 0).then_some(Optics { extinction, visible, occupied, looks })
     }
 
-    /// Computes the packed word of a cell and keeps it until the next edit.
+    /// Computes the packed words of the `cells` whose bit in `lanes` is set, and keeps them until the next edit.
+    /// The last cell of the grid replaces cells outside it. Every step of the computation runs over all cells:
+    /// the steps of a single cell wait for each other.
     #[cold]
     #[inline(never)]
-    pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) -> u32 {
-        if !self.is_occupied(cell) {
-            self.cells[cell] = self.edit;
-            return self.edit;
+    pub(super) fn compute<const N: usize>(
+        &mut self,
+        volume: &VolumeSummary,
+        cells: [i32; N],
+        mut lanes: u32,
+    ) {
+        let last = self.cells.len() - 1;
+        let (mut full, mut count) = ([0usize; N], 0);
+        while lanes != 0 {
+            let cell = (cells[lanes.trailing_zeros() as usize % N] as usize).min(last);
+            lanes &= lanes - 1;
+            if self.is_occupied(cell) {
+                full[count] = cell;
+                count += 1;
+            } else {
+                self.cells[cell] = self.edit;
+            }
         }
-        let (mut t, mut v) = (0.0f32, 0.0f32);
-        for pair in volume.quantiles[cell].windows(2) {
-            let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
-            let inverse = RECIPROCAL[b - a];
-            t += (self.transmittance[b + 1] - self.transmittance[a]) as f32 * inverse;
-            v += f32::from(self.opaque[b + 1] - self.opaque[a]) * inverse;
+        if count == 0 {
+            return;
         }
-        let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
-        let visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
-        let extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
-        if let Some(blocks) = volume.blocks() {
-            self.occupied[cell] = blocks.share(&self.bits, cell);
+        let full = &full[..count];
+        let mut means = [[0.0f32; 2]; N];
+        for (mean, &cell) in means.iter_mut().zip(full) {
+            for pair in volume.quantiles[cell].windows(2) {
+                let [a, b] = [pair[0], pair[1]].map(usize::from);
+                let inverse = RECIPROCAL[(b - a) % TABLE_LEN];
+                for (mean, (low, high)) in mean.iter_mut().zip(self.sums[a].iter().zip(self.sums[b + 1])) {
+                    *mean += (high - low) as f32 * inverse;
+                }
+            }
+        }
+        const SHARE: f32 = 1.0 / super::QUANTILES as f32;
+        for [t, v] in &mut means[..count] {
+            *t = -libm::logf((*t * SHARE).clamp(1.0e-12, 1.0)) * (1.0 / CORRELATION_LENGTH);
+            *v = (*v * SHARE).clamp(0.0, 1.0);
         }
         self.interior.find(self.grid, &self.full);
-        let class = self.interior.class(self.grid, cell);
-        let word = packed::pack(extinction, visible, class) | self.edit;
-        self.cells[cell] = word;
-        word
+        for (&[extinction, visible], &cell) in means.iter().zip(full) {
+            let class = self.interior.class(self.grid, cell);
+            self.cells[cell] = packed::pack(extinction, visible, class) | self.edit;
+        }
+        if let Some(blocks) = volume.blocks() {
+            for &cell in full {
+                self.occupied[cell] = blocks.share(&self.bits, cell);
+            }
+        }
     }
 
     /// Words of all cells, for packets of rays, and the bits of the present edit's number in these words.

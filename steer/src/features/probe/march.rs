@@ -223,18 +223,6 @@ impl<'a> March<'a> {
         self.grid.iter().sum::<i32>() + 3
     }
 
-    /// Computes the optics of the `cells` whose bit in `lanes` is set; the last cell replaces cells outside
-    /// the grid.
-    #[cold]
-    #[inline(never)]
-    pub(super) fn compute(&mut self, cells: &[i32; 16], mut lanes: u32) {
-        while lanes != 0 {
-            let cell = cells[lanes.trailing_zeros() as usize] as usize;
-            self.transfer.compute(self.volume, cell.min(self.transfer.words().0.len() - 1));
-            lanes &= lanes - 1;
-        }
-    }
-
     /// Marches the first `count` rays one by one.
     #[allow(clippy::needless_range_loop, reason = "the index runs over the arrays of all fields")]
     fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {

@@ -195,18 +195,23 @@ impl<S: Simd> Packet<'_, '_, S> {
 
     /// Returns the packed optics of each lane's cell, without the bits that hold the number of the edit
     /// ([`packed::EDIT`]), and the mask of those `lanes` whose cell is not empty. Before that, computes the
-    /// optics of cells that no ray has met since the last edit of the transfer function.
+    /// optics of cells that no ray has met since the last edit of the transfer function: those of the present
+    /// cells and of each lane's `next` cell, because many cells at once take less time.
     #[inline(always)]
-    fn look(&mut self, index: S::I, lanes: S::M) -> (S::I, S::M) {
+    fn look(&mut self, index: S::I, next: S::I, lanes: S::M) -> (S::I, S::M) {
         let simd = self.simd;
         let (words, edit) = self.march.transfer.words();
         let edit = simd.splat_i(edit as i32);
         let mut found = simd.xor_i(simd.gather(words, index), edit);
         let unknown = simd.and_m(simd.nonzero(simd.and_i(found, packed::EDIT as i32)), lanes);
         if simd.any(unknown) {
-            let mut cells = [0i32; 16];
-            simd.write_i(index, &mut cells);
-            self.march.compute(&cells, simd.lane_bits(unknown));
+            let after = simd.xor_i(simd.gather(words, next), edit);
+            let after = simd.and_m(simd.nonzero(simd.and_i(after, packed::EDIT as i32)), lanes);
+            let chosen = simd.lane_bits(unknown) | simd.lane_bits(after) << 16;
+            let mut cells = [[0i32; 16]; 2];
+            simd.write_i(index, &mut cells[0]);
+            simd.write_i(next, &mut cells[1]);
+            self.march.transfer.compute::<32>(self.march.volume, bytemuck::cast(cells), chosen);
             found = simd.xor_i(simd.gather(self.march.transfer.words().0, index), edit);
         }
         (found, simd.and_m(simd.nonzero(found), lanes))
@@ -445,7 +450,7 @@ impl<S: Simd> Packet<'_, '_, S> {
             let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
             let cell = walk.index;
             self.advance(&mut walk);
-            let (found, full) = self.look(cell, alive);
+            let (found, full) = self.look(cell, walk.index, alive);
             let hollow = simd.and_not_m(alive, full);
             if simd.any(hollow) {
                 empty = simd.select(hollow, simd.add(empty, length), empty);
@@ -623,7 +628,7 @@ impl<S: Simd> Packet<'_, '_, S> {
             let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
             let cell = walk.index;
             self.advance(&mut walk);
-            let (found, full) = self.look(cell, alive);
+            let (found, full) = self.look(cell, walk.index, alive);
             let hollow = simd.and_not_m(alive, full);
             skips = simd.select(hollow, simd.add(skips, simd.splat(1.0)), skips);
             let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
