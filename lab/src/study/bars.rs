@@ -5,10 +5,10 @@ use super::{CONSTANT, Findings, PROXY, SplitResult, Study, shipped};
 use crate::bars::Bar;
 
 /// Name of the paper's network, trained as in the paper.
-pub(super) const PAPER: &str = "paper";
+const PAPER: &str = "paper";
 
 /// Name of the paper's network, distilled from another predictor.
-pub(super) const DISTILLED: &str = "distilled";
+const DISTILLED: &str = "distilled";
 
 /// The networks with a bar on their error with eight-bit weights: the paper's, and those that the study ships by name.
 pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> {

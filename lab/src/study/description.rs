@@ -68,6 +68,9 @@ pub(crate) struct Set {
     /// the machine; one predictor is selected for the whole group.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) group: Option<String>,
+    /// Name of the machine on which the frames were timed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) machine: Option<String>,
     /// Goals that `make bars-accuracy` checks; a missing limit means no goal.
     #[serde(default)]
     pub(crate) limits: Limits,

@@ -1,8 +1,8 @@
 //! The report of a study: accuracy against latency first, then tables.
 
-use super::bars::{DISTILLED, PAPER, bars, models};
-use super::rule::{SENTENCE, by_rule};
-use super::{CALIBRATION_FRAMES, CONSTANT, Findings, Intervals, PROXY, SplitResult, Study};
+use super::bars::{bars, models};
+use super::rule::{MAX_ERROR_RATIO, SENTENCE, by_rule};
+use super::{CALIBRATION_FRAMES, CONSTANT, Findings, Intervals, PROXY, Set, SplitResult, Study};
 use anyhow::Result;
 use entire_io::files::{make_folder, write_json, write_whole};
 use entire_io::machine;
@@ -14,6 +14,12 @@ use std::path::Path;
 pub(super) const INTERVALS: &str = "Each interval holds the errors of 90 % of 200 draws of the volumes, with \
                                     replacement. Intervals are wide if a few frames have most of the squared \
                                     error.";
+
+/// Caption of the chart of a group.
+const CHART: &str = "Points further down and left are better. A point is the geometric mean of the errors on all machines \
+                     on which the predictor was tested. The number after a name counts the fitted parameters. The \
+                     frontier joins predictors whose error is at least 5 % lower than that of all faster ones; a \
+                     thin line has the errors of these predictors on one machine.";
 
 /// Errors, bounds and latencies of every predictor on a split, or of those in `panel` and the baselines.
 pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
@@ -90,43 +96,82 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
     table
 }
 
-fn frontier(found: &Findings, set: &str, split: &str) -> Chart {
-    let mut points: Vec<(f64, f64, &str)> = models(found, set, split)
+/// A predictor's place in the chart of a group: cold latency in µs, and median error in percent on each machine
+/// (`None` where the predictor was not tested).
+struct Place<'a> {
+    name: &'a str,
+    cold: f64,
+    errors: Vec<Option<f64>>,
+}
+
+impl Place<'_> {
+    /// Geometric mean of the errors.
+    fn mean(&self) -> f64 {
+        let logs: Vec<f64> = self.errors.iter().flatten().map(|e| e.ln()).collect();
+        (logs.iter().sum::<f64>() / logs.len() as f64).exp()
+    }
+}
+
+/// Chart of a group's predictors on the main split: error against latency, with the number of fitted parameters.
+fn frontier(study: &Study, found: &Findings, set: &Set, split: &str) -> Chart {
+    let group: Vec<&Set> = study.group(set).collect();
+    let mut places: Vec<Place<'_>> = models(found, &set.name, split)
         .filter_map(|r| {
-            let cold = found.latency(set, &r.predictor)?.cold;
-            Some((1e6 * cold, r.metrics.rmse_over_sd, r.predictor.as_str()))
+            let name = r.predictor.as_str();
+            let percent = |s: &&Set| Some(100.0 * found.of(&s.name, split, name)?.metrics.mdape);
+            let cold = 1e6 * found.latency(&set.name, name)?.cold;
+            Some(Place { name, cold, errors: group.iter().map(percent).collect() })
         })
         .collect();
-    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut front: Vec<&(f64, f64, &str)> = Vec::new();
-    for p in &points {
-        if front.last().is_none_or(|l| p.1 < l.1) {
-            front.push(p);
+    places.sort_by(|a, b| a.cold.total_cmp(&b.cold));
+    let mut front: Vec<&Place<'_>> = Vec::new();
+    for place in places.iter().filter(|p| p.errors.iter().all(Option::is_some)) {
+        if front.last().is_none_or(|last| place.mean() < MAX_ERROR_RATIO * last.mean()) {
+            front.push(place);
         }
     }
-    // Only the frontier, the selected predictor and the paper's networks are labeled; more labels would
-    // overlap.
-    let selected = found.selected.get(set);
-    let named = |&(cold, error, name): &(f64, f64, &str)| {
-        let text = match () {
-            () if selected.is_some_and(|s| s == name) => format!("{name} (selected)"),
-            () if front.iter().any(|f| f.2 == name) || [PAPER, DISTILLED].contains(&name) => name.to_owned(),
-            () => String::new(),
-        };
-        (cold, error, text)
+    // Only the frontier, the selected predictor and the references, which the rule cannot select, are labeled;
+    // more labels would overlap.
+    let selected = found.selected.get(&set.name);
+    let reference = |name: &str| study.predictors.iter().any(|p| p.name == name && !p.cross_validated);
+    let named = |place: &Place<'_>| {
+        let &Place { name, cold, .. } = place;
+        let chosen = selected.is_some_and(|s| s == name);
+        let mut text = String::new();
+        if chosen || front.iter().any(|f| f.name == name) || reference(name) {
+            text = name.to_owned();
+            if let Some(fit) = found.fit(&set.name, name).filter(|fit| fit.numbers > 0) {
+                text += &format!(": {}", fit.numbers);
+            }
+            text += if chosen { " (selected)" } else { "" };
+        }
+        (cold, place.mean(), text)
     };
     let mut chart = Chart::new(
-        format!("{set}, split by {split}"),
+        format!(
+            "{}: error, latency and number of fitted parameters",
+            set.group.as_ref().unwrap_or(&set.name)
+        ),
         Axis::log("cold latency, features included, µs"),
-        Axis::log("RMSE / SD"),
+        Axis::log("median error, %"),
     )
-    .size(860.0, 380.0)
-    .series(Series::new("frontier", Mark::Steps(front.iter().map(|p| (p.0, p.1)).collect())).color(0))
-    .series(Series::new("predictors", Mark::Points(points.iter().map(named).collect())).color(1));
+    .size(860.0, 420.0);
+    if group.len() > 1 {
+        for (k, one) in group.iter().enumerate() {
+            let line = front.iter().filter_map(|p| Some((p.cold, p.errors[k]?))).collect();
+            let machine = one.machine.as_ref().unwrap_or(&one.name);
+            chart = chart.series(Series::new(machine, Mark::Line(line)).color(2 + k).thin());
+        }
+    }
+    let steps = front.iter().map(|p| (p.cold, p.mean())).collect();
+    let name = if group.len() > 1 { "frontier of the mean" } else { "frontier" };
+    chart = chart
+        .series(Series::new(name, Mark::Steps(steps)).color(0))
+        .series(Series::new("predictors", Mark::Points(places.iter().map(named).collect())).color(1));
     for (i, name) in [CONSTANT, PROXY].into_iter().enumerate() {
-        if let Some(r) = found.of(set, split, name) {
+        if let Some(r) = found.of(&set.name, split, name) {
             let short = if i == 0 { "constant" } else { "LVRP" };
-            chart = chart.rule(Rule::Horizontal(r.metrics.rmse_over_sd, short.into()));
+            chart = chart.rule(Rule::Horizontal(100.0 * r.metrics.mdape, short.into()));
         }
     }
     chart
@@ -171,14 +216,12 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                     100.0 * found.noise_mdape(s, p)
                 ));
             }
-            let chart = frontier(found, s, p);
-            let file = format!("frontier-{}-{}.svg", s.replace(' ', "-"), p.replace(' ', "-"));
-            write_whole(&out.join(file), chart.to_svg_file().as_bytes())?;
-            page.chart(
-                &chart,
-                "Points further down and left are better. The frontier joins predictors that are better than all \
-                 faster ones.",
-            );
+            if split.main && study.group(set).next().is_some_and(|first| first.name == set.name) {
+                let chart = frontier(study, found, set, p);
+                let file = format!("frontier-{}.svg", s.replace(' ', "-"));
+                write_whole(&out.join(file), chart.to_svg_file().as_bytes())?;
+                page.chart(&chart, CHART);
+            }
             page.table(&main_table(found, s, p, Some("main")), INTERVALS);
             for panel in ["ablation", "architecture"] {
                 if found.results.iter().any(|r| r.set == s && r.split == p && r.panel == panel) {

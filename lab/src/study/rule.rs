@@ -7,7 +7,7 @@ use entire_core::scene::Shading;
 use entire_steer::predict::{AnalyticModel, InputLayout, UnitCosts};
 
 /// A predictor beats another one if its error of cross-validation is below this factor times the other's.
-const MAX_ERROR_RATIO: f64 = 0.95;
+pub(super) const MAX_ERROR_RATIO: f64 = 0.95;
 
 pub(crate) const SENTENCE: &str = "Rule of selection: a predictor is excluded if another predictor's error is more than 5 % lower on \
      the tables of every machine; of the others, the one with the fewest fitted parameters is selected (if several have the \

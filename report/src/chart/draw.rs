@@ -289,7 +289,7 @@ impl Chart {
                     let to = (from + f64::from(length)).min(SWATCH);
                     if drawn {
                         let ends = [at + from, at + to].map(|x| (units(x), units(middle)));
-                        area.draw(&PathElement::new(ends, stroke(color, 1.8)))?;
+                        area.draw(&PathElement::new(ends, stroke(color, self.series[i].line_width())))?;
                     }
                     (from, drawn) = (to, !drawn);
                     if from >= SWATCH {
@@ -320,8 +320,12 @@ impl Chart {
         let slot = 0.76 / sharers;
         let offset = (mine - (sharers - 1.0) / 2.0) * slot;
         match &series.mark {
-            Mark::Line(points) => draw_line(&mut plot, &clip(points, x, y), stroke(color, 1.8))?,
-            Mark::Steps(points) => draw_line(&mut plot, &clip(&steps(points), x, y), stroke(color, 1.8))?,
+            Mark::Line(points) => {
+                draw_line(&mut plot, &clip(points, x, y), stroke(color, series.line_width()))?
+            }
+            Mark::Steps(points) => {
+                draw_line(&mut plot, &clip(&steps(points), x, y), stroke(color, series.line_width()))?
+            }
             Mark::Points(points) => {
                 let radius = units(if points.len() > 60 { 2.2 } else { 4.0 });
                 let places = points.iter().map(|p| (p.0, p.1)).filter(|p| x.shows(p.0) && y.shows(p.1));
@@ -382,11 +386,12 @@ impl Chart {
                         }
                     }
                 }
-                Mark::Steps(points) => {
-                    for ends in steps(points).windows(2) {
-                        taken.push(Rect::between(pixels(&ends[0]), pixels(&ends[1])));
-                    }
-                }
+                Mark::Line(points) => points.windows(2).for_each(|ends| {
+                    taken.extend(Rect::along(pixels(&ends[0]), pixels(&ends[1])));
+                }),
+                Mark::Steps(points) => steps(points).windows(2).for_each(|ends| {
+                    taken.extend(Rect::along(pixels(&ends[0]), pixels(&ends[1])));
+                }),
                 _ => {}
             }
         }

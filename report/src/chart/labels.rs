@@ -15,14 +15,14 @@ impl Rect {
         Self { left: x - half, top: y - half, right: x + half, bottom: y + half }
     }
 
-    /// Returns the rectangle around a line between two points, a pixel wider on each side.
-    pub(super) fn between(a: (f64, f64), b: (f64, f64)) -> Self {
-        Self {
-            left: a.0.min(b.0) - 1.0,
-            top: a.1.min(b.1) - 1.0,
-            right: a.0.max(b.0) + 1.0,
-            bottom: a.1.max(b.1) + 1.0,
-        }
+    /// Returns squares along a line between two points, at most 8 pixels apart and each 2 pixels wide.
+    pub(super) fn along(a: (f64, f64), b: (f64, f64)) -> impl Iterator<Item = Self> {
+        let (dx, dy) = (b.0 - a.0, b.1 - a.1);
+        let parts = (dx.hypot(dy) / 8.0).ceil().clamp(1.0, 1000.0) as usize;
+        (0..=parts).map(move |i| {
+            let share = i as f64 / parts as f64;
+            Self::around(a.0 + share * dx, a.1 + share * dy, 1.0)
+        })
     }
 
     fn holds(&self, other: &Self) -> bool {
