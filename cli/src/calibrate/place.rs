@@ -168,9 +168,9 @@ pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
     volumes_of(folder, |member| member.is_some_and(|m| !TRAINING_MEMBERS.contains(&m)))
 }
 
-/// Returns the volumes below a folder, sorted by name, for whose ensemble member `wanted` returns true
-/// (`None` for a volume outside any ensemble). Volumes with paths that tables cannot hold are left out, with
-/// a note.
+/// Returns the volumes below a folder that `wanted` accepts, sorted by name. `wanted` gets the volume's
+/// ensemble member, or `None` for a volume outside any ensemble. Volumes with paths that tables cannot hold
+/// are left out, with a note.
 fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];

@@ -47,7 +47,8 @@ use std::path::{Path, PathBuf};
         fits the model to frames that your own renderer logged; renders nothing
   entire calibrate --data log.csv --pictures compared.csv --clock wall \\
       --out both.safetensors
-        frame times, and picture errors of coarser steps and smaller images")]
+        fits the model to frame times, and the quality law to picture errors of
+        coarser steps and smaller images")]
 pub(crate) struct Options {
     /// Volume files; default: all volumes in data/, but of ensembles only the training members.
     #[arg(value_name = "VOLUME")]

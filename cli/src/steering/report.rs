@@ -260,7 +260,8 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         .series(Series::new("time at the reference step", Mark::Band(band)).color(6));
     let chart = per_controller(chart, playback, |c| Mark::Line(numbered(c, &|r| r.seconds * 1e3)));
     let left_out = if shown(&playback.names).len() < playback.names.len() {
-        " Of the rules that convert recent frame times by G, charts and pictures show OLP only."
+        " Three rules convert recent frame times to the reference step by G, the frame time as a function of the step. \
+         Of these rules, charts and pictures show OLP only."
     } else {
         ""
     };

@@ -73,7 +73,8 @@ fn steering(ui: &mut Ui, state: &mut State) {
              window measures it; the second opens the volume again with the new model",
         );
         if copy.clicked() && state.calibration.is_empty() {
-            state.said = Some(("the commands name the volume; open a volume first".into(), false));
+            state.said =
+                Some(("the copied commands contain the name of a volume; open a volume first".into(), false));
         } else if copy.clicked() {
             ui.ctx().copy_text(state.calibration.clone());
             state.said = Some((format!("copied: {}", state.calibration), false));
@@ -251,7 +252,7 @@ fn about(ui: &mut Ui, state: &mut State) {
         if facts.range != facts.own_range && low < high {
             ui.horizontal_wrapped(|ui| {
                 ui.label(format!("values of the voxels: {low} … {high}"));
-                let why = "The transfer function spans the voxels' own range";
+                let why = "Makes the transfer function span the range of the voxel values";
                 if ui.button("Span the data").on_hover_text(why).clicked() {
                     state.commands.push(Command::SpanData);
                 }

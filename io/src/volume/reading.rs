@@ -26,9 +26,9 @@ pub struct Reading {
     #[arg(long, value_name = "NAME")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<String>,
-    /// Fill values, which mark voxels without data: numbers separated by commas, none, or auto for a minimum
-    /// or maximum that is frequent and far from all other values. Such voxels are shown as the low end of the
-    /// range.
+    /// Fill values, which mark voxels without data: numbers separated by commas; `none`; or `auto`: a
+    /// minimum or maximum that is frequent and far from all other values. Such voxels are shown as the low end
+    /// of the range.
     #[arg(long, default_value_t, value_name = "VALUE,…|auto|none", allow_hyphen_values = true)]
     pub fill: Fill,
     /// Scalar range that maps to [0, 1]: two numbers; `data`: the range of the voxel values; `auto`: 0 to

@@ -104,7 +104,7 @@ fn a_small_study_goes_from_tables_to_bars() {
     let selected = text.lines().find_map(|l| l.strip_prefix("small: the rule selects ")).unwrap();
     assert!(card.contains(&format!("The rule selects `{selected}`")), "{card}");
 
-    // Stored features of a table that has changed since are refused.
+    // If a table has changed after its features were stored, these features are refused.
     std::fs::copy(at.join("none-members.csv"), at.join("none-train.csv")).unwrap();
     let (output, _) = study(at, &[]);
     let said = printed(&output.stderr);

@@ -267,10 +267,10 @@ fn shares() -> Vec<f64> {
     (0..).map(|i| SHARES.0 + SHARES.2 * f64::from(i)).take_while(|share| *share < SHARES.1).collect()
 }
 
-/// Returns the mean, over [`shares`], of ln of an error ratio: the error of the first setting of `path`
-/// within the share, divided by the smallest error `best` of all settings within the share. `path` holds
-/// ln(time) and ln(error) of settings, in the order in which a law tries them. `None` if `path` reaches no
-/// share.
+/// Returns by how much a law's choices exceed the best ones in ln(error): the mean over the [`shares`] that
+/// `path` reaches, `None` if it reaches none. `path` holds ln(time) and ln(error) of settings, in the order in
+/// which the law tries them; the law chooses the first setting whose time is at most the share. `best` holds,
+/// for each share, the smallest ln(error) of all settings whose time is at most this share.
 fn over_best(path: &[(f64, f64)], best: &[f64]) -> Option<f64> {
     let own = at_shares(path, &shares(), true);
     let both = own.iter().zip(best).filter(|(own, best)| own.is_finite() && best.is_finite());

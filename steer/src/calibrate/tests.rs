@@ -57,7 +57,7 @@ fn observed(i: usize, work: [f64; COSTS], seconds: f64) -> Observed {
     Observed { work, seconds, group: i as u64 % 6 }
 }
 
-/// Fits the prior to frames of a software renderer.
+/// Fits a model to frames, with this prior and the typical costs of a software renderer.
 fn fitted(prior: &PriorModel, frames: &[Observed]) -> Chosen {
     prior.choose(frames, &[UnitCosts::SOFTWARE]).unwrap()
 }

@@ -114,8 +114,8 @@ pub(crate) struct Work {
     pub(crate) shaded: f64,
     /// Number of samples along shadow rays with single scattering, otherwise 0.
     pub(crate) shadow_samples: f64,
-    /// As [`Self::shadow_samples`], plus the samples for which rays wait in a renderer that marches eight
-    /// adjacent rays in lockstep: all eight wait while any of them shades.
+    /// As [`Self::shadow_samples`], plus the samples during which rays wait. In a renderer that marches eight
+    /// adjacent rays in lockstep, the others wait while any of the eight casts a shadow ray.
     pub(crate) lane_shadow_samples: f64,
     /// As [`Self::lane_shadow_samples`], for rays that are [`UNSHARED_SHADING`] reference steps apart, times
     /// [`aside`]: samples along shadow rays whose reads the primary ray does not share.
@@ -124,11 +124,11 @@ pub(crate) struct Work {
     pub(crate) runs: f64,
     /// Number of lookups in the skip map during runs, along primary and shadow rays; 0 without skipping.
     pub(crate) segments: f64,
-    /// Number of samples of the ray with the most samples.
+    /// Largest number of samples of a single ray.
     pub(crate) longest_samples: f64,
-    /// Number of lookups in the skip map by the ray with the most lookups; 0 without skipping.
+    /// Largest number of lookups in the skip map by a single ray; 0 without skipping.
     pub(crate) longest_segments: f64,
-    /// Number of samples along the shadow rays of the ray with the most such samples.
+    /// Largest number of samples along the shadow rays of a single ray.
     pub(crate) longest_shadow_samples: f64,
     /// Distance of neighboring rays at the mean depth of the samples, in reference steps.
     pub(crate) ray_spacing: f64,
@@ -221,7 +221,7 @@ impl FrameFeatures {
         Ok(features)
     }
 
-    /// The features of the default; frames will be measured with `side`² rays.
+    /// The default features, of a frame in which no ray meets the volume. Later measurements use `side`² rays.
     pub(crate) fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),

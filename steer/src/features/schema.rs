@@ -124,12 +124,12 @@ quantities! {
     Voxels, "voxels", "voxels", 1.0, no, no, "voxels of the volume";
     Step, "step", "reference steps", 0.0, yes, no, "ray step";
     LongestSamples, "longest_samples", "samples", 1.0, yes, yes,
-        "samples of the ray with the most samples; a GPU marches all rays of an image at once, but takes the samples \
+        "largest number of samples of a single ray; a GPU marches all rays of an image at once, but takes the samples \
          of a ray one after another";
     LongestSegments, "longest_segments", "segments", 1.0, yes, yes,
-        "reads of the skip map by the ray with the most such reads, its shadow rays included";
+        "largest number of reads of the skip map by a single ray, its shadow rays included";
     LongestShadowSamples, "longest_shadow_samples", "samples", 1.0, yes, yes,
-        "samples along the shadow rays of the ray with the most such samples";
+        "largest number of samples along the shadow rays of a single ray";
     FarLongestSamples, "far_longest_samples", "samples", 1.0, yes, yes,
         "`longest_samples` times the far share";
     FarLongestSegments, "far_longest_segments", "segments", 1.0, yes, yes,

@@ -422,7 +422,7 @@ mod tests {
         UnitCosts::new(costs)
     }
 
-    /// Simulated measurements: counts span several decades, and no frame scatters.
+    /// Simulated measurements: counts span several decades, and no frame has single scattering.
     fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<([f64; COSTS], f64)> {
         let mut noise_of = Noise(9);
         let mut uniform = || noise_of.uniform();

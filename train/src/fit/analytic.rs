@@ -11,7 +11,7 @@ use entire_steer::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, Un
 use indicatif::ProgressBar;
 use std::collections::BTreeSet;
 
-/// Typical unit costs of a software renderer that converts stored scalar values.
+/// Typical unit costs of a software renderer that looks stored values up in tables.
 const CONVERSION: UnitCosts = UnitCosts::OF_UNKNOWN[0];
 
 pub(super) fn fit_analytic(

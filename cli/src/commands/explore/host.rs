@@ -96,17 +96,16 @@ impl Steering for Predicts {
 /// Note on a machine's model that is ignored because it was calibrated on another kind of device than the
 /// window's, or states another clock than the window's or no clock; `None` for a model that is used.
 fn takes_no_part(path: &Path, file: &ModelFile, clock: Option<Clock>, device: &str) -> Option<String> {
-    let remedy = "the button \"Calibrate …\" copies the command for a model of";
+    let remedy = "the button \"Calibrate …\" copies the command that makes a model of";
     if let Some(why) = of_another_kind(path, file, "vulkan", device) {
         return Some(format!("{why}: {remedy} this device"));
     }
     (clock != Some(WINDOW)).then(|| {
-        format!(
-            "{} is ignored, since it predicts {} time: {remedy} {} seconds",
-            path.display(),
-            clock.map_or("unspecified", Clock::name),
-            WINDOW.name()
-        )
+        let wanted = WINDOW.name();
+        let why = clock.map_or("states no clock".into(), |clock| {
+            format!("predicts {} time, not {wanted} time", clock.name())
+        });
+        format!("{} is ignored, since it {why}; {remedy} {wanted} time", path.display())
     })
 }
 

@@ -146,7 +146,7 @@ impl Coarsening {
         (step(level).clamp(finest, coarsest.max(finest)) as f32, level, self.distances[level])
     }
 
-    /// Returns the setting at c; its image is that of `full`, divided by the image sample distance.
+    /// Returns the setting at c. The sides of its image are those of `full`, divided by the image sample distance.
     pub(super) fn setting(&self, full: Setting, c: f32) -> Setting {
         let (step, level, distance) = self.at(c);
         if level == 0 {
