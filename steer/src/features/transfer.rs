@@ -1,8 +1,8 @@
 //! Emptiness and extinction of each cell of a volume under a transfer function.
 
-use super::VolumeSummary;
 use super::classify::{Visible, classify, classify_blocks};
 use super::interior::Interior;
+use super::{QUANTILES, VolumeSummary};
 #[cfg(feature = "calibrate")]
 use crate::memory::mixed;
 use crate::memory::{replace_or_resize, try_grow};
@@ -266,7 +266,7 @@ impl TransferSummary {
 
     /// Computes the packed words of the `cells` whose bit in `lanes` is set, and keeps them until the next edit.
     /// The last cell of the grid replaces cells outside it. Every step of the computation runs over all cells:
-    /// the steps of a single cell wait for each other.
+    /// the steps of a single cell wait for each other, and the loads of all cells together wait for memory once.
     #[cold]
     #[inline(never)]
     pub(super) fn compute<const N: usize>(
@@ -276,12 +276,12 @@ impl TransferSummary {
         mut lanes: u32,
     ) {
         let last = self.cells.len() - 1;
-        let (mut full, mut count) = ([0usize; N], 0);
+        let (mut full, mut bounds, mut count) = ([0usize; N], [[0u8; QUANTILES + 1]; N], 0);
         while lanes != 0 {
             let cell = (cells[lanes.trailing_zeros() as usize % N] as usize).min(last);
             lanes &= lanes - 1;
             if self.is_occupied(cell) {
-                full[count] = cell;
+                (full[count], bounds[count]) = (cell, volume.quantiles[cell]);
                 count += 1;
             } else {
                 self.cells[cell] = self.edit;
@@ -292,8 +292,8 @@ impl TransferSummary {
         }
         let full = &full[..count];
         let mut means = [[0.0f32; 2]; N];
-        for (mean, &cell) in means.iter_mut().zip(full) {
-            for pair in volume.quantiles[cell].windows(2) {
+        for (mean, bounds) in means.iter_mut().zip(&bounds[..count]) {
+            for pair in bounds.windows(2) {
                 let [a, b] = [pair[0], pair[1]].map(usize::from);
                 let inverse = RECIPROCAL[(b - a) % TABLE_LEN];
                 for (mean, (low, high)) in mean.iter_mut().zip(self.sums[a].iter().zip(self.sums[b + 1])) {
@@ -301,7 +301,7 @@ impl TransferSummary {
                 }
             }
         }
-        const SHARE: f32 = 1.0 / super::QUANTILES as f32;
+        const SHARE: f32 = 1.0 / QUANTILES as f32;
         for [t, v] in &mut means[..count] {
             *t = -libm::logf((*t * SHARE).clamp(1.0e-12, 1.0)) * (1.0 / CORRELATION_LENGTH);
             *v = (*v * SHARE).clamp(0.0, 1.0);
