@@ -2,7 +2,7 @@
 
 use super::axis::{Scale, Span};
 use super::clip::{clip, clip_area};
-use super::labels::{Place, Rect, place};
+use super::labels::{Place, Places, Rect};
 use super::palette::{DASHES, DIM, FRAME, GRID, INK, PALETTE, light, pairs};
 use super::{Chart, Mark, Rule};
 use askama::Template;
@@ -374,7 +374,8 @@ impl Chart {
             (f64::from(h) / UNITS, f64::from(v) / UNITS)
         };
         let mut texts = Vec::new();
-        let mut taken = Vec::new();
+        let mut places = Places::default();
+        let taken = &mut places.marks;
         for series in &self.series {
             match &series.mark {
                 Mark::Points(points) => {
@@ -398,15 +399,14 @@ impl Chart {
         // Texts are placed from top to bottom. The stable sort keeps the order of coinciding points.
         texts.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
         for (h, v, text) in texts {
-            let Place { leftward, x, baseline } = place(h, v, text_width(text, 12.0), &frame, &mut taken);
-            let middle = baseline - 4.5;
-            if (middle - v).abs() > 16.0 {
-                let end = if leftward { x + 4.0 } else { x - 4.0 };
-                let ends = [(h, v), (end, middle)].map(|(h, v)| (units(h), units(v)));
+            let found = places.place(h, v, text_width(text, 12.0), &frame);
+            if let Some(ends) = found.line(h, v) {
+                let ends = ends.map(|(h, v)| (units(h), units(v)));
                 area.draw(&PathElement::new(ends, stroke(DIM, 0.7)))?;
             }
+            let Place { leftward, x, baseline } = found;
             let side = if leftward { HPos::Right } else { HPos::Left };
-            let at = (units(x), units(middle));
+            let at = (units(x), units(baseline - 4.5));
             area.draw_text(text, &text_style(12.0, DIM, side, VPos::Center), at)?;
         }
         Ok(())

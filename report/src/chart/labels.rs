@@ -63,28 +63,72 @@ pub(super) struct Place {
 /// Distance between a point and its text, in pixels.
 const GAP: f64 = 7.0;
 
-/// Returns a place beside a point for a text of a given width, in pixels: the first free place, else the
-/// place with the least overlap with `taken` (other texts and points) and the outside of the frame. Adds the
-/// place to `taken`.
-pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Rect>) -> Place {
-    let rect = |(leftward, down): (bool, f64)| {
-        let left = if leftward { x - GAP - width } else { x + GAP };
-        Rect { left, top: y + down - 11.0, right: left + width, bottom: y + down + 2.0 }
-    };
-    let places =
-        [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0, -47.0, -61.0, -75.0, -89.0, -103.0, -117.0, -131.0]
-            .into_iter()
-            .flat_map(|down| [(false, down), (true, down)]);
-    let clear = |rect: &Rect| frame.holds(rect) && !taken.iter().any(|t| t.meets(rect));
-    let covered =
-        |rect: &Rect| rect.area() - rect.shared(frame) + taken.iter().map(|t| t.shared(rect)).sum::<f64>();
-    let found = places
-        .clone()
-        .find(|&place| clear(&rect(place)))
-        .or_else(|| places.min_by(|&a, &b| covered(&rect(a)).total_cmp(&covered(&rect(b)))));
-    let (leftward, down) = found.unwrap_or((false, 0.0));
-    taken.push(rect((leftward, down)));
-    Place { leftward, x: if leftward { x - GAP } else { x + GAP }, baseline: y + down }
+/// Vertical distance of a text from its point, in pixels, beyond which a line joins them.
+const JOINED: f64 = 16.0;
+
+/// Area of overlap, in square pixels, that is as bad as a text that the line to another text crosses.
+const CROSSING: f64 = 100.0;
+
+impl Place {
+    /// Line from the point (x, y) to a text that is not beside it.
+    pub(super) fn line(&self, x: f64, y: f64) -> Option<[(f64, f64); 2]> {
+        let middle = self.baseline - 4.5;
+        let end = if self.leftward { self.x + 4.0 } else { self.x - 4.0 };
+        ((middle - y).abs() > JOINED).then_some([(x, y), (end, middle)])
+    }
+}
+
+/// Places texts beside points, clear of marks and of each other.
+#[derive(Debug, Default)]
+pub(super) struct Places {
+    /// Points and lines of the plot.
+    pub(super) marks: Vec<Rect>,
+    texts: Vec<Rect>,
+}
+
+impl Places {
+    /// Returns a place beside the point (x, y) for a text of a given width, in pixels: the first free place, else
+    /// the place with the least overlap with marks, texts and the outside of the frame; crossed texts count, too.
+    pub(super) fn place(&mut self, x: f64, y: f64, width: f64, frame: &Rect) -> Place {
+        let at = |(leftward, down): (bool, f64)| Place {
+            leftward,
+            x: if leftward { x - GAP } else { x + GAP },
+            baseline: y + down,
+        };
+        let rect = |place: &Place| {
+            let left = if place.leftward { place.x - width } else { place.x };
+            Rect { left, top: place.baseline - 11.0, right: left + width, bottom: place.baseline + 2.0 }
+        };
+        let along = |place: &Place| place.line(x, y).into_iter().flat_map(|[a, b]| Rect::along(a, b));
+        let places = [
+            -5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0, -47.0, 57.0, -61.0, -75.0, -89.0, -103.0, -117.0,
+            -131.0,
+        ]
+        .into_iter()
+        .flat_map(|down| [(false, down), (true, down)])
+        .map(at);
+        let taken = || self.marks.iter().chain(&self.texts);
+        // Number of texts that the line from the point crosses.
+        let crossed =
+            |place: &Place| self.texts.iter().filter(|t| along(place).any(|part| t.meets(&part))).count();
+        let clear = |place: &Place| {
+            let own = rect(place);
+            frame.holds(&own) && !taken().any(|t| t.meets(&own)) && crossed(place) == 0
+        };
+        let covered = |place: &Place| {
+            let own = rect(place);
+            let shared = own.area() - own.shared(frame) + taken().map(|t| t.shared(&own)).sum::<f64>();
+            shared + CROSSING * crossed(place) as f64
+        };
+        let found = places
+            .clone()
+            .find(clear)
+            .or_else(|| places.min_by(|a, b| covered(a).total_cmp(&covered(b))))
+            .unwrap_or(at((false, 0.0)));
+        self.texts.push(rect(&found));
+        self.marks.extend(along(&found));
+        found
+    }
 }
 
 #[cfg(test)]
@@ -95,11 +139,12 @@ mod tests {
     fn texts_stay_inside_and_apart() {
         let frame = Rect { left: 0.0, top: 0.0, right: 200.0, bottom: 100.0 };
         let points = [(100.0, 50.0), (104.0, 52.0), (190.0, 20.0), (3.0, 97.0)];
-        let mut taken: Vec<Rect> = points.iter().map(|(x, y)| Rect::around(*x, *y, 4.0)).collect();
+        let marks = points.iter().map(|(x, y)| Rect::around(*x, *y, 4.0)).collect();
+        let mut places = Places { marks, texts: Vec::new() };
         for (x, y) in points {
-            place(x, y, 60.0, &frame, &mut taken);
+            places.place(x, y, 60.0, &frame);
         }
-        let texts = &taken[points.len()..];
+        let texts = &places.texts;
         assert!(texts.iter().all(|t| frame.holds(t)), "{texts:?}");
         for (i, text) in texts.iter().enumerate() {
             assert!(!texts[i + 1..].iter().any(|other| other.meets(text)), "{texts:?}");
@@ -109,16 +154,16 @@ mod tests {
     #[test]
     fn a_text_without_room_stands_where_it_covers_least() {
         let frame = Rect { left: 0.0, top: 0.0, right: 50.0, bottom: 30.0 };
-        let found = place(40.0, 15.0, 80.0, &frame, &mut Vec::new());
+        let found = Places::default().place(40.0, 15.0, 80.0, &frame);
         assert_eq!(found, Place { leftward: true, x: 33.0, baseline: 19.0 });
         // With texts all around, the place with the least overlap is chosen.
         let frame = Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 200.0 };
-        let mut taken = vec![
+        let marks = vec![
             Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 120.0 },
             Rect { left: 158.0, top: 120.0, right: 300.0, bottom: 200.0 },
             Rect { left: 0.0, top: 120.0, right: 90.0, bottom: 200.0 },
         ];
-        let found = place(150.0, 100.0, 60.0, &frame, &mut taken);
+        let found = Places { marks, texts: Vec::new() }.place(150.0, 100.0, 60.0, &frame);
         assert_eq!(found, Place { leftward: true, x: 143.0, baseline: 143.0 });
     }
 }
