@@ -96,15 +96,15 @@ pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str
     table
 }
 
-/// A predictor's place in the chart of a group: cold latency in µs, and median error in percent on each machine
+/// A predictor in the chart of a group: cold latency in µs, and median error in percent on each machine
 /// (`None` where the predictor was not tested).
-struct Place<'a> {
+struct Plotted<'a> {
     name: &'a str,
     cold: f64,
     errors: Vec<Option<f64>>,
 }
 
-impl Place<'_> {
+impl Plotted<'_> {
     /// Geometric mean of the errors.
     fn mean(&self) -> f64 {
         let logs: Vec<f64> = self.errors.iter().flatten().map(|e| e.ln()).collect();
@@ -115,16 +115,16 @@ impl Place<'_> {
 /// Chart of a group's predictors on the main split: error against latency, with the number of fitted parameters.
 fn frontier(study: &Study, found: &Findings, set: &Set, split: &str) -> Chart {
     let group: Vec<&Set> = study.group(set).collect();
-    let mut places: Vec<Place<'_>> = models(found, &set.name, split)
+    let mut places: Vec<Plotted<'_>> = models(found, &set.name, split)
         .filter_map(|r| {
             let name = r.predictor.as_str();
             let percent = |s: &&Set| Some(100.0 * found.of(&s.name, split, name)?.metrics.mdape);
             let cold = 1e6 * found.latency(&set.name, name)?.cold;
-            Some(Place { name, cold, errors: group.iter().map(percent).collect() })
+            Some(Plotted { name, cold, errors: group.iter().map(percent).collect() })
         })
         .collect();
     places.sort_by(|a, b| a.cold.total_cmp(&b.cold));
-    let mut front: Vec<&Place<'_>> = Vec::new();
+    let mut front: Vec<&Plotted<'_>> = Vec::new();
     for place in places.iter().filter(|p| p.errors.iter().all(Option::is_some)) {
         if front.last().is_none_or(|last| place.mean() < MAX_ERROR_RATIO * last.mean()) {
             front.push(place);
@@ -134,8 +134,8 @@ fn frontier(study: &Study, found: &Findings, set: &Set, split: &str) -> Chart {
     // more labels would overlap.
     let selected = found.selected.get(&set.name);
     let reference = |name: &str| study.predictors.iter().any(|p| p.name == name && !p.cross_validated);
-    let named = |place: &Place<'_>| {
-        let &Place { name, cold, .. } = place;
+    let named = |place: &Plotted<'_>| {
+        let &Plotted { name, cold, .. } = place;
         let chosen = selected.is_some_and(|s| s == name);
         let mut text = String::new();
         if chosen || front.iter().any(|f| f.name == name) || reference(name) {

@@ -64,17 +64,17 @@ pub(super) struct Place {
 const GAP: f64 = 7.0;
 
 /// Vertical distance of a text from its point, in pixels, beyond which a line joins them.
-const JOINED: f64 = 16.0;
+const JOIN_DISTANCE: f64 = 16.0;
 
 /// Area of overlap, in square pixels, that is as bad as a text that the line to another text crosses.
-const CROSSING: f64 = 100.0;
+const CROSSING_AREA: f64 = 100.0;
 
 impl Place {
     /// Line from the point (x, y) to a text that is not beside it.
     pub(super) fn line(&self, x: f64, y: f64) -> Option<[(f64, f64); 2]> {
         let middle = self.baseline - 4.5;
         let end = if self.leftward { self.x + 4.0 } else { self.x - 4.0 };
-        ((middle - y).abs() > JOINED).then_some([(x, y), (end, middle)])
+        ((middle - y).abs() > JOIN_DISTANCE).then_some([(x, y), (end, middle)])
     }
 }
 
@@ -118,7 +118,7 @@ impl Places {
         let covered = |place: &Place| {
             let own = rect(place);
             let shared = own.area() - own.shared(frame) + taken().map(|t| t.shared(&own)).sum::<f64>();
-            shared + CROSSING * crossed(place) as f64
+            shared + CROSSING_AREA * crossed(place) as f64
         };
         let found = places
             .clone()

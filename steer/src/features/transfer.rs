@@ -85,8 +85,8 @@ pub(super) mod packed {
 /// Emptiness and extinction of each cell of a volume under a transfer function.
 ///
 /// An edit of the transfer function finds all empty cells at once. The optics of any other cell are computed
-/// when a ray first meets the cell, and are kept until the next edit, so the optics are never computed for
-/// cells that no ray meets.
+/// when a ray first meets the cell or a neighbor before it, and are kept until the next edit. The optics of
+/// most cells that no ray meets are never computed.
 #[derive(Clone, Debug)]
 pub struct TransferSummary {
     /// One bit per cell, set where the cell is not empty.
