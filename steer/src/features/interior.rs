@@ -107,11 +107,17 @@ fn read(bits: &[u64], at: usize) -> u64 {
 /// bit never clears a cell that would otherwise stay set.
 fn erode(from: &[u64], to: &mut [u64], between: &mut [u64], words: usize, ny: usize) {
     // First pass: erosion along x, with carries between neighboring words.
-    for (from, to) in from.chunks_exact(words).zip(to.chunks_exact_mut(words)) {
-        for w in 0..words {
-            let before = if w > 0 { from[w - 1] >> 63 } else { 1 };
-            let after = if w + 1 < words { from[w + 1] << 63 } else { 1 << 63 };
-            to[w] = from[w] & (from[w] << 1 | before) & (from[w] >> 1 | after);
+    let along = |word: u64, before: u64, after: u64| word & (word << 1 | before) & (word >> 1 | after);
+    if words == 1 {
+        // The usual case, without carries.
+        from.iter().zip(&mut *to).for_each(|(from, to)| *to = along(*from, 1, 1 << 63));
+    } else {
+        for (from, to) in from.chunks_exact(words).zip(to.chunks_exact_mut(words)) {
+            for w in 0..words {
+                let before = if w > 0 { from[w - 1] >> 63 } else { 1 };
+                let after = if w + 1 < words { from[w + 1] << 63 } else { 1 << 63 };
+                to[w] = along(from[w], before, after);
+            }
         }
     }
     // Second pass: erosion along y, within slices. Third pass: erosion along z.
