@@ -2,7 +2,7 @@
 
 use super::axis::{Scale, Span};
 use super::clip::{clip, clip_area};
-use super::labels::{Place, Places, Rect};
+use super::labels::{Places, Rect};
 use super::palette::{DASHES, DIM, FRAME, GRID, INK, PALETTE, light, pairs};
 use super::{Chart, Mark, Rule};
 use askama::Template;
@@ -404,9 +404,8 @@ impl Chart {
                 let ends = ends.map(|(h, v)| (units(h), units(v)));
                 area.draw(&PathElement::new(ends, stroke(DIM, 0.7)))?;
             }
-            let Place { leftward, x, baseline } = found;
-            let side = if leftward { HPos::Right } else { HPos::Left };
-            let at = (units(x), units(baseline - 4.5));
+            let side = if found.leftward { HPos::Right } else { HPos::Left };
+            let at = (units(found.x), units(found.middle()));
             area.draw_text(text, &text_style(12.0, DIM, side, VPos::Center), at)?;
         }
         Ok(())

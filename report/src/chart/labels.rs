@@ -70,9 +70,14 @@ const JOIN_DISTANCE: f64 = 16.0;
 const CROSSING_AREA: f64 = 100.0;
 
 impl Place {
+    /// Vertical middle of the text.
+    pub(super) fn middle(&self) -> f64 {
+        self.baseline - 4.5
+    }
+
     /// Line from the point (x, y) to a text that is not beside it.
     pub(super) fn line(&self, x: f64, y: f64) -> Option<[(f64, f64); 2]> {
-        let middle = self.baseline - 4.5;
+        let middle = self.middle();
         let end = if self.leftward { self.x + 4.0 } else { self.x - 4.0 };
         ((middle - y).abs() > JOIN_DISTANCE).then_some([(x, y), (end, middle)])
     }

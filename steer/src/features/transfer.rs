@@ -105,8 +105,6 @@ pub struct TransferSummary {
     /// Opacity of each table entry and the logarithm of its transmittance; zeros if the entry is not visible.
     entries: [[f32; 2]; TABLE_LEN],
     unit_distance: f32,
-    /// Prefix sums: number of visible table entries below each entry.
-    opaque: [u16; TABLE_LEN + 1],
     /// Prefix sums, over the entries below each entry, of the transmittance over [`CORRELATION_LENGTH`] and of
     /// the number of visible entries. In double precision, because differences of sums near 256 must resolve
     /// transmittances near 1e-12.
@@ -143,7 +141,6 @@ impl TransferSummary {
             edits: 0,
             entries: [[0.0; 2]; TABLE_LEN],
             unit_distance: 1.0,
-            opaque: [0; TABLE_LEN + 1],
             sums: [[0.0; 2]; TABLE_LEN + 1],
             grid: volume.cells,
             distance: Vec::new(),
@@ -218,7 +215,6 @@ impl TransferSummary {
                 (0.0, 1.0)
             };
             self.entries[i] = [alpha, log];
-            self.opaque[i + 1] = self.opaque[i] + u16::from(counts);
             let [transmittance, visible] = self.sums[i];
             self.sums[i + 1] = [transmittance + f64::from(through), visible + f64::from(u8::from(counts))];
         }
@@ -228,7 +224,7 @@ impl TransferSummary {
     fn read_histogram(&mut self, volume: &VolumeSummary) {
         let (mut extinction, mut shown) = (0.0f64, 0.0f64);
         for (i, (&[_, log], &share)) in self.entries.iter().zip(&volume.histogram).enumerate() {
-            let (share, counts) = (f64::from(share), self.opaque[i + 1] > self.opaque[i]);
+            let (share, counts) = (f64::from(share), self.sums[i + 1][1] > self.sums[i][1]);
             extinction -= share * f64::from(log) / f64::from(self.unit_distance);
             shown += share * f64::from(u8::from(counts));
         }
@@ -241,7 +237,8 @@ impl TransferSummary {
     fn classify(&mut self, volume: &VolumeSummary) {
         let (low, high) = (&volume.low, &volume.high);
         let n = low.len();
-        let visible = Visible::new(&self.opaque);
+        let below = self.sums.map(|[_, visible]| visible as u16);
+        let visible = Visible::new(&below);
         let sum = match volume.blocks() {
             None => classify(&visible, low, high, &mut self.full) as f64,
             Some(blocks) => classify_blocks(&visible, low, high, blocks, &mut self.bits, &mut self.full),

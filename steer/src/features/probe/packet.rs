@@ -203,10 +203,9 @@ impl<S: Simd> Packet<'_, '_, S> {
         let (words, edit) = self.march.transfer.words();
         let edit = simd.splat_i(edit as i32);
         let mut found = simd.xor_i(simd.gather(words, index), edit);
-        let unknown = simd.and_m(simd.nonzero(simd.and_i(found, packed::EDIT as i32)), lanes);
+        let unknown = self.unknown(found, lanes);
         if simd.any(unknown) {
-            let after = simd.xor_i(simd.gather(words, next), edit);
-            let after = simd.and_m(simd.nonzero(simd.and_i(after, packed::EDIT as i32)), lanes);
+            let after = self.unknown(simd.xor_i(simd.gather(words, next), edit), lanes);
             let chosen = simd.lane_bits(unknown) | simd.lane_bits(after) << 16;
             let mut cells = [[0i32; 16]; 2];
             simd.write_i(index, &mut cells[0]);
@@ -215,6 +214,14 @@ impl<S: Simd> Packet<'_, '_, S> {
             found = simd.xor_i(simd.gather(self.march.transfer.words().0, index), edit);
         }
         (found, simd.and_m(simd.nonzero(found), lanes))
+    }
+
+    /// Mask of those `lanes` whose optics are not those of the present edit; `found` are the packed optics, XORed
+    /// with the bits of the edit's number.
+    #[inline(always)]
+    fn unknown(&self, found: S::I, lanes: S::M) -> S::M {
+        let simd = self.simd;
+        simd.and_m(simd.nonzero(simd.and_i(found, packed::EDIT as i32)), lanes)
     }
 
     /// Extinction, visible share, and lookups in the skip map per crossed cell border, from the words that
