@@ -31,7 +31,6 @@ mod _native {
     #[pymodule_export]
     use crate::{
         budget::{FrameBudget, PassShare},
-        calibration::Calibration,
         camera::Camera,
         command::command,
         errors::{MissingInputError, ModelError, NotReadyError, RejectedObservationError},

@@ -13,6 +13,7 @@ use crate::state::{Observed, State};
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::scene::Frame;
+use entire_steer::calibrate::Picture;
 use entire_steer::control::ObserveFlags;
 use entire_steer::control::{HybridOptions, Quality, Session as Core, StepLimits};
 use entire_steer::features::{Changes, PROBE_SIDE, Setting};
@@ -552,6 +553,43 @@ impl Session {
     #[getter]
     fn recorded(&self, py: Python<'_>) -> PyResult<Option<usize>> {
         Ok(self.state(py)?.core.recorded())
+    }
+
+    /// Records the error of a picture against the same view at full quality, for :meth:`calibrate`. The model
+    /// then contains the renderer's quality law (:meth:`set_quality`), if at least 3 scenes were drawn at the
+    /// same settings: full quality, coarser steps alone, smaller images alone, and both.
+    ///
+    /// Parameters
+    /// ----------
+    /// scene : int
+    ///     Number of the view; all pictures of one view have the same number.
+    /// step : float
+    ///     Ray step as a multiple of the finest; 1 for full quality.
+    /// image_sample_distance : float
+    ///     Pixels between neighboring rays; 1 for full quality.
+    /// seconds : float
+    ///     Measured time of the picture.
+    /// error : float
+    ///     Difference from the picture at full quality, by any measure that is 0 for equal pictures and grows
+    ///     with the difference, such as the root mean square difference of colors, or 1 - SSIM.
+    ///
+    /// Raises
+    /// ------
+    /// NotReadyError
+    ///     Before :meth:`record`.
+    /// ValueError
+    ///     For numbers out of range.
+    fn record_picture(
+        &self,
+        py: Python<'_>,
+        scene: u64,
+        step: f32,
+        image_sample_distance: f32,
+        seconds: f64,
+        error: f64,
+    ) -> PyResult<()> {
+        let picture = Picture { scene, step, distance: image_sample_distance, seconds, error };
+        self.state(py)?.core.record_picture(picture).map_err(raise)
     }
 
     /// Fits a model to the recorded frames; returns the bytes of its file, and its report.

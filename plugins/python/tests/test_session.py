@@ -428,6 +428,14 @@ def test_models_by_name_path_and_bytes(voxels, tf, tmp_path):
         model.encode(entire.Volume(voxels))
 
 
+def recording(volume, *arguments, **options):
+    """A session that is switched off and records frames that were timed earlier."""
+    session = entire.Session(volume)
+    session.set_enabled(False)
+    session.record(*arguments, **options)
+    return session
+
+
 def test_calibration_finds_the_renderer(voxels, tf):
     volume = entire.Volume(voxels)
     rng = np.random.default_rng(5)
@@ -437,19 +445,21 @@ def test_calibration_finds_the_renderer(voxels, tf):
         # Another machine: 40 times the untrained model's seconds and a fixed cost per frame.
         return 2e-3 + 40 * truth.predict(camera, tf, size, step=step).seconds
 
-    calibration = entire.Calibration()
+    session = recording(volume)
     with pytest.raises(entire.NotReadyError, match="at least 8"):
-        calibration.fit()
-    assert np.isnan(calibration.median_error)
-    for _ in range(60):
+        session.calibrate()
+    # The first frame of a session is not recorded.
+    for _ in range(61):
         camera = entire.Camera.arcball(*(float(v) for v in rng.uniform((-80, 0, 1.2), (80, 360, 4))))
         size, step = (int(rng.integers(100, 800)), int(rng.integers(100, 800))), float(2 ** rng.uniform(0, 3))
-        calibration.add(volume, camera, tf, size, renderer(camera, size, step), step=step)
-    model = calibration.fit()
-    assert len(calibration) == 60
-    assert calibration.median_error < 0.02
-    assert calibration.report.held_out == "stretches of time"
-    fitted = entire.Session(volume, model=model)
+        plan = session.plan(camera, tf, size, target=1.0, step=step)
+        assert (plan.reason, plan.step) == ("off", pytest.approx(step))
+        session.observe(plan, renderer(camera, size, step))
+    assert session.recorded == 60
+    made = session.calibrate()
+    assert made.median_error < 0.02
+    assert made.held_out == "stretches of time"
+    fitted = entire.Session(volume, model=made.model)
     for _ in range(20):
         camera = entire.Camera.arcball(*(float(v) for v in rng.uniform((-80, 0, 1.2), (80, 360, 4))))
         assert fitted.predict(camera, tf, (300, 200)).seconds == pytest.approx(
@@ -462,11 +472,11 @@ def test_a_session_learns_its_renderer_without_being_left(voxels, tf):
     assert session.recorded is None
     with pytest.raises(entire.NotReadyError, match="record"):
         session.calibrate()
+    with pytest.raises(entire.NotReadyError, match="record"):
+        session.record_picture(0, 1, 1, 0.01, 0)
     for frames in (7, -1):
         with pytest.raises(ValueError, match="65536"):
             session.record(frames)
-        with pytest.raises(ValueError, match="65536"):
-            entire.Calibration(frames=frames)
     session.record(80)
     rng = np.random.default_rng(3)
 
@@ -493,16 +503,17 @@ def test_a_session_learns_its_renderer_without_being_left(voxels, tf):
 
 
 def test_a_shipped_model_is_taken_to_a_renderer(voxels, tf):
-    calibration = entire.Calibration("unshaded-selected", frames=50)
-    volume = entire.Volume(voxels)
-    for i in range(30):
+    session = recording(entire.Volume(voxels), 50, model="unshaded-selected")
+    session.set_timing_source("pixels", "wall")
+    for i in range(31):
         camera = entire.Camera.arcball(20, 11 * i % 360, 2 + i % 3)
         size = (100 + 17 * i, 200)
-        calibration.add(volume, camera, tf, size, 1e-3 + 4e-8 * size[0] * size[1])
-    model = calibration.fit("pixels", "wall")
-    assert [name for name, _ in model.inputs] == ["scene_features"]
-    assert calibration.report.median_error < 0.15
-    assert model.metadata["entire.renderer"] == "pixels"
+        plan = session.plan(camera, tf, size, target=1.0)
+        session.observe(plan, 1e-3 + 4e-8 * size[0] * size[1])
+    made = session.calibrate()
+    assert [name for name, _ in made.model.inputs] == ["scene_features"]
+    assert made.median_error < 0.15
+    assert made.model.metadata["entire.renderer"] == "pixels"
 
 
 def test_a_history_is_shown(voxels, tf):

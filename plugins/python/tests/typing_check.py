@@ -19,7 +19,7 @@ plan: entire.Plan = session.plan(camera, tf, (640, 480), 1 / 30, shading="local"
 verdict: str = session.observe(plan, 0.02)
 seconds: float = session.predict(camera, None, (640, 480)).seconds
 many: npt.NDArray[np.float32] = entire.predict(volume, [(0, 0, 2)], tf, (64, 64))
-model: entire.Model = entire.Calibration().fit()
+model: entire.Model = session.calibrate().model
 session.plan(camera, tf, (640, 480), "soon")  # type: ignore[arg-type]
 session.plan(camera, tf, (640, 480), 0.1, shading="fancy")  # type: ignore[arg-type]
 entire.Volume()  # type: ignore[call-arg]

@@ -1,8 +1,8 @@
 //! Fits a model to frames timed on the present machine.
 //!
-//! A [`Calibration`] keeps timed frames and fits a model to them, with a model of another machine as prior. A
-//! session adds its observed frames to a calibration ([`crate::Session::record`]), so that a program
-//! calibrates without leaving its render loop. [`fit_frames`] does the fit.
+//! A session adds its observed frames to a `Calibration` ([`crate::Session::record`]), which keeps frames and
+//! fits a model to them, so that a program calibrates without leaving its render loop. [`fit_frames`] fits a
+//! model to frames that were timed elsewhere. Both take models of other machines as prior.
 
 mod pictures;
 mod posterior;
@@ -12,9 +12,9 @@ pub(crate) mod tests;
 pub use pictures::{FittedQuality, Picture, fit_quality};
 pub use posterior::{Chosen, Observed, fit_frames, prior_costs};
 
-use crate::features::{FrameFeatures, Setting, TransferSummary, UnitCosts, VolumeSummary};
+use crate::features::UnitCosts;
 use crate::memory::mixed;
-use crate::predict::{COSTS, Clock, LONGEST_FRAME, Quality, UpperBound};
+use crate::predict::{COSTS, Clock, Quality, UpperBound};
 use alloc::string::ToString;
 use alloc::vec::Vec;
 use core::ops::RangeInclusive;
@@ -23,7 +23,6 @@ use entire_core::bail;
 use entire_core::memory::{reserve, room};
 use entire_core::model::{Key, ModelFile};
 use entire_core::names;
-use entire_core::scene::{Frame, TransferTable};
 use posterior::{FEWEST_GROUPS, PriorModel};
 
 /// Smallest number of frames that a model is fitted to.
@@ -38,9 +37,9 @@ const STRETCHES: u64 = 5;
 /// Scene of a timed frame: hashes of its volume and its transfer function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Shown {
-    /// Hash of the volume ([`VolumeSummary::fingerprint`]).
+    /// Hash of the volume ([`crate::VolumeSummary::fingerprint`]).
     pub(crate) volume: u64,
-    /// Hash of the transfer function's opacities ([`TransferSummary::fingerprint`]).
+    /// Hash of the transfer function's opacities ([`crate::features::TransferSummary::fingerprint`]).
     pub(crate) transfer: u64,
 }
 
@@ -89,7 +88,7 @@ pub struct Calibrated {
 /// Timed frames of one renderer, up to a largest number. Beyond this number, new frames replace kept frames
 /// at random, so that the kept frames are a uniform random sample of all frames.
 #[derive(Clone, Debug)]
-pub struct Calibration {
+pub(crate) struct Calibration {
     prior: PriorModel,
     kept: Vec<Kept>,
     capacity: usize,
@@ -114,7 +113,7 @@ impl Calibration {
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside the range,
     /// [`crate::ErrorKind::OutOfMemory`], and for the prior as [`prior_costs`].
-    pub fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
+    pub(crate) fn new(prior: Option<&ModelFile>, frames: usize) -> Result<Self> {
         if !KEPT_FRAMES.contains(&frames) {
             bail!(
                 InvalidArgument,
@@ -138,34 +137,8 @@ impl Calibration {
     }
 
     /// Number of kept frames.
-    pub fn frames(&self) -> usize {
+    pub(crate) fn frames(&self) -> usize {
         self.kept.len()
-    }
-
-    /// Adds a frame of a volume under a transfer function; the frame took `seconds`.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`], and
-    /// as [`Frame::checked`]; [`crate::ErrorKind::OutOfMemory`]. Nothing is added in these cases.
-    pub fn add(
-        &mut self,
-        volume: &VolumeSummary,
-        table: &TransferTable,
-        frame: &Frame,
-        seconds: f64,
-    ) -> Result<()> {
-        if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
-            bail!(
-                InvalidArgument,
-                "a frame took {seconds} seconds; it must be over 0 and at most {LONGEST_FRAME}"
-            );
-        }
-        let mut transfer = TransferSummary::new(volume, table)?;
-        let features = FrameFeatures::of(volume, &mut transfer, frame, self.prior.probe_side)?;
-        let work = features.cost_work(&Setting::from(frame));
-        let shown = Shown { volume: volume.fingerprint(), transfer: transfer.fingerprint() };
-        self.add_work(&work, shown, seconds);
-        Ok(())
     }
 
     /// Adds a picture that was compared with the same view at full quality. [`Calibration::fit`] then stores
@@ -174,7 +147,7 @@ impl Calibration {
     ///
     /// # Errors
     /// As [`Picture::check`], and [`crate::ErrorKind::OutOfMemory`].
-    pub fn add_picture(&mut self, picture: Picture) -> Result<()> {
+    pub(crate) fn add_picture(&mut self, picture: Picture) -> Result<()> {
         picture.check()?;
         if self.pictures.len() < *KEPT_FRAMES.end() {
             let wanted = self.pictures.len() + 1;
@@ -230,7 +203,7 @@ impl Calibration {
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`], [`crate::ErrorKind::OutOfMemory`],
     /// and as [`fit_frames`].
-    pub fn fit(&self, source: [&str; 2]) -> Result<Calibrated> {
+    pub(crate) fn fit(&self, source: [&str; 2]) -> Result<Calibrated> {
         if self.kept.len() < FEWEST_FRAMES {
             bail!(
                 NotReady,

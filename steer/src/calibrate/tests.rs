@@ -1,13 +1,12 @@
 //! Tests the fit on work with known costs, and the random sampling of frames by a calibration.
 
 use super::*;
-use crate::features::tests::{cube, frame, lobe_at, measured};
-use crate::features::{COST_QUANTITIES, Changes, SceneFeature, SceneQuantity};
+use crate::features::tests::frame;
+use crate::features::{COST_QUANTITIES, Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting};
 use crate::numeric::median;
 use crate::predict::{AnalyticModel, GroupKind, InputLayout, Inputs};
 use alloc::vec;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
-use entire_core::scene::Skipping;
 
 /// Returns a model file with the unit costs of a software renderer and a learned factor that is always 1, for
 /// a probe with `side`² rays.
@@ -261,20 +260,6 @@ fn frames_are_kept_fairly_and_a_model_is_fitted_to_them() {
     }
     // The fitted file can serve as a prior.
     assert!(Calibration::new(Some(&fitted.file), 8).is_ok());
-}
-
-#[test]
-fn a_frame_is_measured_when_it_is_added() {
-    let (volume, table) = (cube(24), lobe_at(0.4));
-    let frame = Frame { skipping: Skipping::Distance, height: 70, ..frame(10.0, 20.0, 2.0, 90) };
-    let mut calibration = Calibration::new(None, 8).unwrap();
-    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(calibration.add(&volume, &table, &frame, bad).is_err());
-    }
-    assert_eq!(calibration.frames(), 0);
-    calibration.add(&volume, &table, &frame, 0.02).unwrap();
-    let work = measured(&volume, &table, &frame).cost_work(&Setting::from(&frame));
-    assert_eq!(calibration.kept[0].work, work);
 }
 
 #[test]

@@ -178,7 +178,7 @@ impl Quality {
     ///
     /// # Errors
     /// As [`crate::Session::set_quality`].
-    pub fn store(&self, file: &mut ModelFile) -> Result<()> {
+    pub(crate) fn store(&self, file: &mut ModelFile) -> Result<()> {
         self.check()?;
         file.metadata.insert(Key::Quality.into(), serde_json::json!(self).to_string());
         Ok(())

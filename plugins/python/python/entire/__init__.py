@@ -13,7 +13,7 @@ times of many views without a renderer.
 
 from __future__ import annotations
 
-from ._core import Calibrated, Calibration, CannotSteer, Model, Session, models, predict
+from ._core import Calibrated, CannotSteer, Model, Session, models, predict
 from ._history import History
 from ._native import (
     Camera,
@@ -31,7 +31,6 @@ from ._native import (
 
 __all__ = [
     "Calibrated",
-    "Calibration",
     "Camera",
     "CannotSteer",
     "History",

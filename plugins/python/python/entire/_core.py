@@ -162,7 +162,7 @@ class Calibrated(NamedTuple):
     rmse_over_sd: float
     #: Upper bound divided by the prediction: 95 % of frames take no longer than this bound.
     upper_factor: float
-    #: Number of scenes of :meth:`Calibration.add_picture` that the quality law was fitted to; 0 without a law.
+    #: Number of scenes of :meth:`Session.record_picture` that the quality law was fitted to; 0 without a law.
     scenes: int = 0
 
 
@@ -249,7 +249,8 @@ class Session(_native.Session):
         """Starts recording planned and observed frames for :meth:`calibrate`. Earlier recorded frames are dropped.
 
         Not recorded are unusual and cancelled observations, the first frame of the session, and the first
-        frame of a volume.
+        frame of a volume. To record frames that were timed earlier, turn steering off (:meth:`set_enabled`), plan each
+        frame as it was drawn, and observe its time.
 
         Parameters
         ----------
@@ -359,45 +360,6 @@ def explain(plan: _native.Plan) -> str:
     str
     """
     return _REASONS.get(plan.reason, plan.reason)
-
-
-class Calibration(_native.Calibration):
-    __doc__ = _native.Calibration.__doc__
-
-    #: Result of the last :meth:`fit`; None before.
-    report: Calibrated | None = None
-
-    def __new__(cls, model: ModelLike | None = None, *, frames: int = 1000) -> Self:
-        return super().__new__(cls, _model(model), frames=frames)
-
-    @property
-    def median_error(self) -> float:
-        """float : Median of |predicted / measured - 1| over the held-out frames of the last fit; NaN before a fit."""
-        return float("nan") if self.report is None else self.report.median_error
-
-    def fit(self, renderer: str = "", clock: str = "") -> Model:
-        """Fits the model to the added frames. About 50 frames are enough, from various directions, with various steps
-        and transfer functions; add frames of several volumes if the model is to be used for other volumes.
-
-        Parameters
-        ----------
-        renderer, clock : str, optional
-            Names of the renderer and of the clock that timed the frames ("cpu", "wall" or "device"), for the model's
-            metadata.
-
-        Returns
-        -------
-        Model
-
-        Raises
-        ------
-        NotReadyError
-            For fewer than 8 frames.
-        """
-        data, report = self.fit_bytes(renderer, clock)
-        model = Model(data)
-        self.report = Calibrated(model, **report)
-        return model
 
 
 def predict(

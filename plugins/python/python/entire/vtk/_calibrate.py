@@ -15,7 +15,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from .._clocks import timer
-from .._core import Calibration, CannotSteer, Model
+from .._core import CannotSteer, Model, Session
 from . import _mappers, _scene
 from ._leaf import first_volume
 from ._steering import _check_renderer, _volumes
@@ -173,7 +173,10 @@ class _Calibrator:
             placed = _scene.elements(_scene.drawn_matrix(renderer, first_volume(self.volume)))
             finest = _mappers.full_quality(own, image, placed, self.gpu)
             base = min(4096.0, max(1 / 64, finest / grid.reference))
-            calibration, draw = Calibration(), random.Random(seed)
+            session, draw = Session(grid.volume), random.Random(seed)
+            session.set_timing_source(mapper.GetClassName(), self.clock)
+            session.set_enabled(False)
+            session.record(frames)
             bounds = self.volume.GetBounds()
             if not renderer.HasViewProp(self.volume):
                 # GetBounds() of a volume in an assembly leaves out the assembly's matrix.
@@ -198,28 +201,27 @@ class _Calibrator:
                     window.Render()
                 self.seconds = math.nan
                 window.Render()
-                if i == 0:
-                    continue  # The first frame includes one-time work.
                 if math.isnan(self.seconds):
                     raise ValueError("the volume was not drawn; make it and its renderer visible")
                 look = _scene.look(prop, mapper)
                 width, height = renderer.GetSize()
-                calibration.add(
-                    grid.volume,
+                # The session does not record its first frame, which includes one-time work.
+                plan = session.plan(
                     _scene.camera(renderer, placed, grid),
                     _scene.transfer_function(_scene.transfer_nodes(prop, grid.range)),
                     (max(1, int(width / distance)), max(1, int(height / distance))),
-                    self.seconds,
+                    target=1.0,
                     step=step,
                     shading="local" if look[0] else "none",
                     skipping="none" if self.gpu else "blocks",
                     termination=_scene.termination(look, self.gpu),
                 )
+                session.observe(plan, self.seconds)
             for scene in range(pictures):
                 self.pose(camera, draw, middle, radius)
                 prop.SetScalarOpacityUnitDistance(0, unit * 2 ** draw.uniform(-2, 2))
-                self.compare(calibration, scene, own, base * grid.reference, error)
-            return calibration.fit(mapper.GetClassName(), self.clock)
+                self.compare(session, scene, own, base * grid.reference, error)
+            return session.calibrate().model
         finally:
             for tag in tags:
                 mapper.RemoveObserver(tag)
@@ -235,7 +237,7 @@ class _Calibrator:
 
     def compare(
         self,
-        calibration: Calibration,
+        session: Session,
         scene: int,
         own: _mappers.Settings,
         finest: float,
@@ -254,7 +256,7 @@ class _Calibrator:
                 self.window.Render()
                 picture = self.picture()
                 full = picture if full is None else full
-                calibration.add_picture(scene, step, image, self.seconds, error(picture, full))
+                session.record_picture(scene, step, image, self.seconds, error(picture, full))
 
     def picture(self) -> np.ndarray:
         """Pixels of the window, as [y, x, rgb] bytes."""
