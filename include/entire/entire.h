@@ -474,7 +474,7 @@ typedef struct entire_session_options {
      */
     float trust_limit;
     /**
-     * Not 0 to change the step only slowly while nothing in the scene changes abruptly; default 1.
+     * Not 0 if the step changes only slowly while nothing in the scene changes abruptly; default 1.
      */
     uint32_t damping;
     /**
@@ -494,8 +494,8 @@ typedef struct entire_session_options {
      */
     float probe_tolerance;
     /**
-     * Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
-     * this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
+     * Not 0 if the picture keeps its quality while other programs slow frames down: steps are chosen as
+     * without this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
      * longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
      * are chosen for it. Default 0.
      */

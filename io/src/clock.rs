@@ -264,8 +264,8 @@ mod tests {
         assert_eq!(concrete(Some(Clock::Cpu), [&frame(&[both])]).unwrap(), Clock::Cpu);
         let mixed = concrete(None, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
         assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
-        // The default is CPU time. A fine-tuned model keeps its clock. If frames have no time by the chosen
-        // clock, a clock that all frames have replaces it.
+        // The default is CPU time, and a fine-tuned model keeps its clock. If some frames have no time by the
+        // default clock, a clock that all frames have is used instead.
         let frames = [frame(&[both])];
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);

@@ -1,4 +1,5 @@
-//! Links without the C runtime if ENTIRE_FREESTANDING_MODEL names a model to embed: a freestanding program.
+//! On x86-64 Linux, links the program without the C runtime if ENTIRE_FREESTANDING_MODEL is set. The variable
+//! names the model that is embedded in the program.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");

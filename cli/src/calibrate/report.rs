@@ -202,8 +202,9 @@ impl Report {
         let residuals = bound::log_residuals(crossed, &measured);
         let mut upper = UpperBound::from_groups(residuals.into_iter().zip(observed.iter().map(|f| f.group)));
         if self.others.busy() {
-            // A bound that was measured on a busy machine does not hold on a quiet one. So the bound is made
-            // wide, and a session relies on its own observations.
+            // Residuals that were measured on a busy machine do not show the errors on a quiet machine. A
+            // session derives from the bound how far it trusts the prediction. With a wide bound, the
+            // session's own observations weigh more.
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         let provenance = json!({

@@ -21,9 +21,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 const PREFIX: usize = 8;
 /// Largest accepted header, in bytes.
 const MAX_HEADER: usize = 16 << 20;
-/// Upper estimate of the parser's memory per byte of header, in bytes. The most memory is taken by arrays
-/// within arrays: each has two characters in the header, and a vector with room for four elements of 32 bytes
-/// and 16 bytes of the allocator in the parser's memory.
+/// Upper estimate of the parser's memory per byte of header, in bytes. Nested arrays need the most memory.
+/// Each nested array has two characters in the header, and the parser allocates 144 bytes for it: a vector
+/// with room for four elements of 32 bytes, and 16 bytes of the allocator's own data.
 const HEADER_MEMORY: usize = 72;
 
 /// One tensor as stored in the file: little-endian values, last axis fastest.

@@ -26,7 +26,7 @@ pub struct entire_session_options {
     /// Out-of-range score above which steps are chosen from recent frames instead of the prediction,
     /// positive; default 2.
     pub trust_limit: f32,
-    /// Not 0 to change the step only slowly while nothing in the scene changes abruptly; default 1.
+    /// Not 0 if the step changes only slowly while nothing in the scene changes abruptly; default 1.
     pub damping: u32,
     /// Number of rays along each side of the probe that measures frames for an analytic model (also if no
     /// model is given), 1 to 24. The time to make a plan is proportional to the square of the side; fewer
@@ -40,8 +40,8 @@ pub struct entire_session_options {
     /// always use their own probe. While frames are recorded (entire_session_record), every plan casts all of
     /// its rays.
     pub probe_tolerance: f32,
-    /// Not 0 to keep the picture's quality while other programs slow frames down: steps are chosen as without
-    /// this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
+    /// Not 0 if the picture keeps its quality while other programs slow frames down: steps are chosen as
+    /// without this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
     /// longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
     /// are chosen for it. Default 0.
     pub ignore_load: u32,

@@ -136,8 +136,9 @@ fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
     }
 }
 
-/// Returns the target of the steering step in seconds: half of the median time of the frames with about as
-/// many pixels as the images of that step; if there are none, half of the median time of all frames.
+/// Returns the target of the study's command `steer`, in seconds: half of the median time of frames. The
+/// frames are those with a third to three times as many pixels as the command's images; if there are none,
+/// all frames.
 fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
     let pixels = u64::from(extent.held_size).pow(2);

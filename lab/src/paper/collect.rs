@@ -249,7 +249,8 @@ pub(crate) fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rend
     Ok(())
 }
 
-/// Renders the missing frames of one volume that `now` selects, at both resolutions and in all modes.
+/// Renders the missing frames of volume `j`, at both resolutions and in all modes. Only frames for which
+/// `now` returns true are rendered.
 fn of_volume(
     work: &Work<'_>,
     place: &Place,

@@ -10,7 +10,8 @@ use pyo3::prelude::*;
 /// Camera of a view of a volume. Made by :meth:`arcball`, :meth:`look_at`, :meth:`view`, :meth:`scene` or
 /// :meth:`projection`.
 ///
-/// Lengths are relative to the volume's bounding sphere, so a camera belongs to volumes of one size.
+/// A camera stores lengths in radii of the volume's bounding sphere, and positions relative to its center. So
+/// a camera that was made for one volume gives the same relative view of any other volume.
 #[pyclass(frozen, from_py_object, module = "entire")]
 #[derive(Clone, PartialEq)]
 pub(crate) struct Camera {

@@ -87,7 +87,7 @@ impl Volumes {
         })
     }
 
-    /// Sum of the large volume's bytes.
+    /// Wrapping sum of the large volume's data, read as 64-bit words; 0 without a large volume.
     fn read(&self) -> u64 {
         let sum = |bytes: &[u64]| {
             let mut lanes = [0u64; 32];

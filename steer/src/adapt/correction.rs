@@ -618,7 +618,7 @@ mod tests {
                 other.load(&mut Reader(&bytes)).unwrap();
                 assert_eq!(other.observations, correction.observations, "frame {frame}");
             }
-            // All variances are unchanged, but two states get a correlation above 1.
+            // All variances are unchanged, but two states get a correlation of -1.01 or 1.01.
             for sign in [-1.0, 1.0] {
                 let mut broken = correction.clone();
                 let bound = libm::sqrt(broken.covariance[0][0] * broken.covariance[4][4]);

@@ -102,8 +102,8 @@ pub struct FittedQuality {
     /// all settings that take at most the same time. Errors are interpolated between drawn settings.
     /// Geometric mean over frame times; 1 is the best value.
     pub over_best: f64,
-    /// Excess error of laws that were fitted to the other scenes, on held-out scenes, divided by that of the
-    /// prior law; 1 or more if the prior law is kept, `None` without a prior.
+    /// Excess error of fitted laws on scenes that were held out from their fits, divided by the excess error
+    /// of the prior law on the same scenes. 1 or more if the prior law is kept; `None` without a prior.
     pub over_prior: Option<f64>,
     /// As `over_best`, but only for settings that coarsen the ray step alone. The mean is over those frame
     /// times of `over_best` that such settings reach; `None` if they reach none.

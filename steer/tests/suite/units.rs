@@ -1,5 +1,6 @@
-//! Tests that a scene's predicted time does not depend on the unit of length: for units over 60 orders of
-//! magnitude, summaries from voxels and from bricks, and cameras given as arcball and as view matrix.
+//! Tests that a scene's predicted time does not depend on the unit of length. The units span 60 orders of
+//! magnitude. The summaries are made from voxels and from bricks, and the cameras from arcball poses and from
+//! view matrices.
 
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, Shading, Skipping, TransferFunction,

@@ -400,8 +400,8 @@ fn unsafe_stays_behind_its_fences() {
     assert!(wrong.is_empty(), "unsafe outside of {fences:?}:\n{}", wrong.join("\n"));
 }
 
-/// Checks that code after a test module counts, that tests do not count, and that every way of naming a
-/// module is found.
+/// Checks that [`product_tokens`] keeps the code after a test module and removes the code of tests, and that
+/// [`names_below`] finds names in imports, paths and macros.
 #[test]
 fn the_rules_read_all_of_a_file_and_nothing_but_the_product() {
     let text = r#"

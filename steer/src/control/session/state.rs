@@ -141,7 +141,7 @@ impl Session {
         }
         self.controller.load(r.0)?;
         self.pending.fill(None);
-        // The state holds no last frame, so the next frame continues none, as after a reset.
+        // The state contains no last frame. So the next frame has no preceding frame, as after a reset.
         self.changes.first = true;
         Ok(())
     }
