@@ -246,6 +246,15 @@ def missing_targets(pages):
                     yield f"{page.path}: `make {target}` is no target"
 
 
+def missing_examples():
+    """Example programs that a script or makefile builds and no crate has: no test builds them."""
+    has = {Path(path).stem for path in tracked("*/examples/*.rs")} | {Path(path).parts[-2] for path in tracked("*/examples/*/main.rs")}
+    for path in tracked("Makefile", "make/*", "*.sh", "*.py"):
+        for name in re.findall(r"--example[\"',\s]+([a-z]\w*)", (ROOT / path).read_text(encoding="utf-8")):
+            if name not in has:
+                yield f"{path}: no crate has the example {name}"
+
+
 class Helps:
     """Texts of the built programs' `--help`, read once for each command."""
 
@@ -444,7 +453,7 @@ def main():
 
 def asked(options):
     """Limits of the bars by name."""
-    counts = ["broken-links", "missing-paths", "missing-c-names", "missing-make-targets", "documents-of-other-versions",
+    counts = ["broken-links", "missing-paths", "missing-c-names", "missing-make-targets", "missing-examples", "documents-of-other-versions",
               "readme-figures-apart-from-results", "code-blocks-that-do-not-compile", "other-addresses", "circles-without-reason",
               "definitions-that-begin-with-what-whether-how"]
     if options.bin_dir or not options.quick:
@@ -478,6 +487,7 @@ def measure(bars, options):
         ("missing-paths", missing_paths(front)),
         ("missing-c-names", missing_names(front)),
         ("missing-make-targets", missing_targets(pages)),
+        ("missing-examples", missing_examples()),
         ("documents-of-other-versions", reach.stale()),
         ("readme-figures-apart-from-results", figures_apart_from_results(readme, results)),
     ):
