@@ -219,7 +219,7 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
     let mut moved = back.clone();
     moved.settings["volumes"][0]["seed_name"] = json!("elsewhere/t.nrrd");
     let error = Protocol::of_manifest(&moved).unwrap_err().to_string();
-    assert!(error.contains("depend on the names of its folders, \"elsewhere/t.nrrd\""), "{error}");
+    assert!(error.contains("were drawn from the name \"elsewhere/t.nrrd\", but the file now has"), "{error}");
     let changed = |f: &dyn Fn(&mut Protocol)| {
         let mut p = protocol();
         f(&mut p);

@@ -117,7 +117,7 @@ pub fn measure(
 #[derive(Clone, Debug)]
 pub(crate) struct Prepared {
     pub(crate) summary: VolumeSummary,
-    /// G: relative frame time over ray step.
+    /// G, the frame time at a ray step divided by that at the reference step.
     pub(crate) response: StepResponse,
     /// G with the samples that it was fitted to.
     pub(crate) curve: ResponseCurve,

@@ -15,7 +15,8 @@ use entire_report::{Axis, Chart, Mark, Page, Rule, Series, Table, encode_png};
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// G, the curve of relative frame time over ray step: its samples, scene after scene, and its points.
+/// G, the frame time at a ray step divided by that at the reference step: its samples, scene after scene, and
+/// its points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResponseCurve {
     /// Measured pairs (step ratio, time ratio).
@@ -36,9 +37,9 @@ impl ResponseCurve {
         let samples = self.samples.iter().map(wide).map(|(x, y)| (x, y, String::new())).collect();
         let points = self.points.iter().map(wide).collect();
         Chart::new(
-            "G: relative frame time over ray step",
+            "G: frame time at a ray step / at the reference step",
             Axis::log("step / reference steps"),
-            Axis::log("relative frame time"),
+            Axis::log("frame time / at the reference step"),
         )
         .size(900.0, 300.0)
         .series(Series::new("random scenes", Mark::Points(samples)).color(6))
@@ -55,7 +56,7 @@ pub(crate) struct Story {
     pub(crate) volume: String,
     pub(crate) path: String,
     pub(crate) predictor: Steers,
-    /// G: relative frame time over ray step.
+    /// G, the frame time at a ray step divided by that at the reference step.
     pub(crate) response: ResponseCurve,
     /// Further remarks, a paragraph each.
     pub(crate) remarks: Vec<String>,

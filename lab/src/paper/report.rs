@@ -219,7 +219,7 @@ pub(crate) fn write_book(paper: &Paper, material: &Material, pages: &Path) -> Re
                 let _ = write!(out, "\n{caption}.\n");
             }
         } else if !section.pictures.is_empty() {
-            out += "\nThe pictures of this section are shown further up.\n";
+            out += "\nPictures that an earlier section shows are not repeated here.\n";
         }
         // A note is written once, under the first label that has it.
         for note in section.notes.iter().chain((!label.note.is_empty()).then_some(&label.note)) {
@@ -267,7 +267,7 @@ fn markdown_of(
         }
     }
     if repeated {
-        out += "\nThe tables of this section are shown further up.\n";
+        out += "\nTables that an earlier section shows are not repeated here.\n";
     }
     for (i, (chart, caption)) in section.charts.iter().enumerate() {
         let file = format!("{stem}-{i}.svg");

@@ -134,8 +134,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
         let mut caption = format!("{}: errors by split.", title(paper, r));
         if r.encoder != stated {
             caption += &format!(
-                " {}. In the other split, the network uses the shipped encoder. The models of the split \
-                 by random volumes also predict the scans.",
+                " {}. In the other split, the network uses the shipped encoder. If the table has rows of \
+                 scans, they are predicted by the models of the split by random volumes.",
                 r.encoder
             );
             stated = r.encoder.as_str();
