@@ -35,9 +35,10 @@ pub struct HybridOptions {
     /// 0.07.
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
-    /// Exception: the finest allowed step is chosen, whatever its bound, if its expected time meets the
-    /// target and if the finest step whose bound is within the tolerance is at most exp(`full`) times the
-    /// finest allowed step ([`HybridConstants`]).
+    /// There are two exceptions. The finest allowed step is chosen, whatever its bound, if its expected time
+    /// meets the target and if the finest step whose bound is within the tolerance is at most exp(`full`)
+    /// times the finest allowed step ([`HybridConstants`]). If no step has a bound within the tolerance, the
+    /// step is chosen by its expected cost ([`Reason::Fits`]).
     pub tolerance: f32,
     /// Standard deviation of ln(measured / predicted) of a model that was fitted to times of this machine and
     /// clock. `None` if the machine was never measured, so that even the order of magnitude is unknown.
@@ -627,6 +628,7 @@ impl Controller for Hybrid {
     fn load(&mut self, bytes: &[u8]) -> Result<()> {
         let mut r = Reader(bytes);
         let mut next = Self::new(self.options);
+        next.convert(matches!(self.prior, Prior::Converted { .. }));
         r.tag(*b"ENH4")?;
         next.correction.load(&mut r)?;
         next.calm.load(&mut r)?;
