@@ -21,7 +21,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-MODELS = ["unshaded", "unshaded-epyc", "unshaded-xeon", "local", "scatter"]
+MODELS = ["unshaded", "unshaded-epyc", "unshaded-xeon", "local", "local-xeon", "scatter", "scatter-xeon"]
 TABLES = ["none-h100-train", "local-h100-train", "scatter-h100-train"]
 # Costs of a single shading mode, by mode; all other costs are of every mode.
 ONLY = {
