@@ -12,13 +12,14 @@
 //! | setup | time of packing the weights |
 //! | warm | minimum, median, 99th percentile and maximum of successive calls |
 //! | cold | median with the weights evicted from the first two cache levels before each call |
-//! | flushed | median with the weights (resampling: the voxels) flushed from every cache before each call; not for VolumeNet |
+//! | flushed | median with the weights (resampling: voxels) flushed from every cache before each call |
 //! | bytes | bytes that one call reads: weights (VolumeNet: weights and voxels; resampling: voxels) |
 //! | floor | lower bound of a call's time: the larger of bytes / bandwidth and FLOP / peak rate |
 //! | ratio | median of the warm times / floor |
 //!
 //! VolumeNet `vol A` has the channels 1-8-16-32-64-128-256, `vol B` 1-16-32-64-128-256-256 (kernel 3, stride
-//! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
+//! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³. The column
+//! `flushed` is empty for VolumeNet.
 #![allow(clippy::incompatible_msrv, reason = "needs the newest compiler, unlike the library")]
 
 use entire_core::kernels::{Executor, Level, Storage};
@@ -122,7 +123,7 @@ fn volume_network(channels: &[usize]) -> VolumeNetParts {
     VolumeNetParts { input: INPUT_EDGE, blocks, fc }
 }
 
-/// A volume of smooth bytes with some noise.
+/// Returns the bytes of a smooth volume with some noise.
 fn volume(edge: usize) -> Vec<u8> {
     let mut noise = Normal(99);
     (0..edge * edge * edge)
@@ -148,7 +149,6 @@ struct Row<'a> {
 }
 
 impl Row<'_> {
-    /// Prints the line of the table.
     fn print(&self) {
         let Row { network, storage, rows, warm, bytes, .. } = self;
         let [setup, cold, flushed] =

@@ -225,7 +225,7 @@ pub(crate) unsafe fn text<'a>(at: *const c_char, what: &str) -> Result<&'a str, 
     })
 }
 
-/// Checks that an output pointer is not NULL, before the call does any work.
+/// Checks that an output pointer is aligned and not NULL, before the call does any work.
 pub(crate) fn check_pointer<T>(at: *const T, what: &str) -> Result<(), Failure> {
     check_array(at, 1, what)
 }

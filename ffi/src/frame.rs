@@ -40,7 +40,7 @@ pub type entire_skipping = u32;
 pub const ENTIRE_SKIPPING_NONE: entire_skipping = 1;
 /// Transparent blocks are skipped.
 pub const ENTIRE_SKIPPING_BLOCKS: entire_skipping = 2;
-/// As ENTIRE_SKIPPING_BLOCKS, with a distance map: one skip crosses all blocks that the map shows to be
+/// Transparent blocks are skipped with a distance map: one skip crosses all blocks that the map shows to be
 /// empty.
 pub const ENTIRE_SKIPPING_DISTANCE: entire_skipping = 3;
 
@@ -76,7 +76,8 @@ pub struct entire_frame {
     /// predicts the time at this step. entire_session_plan returns this step if steering is off, else ignores
     /// it.
     pub step: f32,
-    /// Accumulated opacity at which a ray stops, over 0 and up to 1; with 1 it never stops. Default 0.99.
+    /// Accumulated opacity at which a ray stops, over 0 and up to 1; 1 disables early termination. Default
+    /// 0.99.
     pub termination: f32,
     /// One of ENTIRE_SHADING_*; default ENTIRE_SHADING_NONE.
     pub shading: entire_shading,

@@ -334,7 +334,7 @@ pub(crate) fn load(bytes: &[u8], name: &str) -> Result<Loaded, Failure> {
 }
 
 /// Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
-/// written under a temporary name and renamed, so that it never exists in part.
+/// written under a temporary name and renamed, so that `path` never names an incomplete file.
 ///
 /// Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
 /// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -346,7 +346,7 @@ pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *co
         let io = |e: std::io::Error| {
             Failure::new(ENTIRE_IO, format!("{path}: {e}; name a file in a folder that can be written"))
         };
-        // Threads, processes and machines that save to one path each write a file of their own.
+        // Threads, processes and machines that save to the same path write different temporary files.
         let random = || RandomState::new().hash_one(0);
         let names = (0..SAVE_NAMES).map(|_| format!("{path}.{:016x}.part", random()));
         let (mut file, beside) = create_first(names).map_err(io)?;

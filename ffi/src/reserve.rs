@@ -58,7 +58,8 @@ impl Reserve {
         (piece as usize).wrapping_sub(self.start() as usize) < BLOCK * BLOCKS
     }
 
-    /// A piece for `layout`, or NULL if it is too large or no long enough run of blocks is free.
+    /// A piece for `layout`; NULL if its size or alignment is too large, or if no run of free blocks is long
+    /// enough.
     #[cold]
     fn take(&self, layout: Layout) -> *mut u8 {
         if layout.size() > LARGEST_PIECE || layout.align() > BLOCK {

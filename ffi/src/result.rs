@@ -62,8 +62,8 @@ const NAMES: [(entire_result, &CStr); 14] = [
     (ENTIRE_OUT_OF_MEMORY, c"ENTIRE_OUT_OF_MEMORY"),
 ];
 
-/// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. Static,
-/// never NULL.
+/// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. The text is
+/// static. Never NULL.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_result_name(result: u32) -> *const c_char {
     let known = NAMES.into_iter().find(|(code, _)| *code as u32 == result);

@@ -44,9 +44,9 @@ pub struct entire_color_node {
     pub position: f64,
     /// Red, green, blue in [0, 1].
     pub color: [f64; 3],
-    /// As in entire_opacity_node.
+    /// Position of the half-way value between this node and the next, in [0, 1]; 0.5 is the middle.
     pub midpoint: f64,
-    /// As in entire_opacity_node; values over 0.99 make a step.
+    /// Sharpness of the change, in [0, 1]: 0 linear; values over 0.99 make a step.
     pub sharpness: f64,
 }
 
@@ -121,8 +121,9 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
 /// VTK's default; if it is 0, everything beyond them is transparent and black. The unit distance is one
 /// reference step until entire_transfer_function_set_unit_distance changes it.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names), ENTIRE_SIZE_MISMATCH
-/// (over ENTIRE_MAX_TRANSFER_POINTS opacity or color nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names, or a range that is not
+/// finite or has `low` over `high`), ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS opacity or color
+/// nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     opacity: *const entire_opacity_node,

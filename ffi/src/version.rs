@@ -18,7 +18,7 @@ const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_V
     Err(_) => panic!("the package version holds a NUL"),
 };
 
-/// The library's version, such as "0.1.0". Static.
+/// The library's version, such as "0.1.0". The text is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_version() -> *const c_char {
     VERSION.as_ptr()

@@ -79,10 +79,10 @@ pub struct entire_volume_desc {
     /// default 1, 1, 1.
     pub spacing: [f32; 3],
     /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-    /// maximum of the voxels without fill values, of which there are at most four. Each is the least or the
-    /// greatest of the values that remain without the previous fill values, at least one voxel in 1024 has
-    /// it, and its distance from all other remaining values is at least an eighth of the width of their
-    /// range.
+    /// maximum of the voxels without fill values. There are at most four fill values, found one after another
+    /// in a sample of the voxels. Each is the least or the greatest of the values that remain without the
+    /// previous fill values. At least one sampled voxel in 1024 has the fill value. Its distance from all
+    /// other remaining values is at least an eighth of the width of their range.
     pub range: [f32; 2],
     /// Must be 0.
     pub reserved: u32,
@@ -390,7 +390,7 @@ unsafe fn convert<T: Copy, U>(
     Ok(copy)
 }
 
-/// A vector's elements, without the lifetime of the borrow, and the vector.
+/// Returns the elements of a vector, detached from the lifetime of a borrow, and the vector.
 ///
 /// # Safety
 /// The vector lives and is neither grown nor changed for as long as its elements are used.

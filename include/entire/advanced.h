@@ -320,7 +320,8 @@ typedef struct entire_prediction {
      */
     float upper;
     /**
-     * As in entire_plan.
+     * Out-of-range score: 0 if the inputs are inside the range of the training data, else their distance
+     * from this range in units of half its width.
      */
     float out_of_range;
     /**
@@ -505,7 +506,7 @@ entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, e
 
 /**
  * Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
- * written under a temporary name and renamed, so that it never exists in part.
+ * written under a temporary name and renamed, so that `path` never names an incomplete file.
  *
  * Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
  * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
@@ -701,14 +702,14 @@ entire_result entire_session_record(entire_session *session, const entire_model 
 
 /**
  * Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
- * It takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
+ * The fit takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
  * report->struct_size first. The session does not use the model until entire_session_set_model, and
  * continues to record. entire_model_save saves the model for later runs. The names of
  * entire_session_set_timing_source are written to the model's metadata.
  *
  * Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_INVALID_ARGUMENT (a fit
- * to these frames predicts a time that is not finite), ENTIRE_OUT_OF_MEMORY,
- * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * to these frames predicts a time that is not finite), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+ * ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_calibrate(const entire_session *session,
                                        entire_model **model,
@@ -756,9 +757,10 @@ entire_result entire_session_recorded_count(const entire_session *session, size_
 entire_result entire_session_set_model(entire_session *session, const entire_model *model);
 
 /**
- * Withdraws the newest plan if no frame was drawn with it, such as for a volume that is outside of the view.
- * The next plan then gets its id, and knows all changes since the last drawn frame. Has no effect on an
- * older or an observed plan, nor on the plan before a withdrawn one.
+ * Withdraws the newest plan. Call this function if no frame was drawn with the plan, for example because the
+ * volume is outside of the view. The next plan then gets the id of the withdrawn plan, and knows all changes
+ * since the last drawn frame. Has no effect on an older or an observed plan, nor on the plan before a
+ * withdrawn one.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -851,11 +853,11 @@ entire_result entire_session_set_quality(entire_session *session,
                                          float ray_share);
 
 /**
- * The quality law that plans use: the numbers of entire_session_set_quality, else those of the model
- * (entire_session_record_picture, `entire calibrate`) if it was calibrated with the renderer that
- * entire_session_set_timing_source names, or if no renderer is named, else the built-in law of the named
- * renderer (the class names of VTK's fixed-point and GPU mapper, or `vulkan` or `cpu` for the raycaster).
- * All are 0 if there is no law.
+ * Reads the quality law that plans use. A law of entire_session_set_quality comes first. Without it, plans
+ * use the model's law (from entire_session_record_picture or `entire calibrate`), if the model was
+ * calibrated with the renderer that entire_session_set_timing_source names, or if no renderer is named.
+ * Otherwise, plans use the built-in law of the named renderer (the class names of VTK's fixed-point and GPU
+ * mapper, or `vulkan` or `cpu` for the raycaster). All four numbers are 0 if there is no law.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */

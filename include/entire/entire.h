@@ -290,10 +290,10 @@ typedef struct entire_volume_desc {
     float spacing[3];
     /**
      * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
-     * maximum of the voxels without fill values, of which there are at most four. Each is the least or the
-     * greatest of the values that remain without the previous fill values, at least one voxel in 1024 has
-     * it, and its distance from all other remaining values is at least an eighth of the width of their
-     * range.
+     * maximum of the voxels without fill values. There are at most four fill values, found one after another
+     * in a sample of the voxels. Each is the least or the greatest of the values that remain without the
+     * previous fill values. At least one sampled voxel in 1024 has the fill value. Its distance from all
+     * other remaining values is at least an eighth of the width of their range.
      */
     float range[2];
     /**
@@ -337,11 +337,11 @@ typedef struct entire_color_node {
      */
     double color[3];
     /**
-     * As in entire_opacity_node.
+     * Position of the half-way value between this node and the next, in [0, 1]; 0.5 is the middle.
      */
     double midpoint;
     /**
-     * As in entire_opacity_node; values over 0.99 make a step.
+     * Sharpness of the change, in [0, 1]: 0 linear; values over 0.99 make a step.
      */
     double sharpness;
 } entire_color_node;
@@ -414,7 +414,8 @@ typedef struct entire_frame {
      */
     float step;
     /**
-     * Accumulated opacity at which a ray stops, over 0 and up to 1; with 1 it never stops. Default 0.99.
+     * Accumulated opacity at which a ray stops, over 0 and up to 1; 1 disables early termination. Default
+     * 0.99.
      */
     float termination;
     /**
@@ -495,9 +496,9 @@ typedef struct entire_session_options {
     float probe_tolerance;
     /**
      * Not 0 if the picture keeps its quality while other programs slow frames down: steps are chosen as
-     * without this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
-     * longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
-     * are chosen for it. Default 0.
+     * without this load, so frames exceed the target. entire_plan.seconds includes the load. If the load
+     * lasts longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and
+     * steps are chosen for it. Default 0.
      */
     uint32_t ignore_load;
     /**
@@ -680,7 +681,7 @@ typedef struct entire_plan {
 #define ENTIRE_SKIPPING_BLOCKS 2
 
 /**
- * As ENTIRE_SKIPPING_BLOCKS, with a distance map: one skip crosses all blocks that the map shows to be
+ * Transparent blocks are skipped with a distance map: one skip crosses all blocks that the map shows to be
  * empty.
  */
 #define ENTIRE_SKIPPING_DISTANCE 3
@@ -752,13 +753,13 @@ extern "C" {
 #endif // __cplusplus
 
 /**
- * The library's version, such as "0.1.0". Static.
+ * The library's version, such as "0.1.0". The text is static.
  */
 const char *entire_version(void);
 
 /**
- * The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. Static,
- * never NULL.
+ * The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for other numbers. The text is
+ * static. Never NULL.
  */
 const char *entire_result_name(uint32_t result);
 
@@ -830,8 +831,9 @@ void entire_volume_free(struct entire_volume *volume);
  * VTK's default; if it is 0, everything beyond them is transparent and black. The unit distance is one
  * reference step until entire_transfer_function_set_unit_distance changes it.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names), ENTIRE_SIZE_MISMATCH
- * (over ENTIRE_MAX_TRANSFER_POINTS opacity or color nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (an invalid node, which the error text names, or a range that is not
+ * finite or has `low` over `high`), ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS opacity or color
+ * nodes), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_nodes(const struct entire_opacity_node *opacity,
                                                   size_t opacity_count,

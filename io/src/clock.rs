@@ -8,8 +8,8 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_vk_raycaster::Renderer;
 
-/// Choice of a clock by an option; `None` for `auto`: the clock that the text of the option names, or without
-/// such a text, the device's timestamps if all frames have them, else wall time.
+/// Choice of a clock by an option; `None` for `auto`. If the option's help text states a clock for `auto`,
+/// this clock is meant; otherwise the device's timestamps if all frames have them, else wall time.
 pub type ClockChoice = Option<Clock>;
 
 /// Returns the clock that a model states: under [`Key::Clock`], else in its provenance. `None` if it states

@@ -216,9 +216,10 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     write_whole(path, (serde_json::to_string_pretty(value)? + "\n").as_bytes())
 }
 
-/// Locks a file for this process only; the system releases the lock when the process ends, even by a crash. A child
-/// process that another thread is starting holds a copy of the lock between fork and exec, so locking is retried for
-/// 0.3 seconds. On a file system without locks the file stays unlocked, and other processes cannot be excluded.
+/// Locks a file for this process only; the system releases the lock when the process ends, even by a crash. A
+/// child process that another thread is starting holds a copy of the lock between fork and exec, so locking
+/// is retried for 0.3 seconds. On a file system without locks the file stays unlocked, and other processes
+/// cannot be excluded.
 ///
 /// # Errors
 /// When another process holds the lock (the error then ends with `busy`), or the system cannot lock the file.

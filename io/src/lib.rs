@@ -1,6 +1,6 @@
-//! Input and output of the programs: volume files, timing tables, paths of cameras and transfer functions, and
-//! files that are written completely or not at all; also the options, clocks and progress bars that the programs
-//! share.
+//! Input and output of the programs: volume files, timing tables, paths of cameras and transfer functions,
+//! and files that are written completely or not at all; also the options, clocks and progress bars that the
+//! programs share.
 
 pub mod child;
 pub mod clock;

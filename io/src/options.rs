@@ -154,7 +154,7 @@ impl DrawSettings {
     }
 }
 
-/// Returns the values of an option, by name, with their descriptions.
+/// Returns the values of an option, made from their names and descriptions.
 pub(crate) fn described<const N: usize>(
     names: [&'static str; N],
     texts: [&'static str; N],

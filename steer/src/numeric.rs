@@ -90,7 +90,7 @@ pub(crate) struct Noise(pub(crate) u64);
 
 #[cfg(test)]
 impl Noise {
-    /// A number over 0 and below 1.
+    /// A number over 0 and at most 1.
     pub(crate) fn uniform(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64

@@ -14,8 +14,8 @@ pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().map(|r| (r, ())))
 }
 
-/// As [`from_predictions`], but every group (ensemble member) has the same weight, however many frames it
-/// has. The bound is for frames of groups that are not among `groups`.
+/// Computes the upper bound as [`from_predictions`] does, but every group (ensemble member) has the same
+/// weight, however many frames it has. The bound is for frames of groups that are not among `groups`.
 pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> UpperBound {
     UpperBound::from_groups(log_residuals(predicted, measured).into_iter().zip(groups))
 }

@@ -357,8 +357,9 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
     );
 }
 
-/// True if the time by these unit costs depends on the quantity at this index of [`COST_QUANTITIES`]. Another
-/// number of cached voxels than that of the quantities is converted by the number of touched voxels.
+/// True if the time by these unit costs depends on the quantity at this index of [`COST_QUANTITIES`]. If the
+/// unit costs have another number of cached voxels than the quantities, the conversion needs the number of
+/// touched voxels.
 pub(crate) fn depends_on(costs: &UnitCosts, index: usize) -> bool {
     let converted = costs.cached_voxels != UnitCosts::SOFTWARE.cached_voxels;
     costs.seconds[index + 1] != 0.0 || (converted && COST_QUANTITIES[index] == SceneQuantity::TouchedVoxels)

@@ -7,9 +7,9 @@ use entire_steer::features::{Changes, FrameFeatures, Setting, TransferSummary, V
 use entire_steer::predict::{Inputs, Predictor, load};
 use entire_vk_raycaster::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result};
 
-/// Renderer that draws nothing. Its wall time, and its time by the model's clock, are the model's prediction;
-/// it has no time by other clocks, so that a model of its times states the same clock. A model that states no
-/// clock gives every time.
+/// Renderer that draws nothing. Its wall time, and its time by the model's clock, are the model's prediction.
+/// It has no time by other clocks, so that a model that is fitted to its times states the same clock. If the
+/// model states no clock, the times by all clocks are the prediction.
 pub struct Teacher {
     name: String,
     clock: Option<Clock>,

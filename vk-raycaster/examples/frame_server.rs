@@ -5,7 +5,7 @@
 //! ```text
 //! make noise|vessels N FILE             writes a generated volume of N³ raw bytes
 //! volume FILE NX NY NZ SX SY SZ         loads raw bytes with their spacing; returns the seconds of each part
-//! transfer NAME FILE                    sets transparent|medium|opaque|scan, writes its table (256 RGBA, f32)
+//! transfer NAME FILE                    sets transparent|medium|opaque|scan, writes its table (256 RGBA f32)
 //! camera RX RY DZ WIDTH HEIGHT          sets the camera; returns eye, forward and up in world units, with
 //!                                       the origin at a corner of the box
 //! frame none|blocks|distance            renders; returns the seconds by each clock

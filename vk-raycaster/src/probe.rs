@@ -21,7 +21,7 @@ pub struct ProbeOptions {
     /// Smallest time of a frame that is measured, in seconds. Images grow until their frames take this long,
     /// so that the clock's error is small in comparison.
     pub frame_seconds: f64,
-    /// Number of frames of each scene; their median time counts.
+    /// Number of frames of each scene. The time of a scene is the median of their times.
     pub repeats: usize,
 }
 

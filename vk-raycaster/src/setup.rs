@@ -43,7 +43,7 @@ pub(crate) struct FrameSetup {
     pub(crate) jitter: u32,
     /// Voxels per step for a unit direction in scene space.
     pub(crate) advance: [f32; 3],
-    /// Table position per voxel value.
+    /// Increase of the table position per unit of voxel value.
     pub(crate) scale: f32,
     /// Number of voxels along each axis.
     pub(crate) dims: [f32; 3],
@@ -141,7 +141,8 @@ impl FrameSetup {
 /// Refuses a frame that cannot be drawn.
 pub(crate) fn check(frame: &Frame, volume: &Geometry) -> Result<()> {
     frame.checked().map_err(|e| Error::new(e.to_string()))?;
-    // No ray is longer than the bounding sphere's diameter, which is 2. Single precision counts to 2²⁴.
+    // No ray is longer than the bounding sphere's diameter, which is 2. Single precision represents whole
+    // numbers exactly up to 2²⁴.
     let samples = 2.0 / (f64::from(frame.step) * volume.reference_step());
     if samples > MOST_SAMPLES {
         return Err(Error::new(format!(

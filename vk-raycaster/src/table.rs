@@ -1,4 +1,4 @@
-//! The transfer-function table in the renderers' form.
+//! The table of a transfer function, in the form that the renderers use.
 
 use entire_core::scene::{TABLE_LEN, TransferTable};
 

@@ -72,7 +72,7 @@ impl Geometry {
 }
 
 /// Keeps integer voxels, minus an offset, if the range covers them all; else requantizes them to 16 bits over
-/// the range. Returns the voxels, the scale and the bias of a table position.
+/// the range. Returns the voxels, and the scale and the bias of their table positions.
 fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     view: &VolumeView<'_>,
     stored: &[T],
@@ -107,7 +107,7 @@ where
     (Voxels::U16(voxels.into_par_iter().map(|v| (v.into() - minimum) as u16).collect()), minimum)
 }
 
-/// Returns `map` of every voxel, contiguous, x fastest.
+/// Returns all voxels, mapped by `map`, contiguous, x fastest.
 fn gather<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
     view: &VolumeView<'_>,
     stored: &[T],

@@ -118,8 +118,9 @@ impl Level {
         Ok(())
     }
 
-    /// Value of [`LEVEL_VARIABLE`], read once: reading the environment while another thread changes it is not
-    /// safe in C.
+    /// Instruction set that [`LEVEL_VARIABLE`] names; `None` if the variable is not set or empty. The
+    /// variable is read only once, since in C it is not safe to read the environment while another thread
+    /// changes it.
     #[cfg(feature = "std")]
     fn override_isa() -> &'static Result<Option<Isa>> {
         static SAID: std::sync::OnceLock<Result<Option<Isa>>> = std::sync::OnceLock::new();

@@ -1,8 +1,8 @@
 //! SIMD kernels. Every call takes a [`Level`]. This is the only module of the crate with `unsafe`.
 //!
 //! Only detection on the CPU creates a [`Level`], so a value of this type proves that the CPU has the level's
-//! instructions. Networks keep the level for which they were built and dispatch once per call, not once per
-//! layer.
+//! instructions. A network keeps the level for which it was built. PredNet dispatches once per row or block
+//! of rows; VolumeNet dispatches several times per layer.
 #![allow(unsafe_code, reason = "SIMD intrinsics and packed storage; every block states why it is sound")]
 
 mod activation;

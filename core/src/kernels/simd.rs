@@ -2,8 +2,8 @@
 //!
 //! A kernel implements [`Kernel`]: one generic body in which every function is `#[inline(always)]`. The
 //! module `dispatch` enters a function that has a level's instructions enabled and passes the level's
-//! [`Simd`] token to the body. So the level is chosen once per call of a network, and the network's code is
-//! compiled once per instruction set.
+//! [`Simd`] token to the body. So the level is chosen once per run of a kernel, and the kernel is compiled
+//! once per instruction set.
 
 /// SELU's scale λ (Klambauer et al. 2017, self-normalizing networks).
 pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
@@ -39,7 +39,7 @@ pub trait Simd: Copy + 'static {
 
     /// Prefetches the cache line at `p` into the second-level cache; a hint that may do nothing.
     fn prefetch(self, p: *const f32);
-    /// As [`prefetch`](Self::prefetch), into the first-level cache.
+    /// Prefetches the cache line at `p` into the first-level cache; a hint that may do nothing.
     fn prefetch_near(self, p: *const f32);
     /// `x` in every lane.
     fn splat(self, x: f32) -> Self::F;
@@ -155,7 +155,7 @@ pub trait Simd: Copy + 'static {
     fn lane_bits(self, m: Self::M) -> u32;
     /// `yes` in the lanes of `m`, `no` in the others.
     fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F;
-    /// As [`select`](Self::select), for integers.
+    /// The integers of `yes` in the lanes of `m`, those of `no` in the others.
     fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I;
     /// `x` in every lane.
     fn splat_i(self, x: i32) -> Self::I;
@@ -167,8 +167,8 @@ pub trait Simd: Copy + 'static {
     fn trunc(self, v: Self::F) -> Self::I;
     /// Reinterprets the bits of integers as floats.
     fn as_f(self, v: Self::I) -> Self::F;
-    /// Gathers the words at `index`, taken as unsigned; an index beyond the end reads the last word. `from`
-    /// must not be empty.
+    /// Gathers the words of `from` at the lanes of `index`, which are read as unsigned numbers. An index
+    /// beyond the end reads the last word. `from` must have 1 to 2³¹ − 1 words.
     fn gather(self, from: &[u32], index: Self::I) -> Self::I;
     /// Bitwise and.
     fn and_i(self, a: Self::I, b: i32) -> Self::I;
@@ -192,7 +192,8 @@ pub trait Simd: Copy + 'static {
     /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within the tolerance of [`selu`](super::selu). NaN
     /// stays NaN.
     ///
-    /// eˣ − 1 = 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2): accurate near zero, where eˣ − 1 cancels.
+    /// eˣ − 1 is computed as 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2) and r = x − n·ln 2. Near zero,
+    /// this sum is accurate, but the subtraction of 1 from eˣ would lose digits.
     #[inline(always)]
     fn selu(self, x: Self::F) -> Self::F {
         /// 1.5·2²³: adding this number rounds a value to an integer, which the low bits then hold.

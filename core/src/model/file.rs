@@ -51,7 +51,8 @@ impl<'a> Source<'a> {
             );
         }
         let (header, data) = rest.split_at(stated as usize);
-        // Parsing makes many small allocations, in all several times the header's length.
+        // Parsing makes many small allocations, which together take up to `HEADER_MEMORY` times the header's
+        // length.
         check_bytes(header.len().saturating_mul(HEADER_MEMORY))?;
         let unique = serde_json::from_slice(header).and_then(|_: Names| serde_json::from_slice(header));
         let header: safetensors::tensor::Metadata = match unique {

@@ -19,7 +19,8 @@ pub enum Key {
     Inputs,
     /// `entire.target`: `seconds` or `log_seconds`.
     Target,
-    /// `entire.volumenet`: JSON object: input edge, stride and padding per block.
+    /// `entire.volumenet`: JSON object with the edge of VolumeNet's input in voxels, and the stride and the
+    /// padding of each block.
     VolumeNet,
     /// `entire.scene_features`: JSON array of the scene features' names in order.
     SceneFeatures,
@@ -34,11 +35,11 @@ pub enum Key {
     StepReference,
     /// `entire.provenance`: origin of the weights (free text, or JSON).
     Provenance,
-    /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
-    /// for analytic models `low` and `high` (smallest and largest values, over the training frames, of
-    /// ln(pixels + 1) and of ln(count / pixels + 0.01) for rays, skips, samples and `lane_samples`), and for
-    /// learned factors `input_low` and `input_high` (one number per input, to which inputs are clamped:
-    /// `InputRange` of `entire-steer`). Optional.
+    /// `entire.calibration`: JSON object with `level` (0.95) and `log_factor` (ln of upper bound /
+    /// prediction). Analytic models also have `low` and `high`: smallest and largest values, over the
+    /// training frames, of ln(pixels + 1) and of ln(count / pixels + 0.01) for rays, skips, samples and
+    /// `lane_samples`. Networks may also have `input_low` and `input_high`: ends of the range to which each
+    /// input is clamped (`InputRange` of `entire-steer`). Optional.
     Calibration,
     /// `entire.unit_costs`: JSON object that maps names to unit costs in seconds. The input
     /// `estimated_seconds` is computed from them. The names are `frame` and those in `COST_QUANTITIES` of

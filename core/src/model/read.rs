@@ -468,6 +468,6 @@ fn numbered(name: &str, prefix: &str, suffixes: &[&str]) -> Option<usize> {
     if !suffixes.contains(&suffix) || (number.len() > 1 && number.starts_with('0')) {
         return None;
     }
-    // A number of six digits exceeds the number of layers in any file, and cannot overflow.
+    // Numbers of more than six digits are refused: no file has so many layers. Six digits cannot overflow.
     (number.len() <= 6 && number.bytes().all(|b| b.is_ascii_digit())).then(|| number.parse().ok())?
 }

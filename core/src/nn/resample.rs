@@ -1,9 +1,9 @@
 //! Resampling of any volume to a cube of floats.
 //!
-//! Each axis is resampled on its own, on voxel counts (the spacing is not used):
+//! Each axis is resampled on its own, in voxel coordinates (the spacing is not used):
 //!
 //! - An axis of `m` voxels **shrinks** to `n < m` by area average: output `i` is the mean of the input over
-//!   `[i·m/n, (i+1)·m/n)`, each voxel counted by the exact fraction of it that lies inside.
+//!   `[i·m/n, (i+1)·m/n)`, in which each voxel is weighted by its exact fraction inside this interval.
 //! - An axis **grows** to `n > m` by linear interpolation between voxel centers: output `i` sits at
 //!   `(i + ½)·m/n − ½` in voxel coordinates, clamped to the first and last voxel.
 //! - An axis with `m = n` is copied.
@@ -27,8 +27,8 @@ const RESAMPLE_TOLERANCE: f32 = 2e-6;
 /// Longest axis that [`Resampler::resample`] accepts, in voxels.
 const MAX_AXIS: u64 = 1 << 31;
 
-/// Resamples volumes. Holds the SIMD level, and working memory as large as the longest row so far, so that a
-/// second call with the same sizes does not allocate.
+/// Resamples volumes. Holds the SIMD level, and working memory that is kept between calls: a second call with
+/// the same sizes and number of threads does not allocate.
 #[derive(Clone, Debug)]
 pub struct Resampler {
     level: Level,
@@ -55,7 +55,7 @@ impl Resampler {
     /// exactly normalized voxels; with more, the error grows with their number.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`](crate::ErrorKind) when `n` is 0 or an axis is longer than 2³¹ voxels,
+    /// [`ErrorKind::InvalidArgument`](crate::ErrorKind) when `n` is 0, or `n` or an axis exceeds 2³¹ voxels,
     /// [`ErrorKind::SizeMismatch`](crate::ErrorKind) when `out` does not hold exactly `n`³ values,
     /// [`ErrorKind::OutOfMemory`](crate::ErrorKind) if the scratch for rows cannot be allocated.
     pub fn resample(

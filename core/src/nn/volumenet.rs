@@ -19,7 +19,7 @@ pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 
 /// Limit on an encoder's memory, in bytes (2 GiB): its packed weights and the working memory of one thread.
 /// The resampled cube, at most 512 MiB for a model file, is not included. A model file whose sizes need more
-/// is refused before anything is allocated; the result of this check is the same on every level.
+/// is refused before this memory is allocated; the result of this check is the same on every level.
 pub(crate) const MAX_ENCODER_MEMORY: u64 = 2 << 30;
 
 /// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per calling thread. Empty until the
@@ -32,7 +32,8 @@ pub struct EncodeScratch {
 }
 
 /// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense
-/// layer (paper, section on the volume network). Blocks can have any kernel edge, stride and padding.
+/// layer (paper, section on the volume network). Blocks can have any padding, and any kernel edge and stride
+/// up to the edge of the padded input.
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
 /// [`input`](VolumeNetParts::input)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
@@ -45,9 +46,9 @@ pub struct EncodeScratch {
 ///                                                                              x·stride + c − padding] )
 /// ```
 ///
-/// where i runs over 0 … Cin − 1; a, b and c run over 0 … k − 1; `in` is 0 outside its edge. The last
-/// block's output, flattened in the order (channel, z, y, x), is the input of the dense layer, which has no
-/// activation.
+/// where i runs over 0 … Cin − 1; a, b and c run over 0 … k − 1; `in` is 0 at positions outside 0 … n − 1.
+/// The last block's output, flattened in the order (channel, z, y, x), is the input of the dense layer, which
+/// has no activation.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
     input: usize,

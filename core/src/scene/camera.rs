@@ -78,7 +78,8 @@ impl Camera {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite or not rigid (a rotation and a
-    /// translation, within 1e-3), or when the radius is not positive.
+    /// translation, within 1e-3), when the center is not finite, when the radius is not finite and positive,
+    /// or when the distance of the center from the eye, divided by the radius, is not finite.
     pub fn from_world_view(view: Mat4, center: Vec3, radius: f32) -> Result<Self> {
         if !(radius.is_finite() && radius > 0.0) {
             bail!(InvalidArgument, "bounding-sphere radius is {radius}; it must be finite and positive");

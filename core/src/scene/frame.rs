@@ -66,8 +66,8 @@ pub enum Skipping {
     /// Blocks whose min–max range is transparent under the transfer function are skipped.
     #[default]
     Blocks,
-    /// As `Blocks`, with a Chebyshev distance map: one skip crosses all blocks that the map shows to be
-    /// empty.
+    /// Transparent blocks are skipped with a Chebyshev distance map: one skip crosses all blocks that the map
+    /// shows to be empty.
     Distance,
 }
 

@@ -7,7 +7,7 @@ use alloc::vec::Vec;
 /// Largest number of voxels sampled in search of fill values.
 const SAMPLE: usize = 4096;
 
-/// Smallest share of the sampled voxels that have the same fill value.
+/// Smallest share of the sampled voxels that must have a value for it to count as a fill value.
 const MIN_SHARE: f32 = 1.0 / 1024.0;
 
 /// Smallest distance of a fill value from the nearest other value, as a fraction of the width of the range of

@@ -179,7 +179,7 @@ impl<'a> VolumeView<'a> {
         Self::with(scalars, dims, VolumeOptions::default())
     }
 
-    /// As [`VolumeView::new`], with strides, spacing and range. If `options` has a range, no voxel is read.
+    /// A volume with the strides, spacing and range of `options`. If `options` has a range, no voxel is read.
     ///
     /// # Errors
     /// As [`VolumeView::new`]; [`ErrorKind::SizeMismatch`] for more than [`MAX_REPEATED_VOXELS`] voxels with
@@ -336,9 +336,9 @@ fn check_edges([x, y, z]: [usize; 3]) -> Result<()> {
     Ok(())
 }
 
-/// Returns a vector, divided by the power of two that brings its largest component into 0.5…1, and the
-/// exponent of this power. The squared length of the result is within `f32` for any unit of length, and
-/// nothing is rounded.
+/// Returns `v` divided by the power of two that brings its largest component into 0.5…1, and the exponent of
+/// this power. The division rounds nothing. For any unit of length, the squared length of the quotient is
+/// within the range of `f32`.
 fn normalized(v: Vec3) -> (Vec3, i32) {
     let (_, exponent) = libm::frexpf(v.max_element());
     (Vec3::from_array(v.to_array().map(|c| libm::ldexpf(c, -exponent))), exponent)

@@ -92,14 +92,14 @@ pub unsafe extern "C" fn entire_session_record(
 }
 
 /// Fits a model of the renderer and the machine to the frames that were recorded since entire_session_record.
-/// It takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
+/// The fit takes a second or less for 500 frames, on the calling thread. `report` may be NULL; else set
 /// report->struct_size first. The session does not use the model until entire_session_set_model, and
 /// continues to record. entire_model_save saves the model for later runs. The names of
 /// entire_session_set_timing_source are written to the model's metadata.
 ///
 /// Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_INVALID_ARGUMENT (a fit
-/// to these frames predicts a time that is not finite), ENTIRE_OUT_OF_MEMORY,
-/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// to these frames predicts a time that is not finite), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+/// ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_calibrate(
     session: *const entire_session,

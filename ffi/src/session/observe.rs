@@ -63,9 +63,10 @@ pub unsafe extern "C" fn entire_session_observe(
     }))
 }
 
-/// Withdraws the newest plan if no frame was drawn with it, such as for a volume that is outside of the view.
-/// The next plan then gets its id, and knows all changes since the last drawn frame. Has no effect on an
-/// older or an observed plan, nor on the plan before a withdrawn one.
+/// Withdraws the newest plan. Call this function if no frame was drawn with the plan, for example because the
+/// volume is outside of the view. The next plan then gets the id of the withdrawn plan, and knows all changes
+/// since the last drawn frame. Has no effect on an older or an observed plan, nor on the plan before a
+/// withdrawn one.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -41,9 +41,9 @@ pub struct entire_session_options {
     /// its rays.
     pub probe_tolerance: f32,
     /// Not 0 if the picture keeps its quality while other programs slow frames down: steps are chosen as
-    /// without this load, so frames exceed the target. entire_plan.seconds includes the load. If the load lasts
-    /// longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and steps
-    /// are chosen for it. Default 0.
+    /// without this load, so frames exceed the target. entire_plan.seconds includes the load. If the load
+    /// lasts longer than 32 frames, the slower speed counts as the machine's normal speed from then on, and
+    /// steps are chosen for it. Default 0.
     pub ignore_load: u32,
     /// Must be 0.
     pub reserved: u32,

@@ -116,7 +116,8 @@ pub struct entire_prediction {
     pub seconds: f32,
     /// Upper bound of the seconds.
     pub upper: f32,
-    /// As in entire_plan.
+    /// Out-of-range score: 0 if the inputs are inside the range of the training data, else their distance
+    /// from this range in units of half its width.
     pub out_of_range: f32,
     /// ENTIRE_ABSENT_* flags of the unknown numbers among the three above.
     pub absent: u32,
@@ -168,7 +169,7 @@ fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     })
 }
 
-/// As [`checked`]. The session forgets a refused plan, so that the next plan gets its id.
+/// Converts a plan by [`checked`]. The session forgets a refused plan, so that the next plan gets its id.
 fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
     checked(plan).inspect_err(|_| session.withdraw(plan.id))
 }

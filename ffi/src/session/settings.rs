@@ -167,11 +167,11 @@ pub unsafe extern "C" fn entire_session_set_quality(
         .set_quality((image_weight != 0.0).then_some(known))?)))
 }
 
-/// The quality law that plans use: the numbers of entire_session_set_quality, else those of the model
-/// (entire_session_record_picture, `entire calibrate`) if it was calibrated with the renderer that
-/// entire_session_set_timing_source names, or if no renderer is named, else the built-in law of the named
-/// renderer (the class names of VTK's fixed-point and GPU mapper, or `vulkan` or `cpu` for the raycaster).
-/// All are 0 if there is no law.
+/// Reads the quality law that plans use. A law of entire_session_set_quality comes first. Without it, plans
+/// use the model's law (from entire_session_record_picture or `entire calibrate`), if the model was
+/// calibrated with the renderer that entire_session_set_timing_source names, or if no renderer is named.
+/// Otherwise, plans use the built-in law of the named renderer (the class names of VTK's fixed-point and GPU
+/// mapper, or `vulkan` or `cpu` for the raycaster). All four numbers are 0 if there is no law.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -1,5 +1,5 @@
-//! Tables of compared pictures: one CSV row per picture with its scene, settings, time and error against the
-//! picture of the same scene at full quality.
+//! Tables of compared pictures: one CSV row per picture with its scene, its settings, its time, and its error
+//! against the picture of the same scene at full quality.
 
 use super::groups::Groups;
 use super::table::{positions, unreadable};

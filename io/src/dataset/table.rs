@@ -136,7 +136,8 @@ pub fn open_tables(paths: &[PathBuf], root: Option<&Path>) -> Result<Vec<Table>>
 /// Reads a timing table's bytes; `table` is stored in each frame.
 ///
 /// # Errors
-/// When a row is invalid; the error names its line and column.
+/// When a column is missing or a row is invalid; the error names the missing column, or the row's line and
+/// the invalid value.
 pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     let mut reader = csv::ReaderBuilder::new().from_reader(bytes);
     let headers = reader.headers().context("the header line cannot be read")?.clone();

@@ -138,8 +138,8 @@ impl Writer {
     /// Appends the frame `number` with all its repeats; the repeats are numbered from 0.
     ///
     /// # Errors
-    /// When the scene or a measurement is not valid, the frame is in the table already, or the file cannot be
-    /// written.
+    /// When the scene or a measurement is not valid, there is no repeat, the frame is in the table already,
+    /// or the file cannot be written.
     pub fn append(&mut self, number: u64, scene: &Scene, repeats: &[Timing]) -> Result<()> {
         scene.check().with_context(|| format!("frame {number}"))?;
         ensure!(!repeats.is_empty(), "frame {number} has no repeat");

@@ -1,4 +1,4 @@
-//! Path files, generated paths and targets.
+//! Tests of path files and generated paths.
 
 use super::*;
 use entire_core::scene::{Scalars, VolumeView};

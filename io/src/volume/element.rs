@@ -51,8 +51,8 @@ pub(crate) fn byte_count(dims: [usize; 3], element: Element) -> Result<u64> {
         .context("the sizes in the header multiply to more bytes than can be addressed")
 }
 
-/// Calls the macro `$do` with the kind of [`VolumeData`] that holds an element's voxels, the stored type, and the type
-/// in memory.
+/// Calls the macro `$do` with the kind of [`VolumeData`] that holds an element's voxels, the stored type, and
+/// the type in memory.
 macro_rules! with_types {
     ($element:expr, $do:ident) => {
         match $element {
@@ -70,8 +70,9 @@ macro_rules! with_types {
     };
 }
 
-/// Reads the voxels of a volume; memory grows with the received bytes. With a slope and an intercept in `scale`, a
-/// voxel's value is its stored `number * slope + intercept`, rounded once.
+/// Reads the voxels of a volume; memory grows with the received bytes. With a slope and an intercept in
+/// `scale`, a voxel's value is number · slope + intercept for the stored number, computed in 64-bit floats
+/// and then rounded to a 32-bit float.
 ///
 /// # Errors
 /// When there are fewer bytes than sizes and type require, or the compressed data is broken; the error states
@@ -127,8 +128,8 @@ fn check_length(stream: &Stream<'_>, dims: [usize; 3], element: Element) -> Resu
     )
 }
 
-/// Checks the bytes after the voxels. If fewer bytes follow than the voxels occupy, they are ignored, and a
-/// note about them is returned.
+/// Checks the bytes after the voxels. If these bytes are fewer than those of the voxels, they are ignored,
+/// and a note about them is returned.
 ///
 /// # Errors
 /// When at least as many bytes follow as the voxels have: sizes or type in the header do not fit the

@@ -14,8 +14,8 @@ impl Volume {
     /// Enlarges a volume by a whole factor along every axis, by trilinear interpolation, so that a small
     /// volume costs as much to render as a large one. Voxel centers lie at half-integer positions; positions
     /// outside the outermost centers get the value of the nearest center. The spacing shrinks by the same
-    /// factor, so that the box stays the same. Whole-number types round to the nearest value. The scalar range
-    /// is that of the source. A factor of 1 returns the volume itself.
+    /// factor, so that the box stays the same. Whole-number types round to the nearest value. The scalar
+    /// range is that of the source. A factor of 1 returns the volume itself.
     ///
     /// # Errors
     /// When `factor` is 0 or over [`MAX_FACTOR`], or the enlarged volume is too large for the program or the
@@ -44,7 +44,7 @@ impl Volume {
     /// the nearest value.
     ///
     /// # Errors
-    /// When `edge` is 0 or over 512.
+    /// When `edge` is 0 or over 512, or the resampled volume is too large for the memory.
     pub fn resampled(self, edge: usize) -> Result<Self> {
         ensure!(
             (1..=512).contains(&edge),

@@ -186,8 +186,8 @@ impl<'a> Stream<'a> {
         Ok(bytes)
     }
 
-    /// Returns the rest of the stream, decompressed as gzip (one or several members). Bytes after the last member, such
-    /// as the zeros with which some programs fill blocks, are ignored.
+    /// Returns the rest of the stream, decompressed as gzip (one or several members). Bytes after the last
+    /// member, such as the zeros with which some programs fill blocks, are ignored.
     pub(crate) fn gunzip(self) -> Stream<'a> {
         let most = |packed: u64| packed.saturating_mul(DEFLATE_GROWTH);
         self.decoded(most, |reader| Members { member: Some(GzDecoder::new(reader)) })
@@ -271,8 +271,8 @@ impl<'a> Stream<'a> {
         Ok(Stream::new(io::Cursor::new(held), Remaining::Exact(count), self.label))
     }
 
-    /// Returns the rest of the stream, decoded. `most` returns the maximum number of decoded bytes for a number of
-    /// encoded ones.
+    /// Returns the rest of the stream, decoded. `most` returns the maximum number of decoded bytes for a
+    /// number of encoded ones.
     fn decoded<R: Read + 'a>(
         self,
         most: impl FnOnce(u64) -> u64,

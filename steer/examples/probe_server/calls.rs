@@ -1,4 +1,4 @@
-//! Times plans, transfer functions and volume summaries.
+//! Measures the times of plans, transfer functions and volume summaries.
 
 use crate::scene;
 use entire_core::scene::{

@@ -80,7 +80,7 @@ pub(crate) struct Correction {
     /// Variance of ln(measured / expected seconds) over calm frames. Stalls and frames under a load are left
     /// out.
     spread: f64,
-    /// As `spread`, but including stalls and frames under a load.
+    /// Variance of ln(measured / expected seconds), including stalls and frames under a load.
     spread_of_all: f64,
     /// Variance, from scene to scene, of the logarithm of a scene's own factor.
     change: f64,

@@ -72,7 +72,7 @@ mod tests {
     #[test]
     fn the_miss_rate_tends_to_the_rate_asked_for() {
         // The errors are heavy-tailed and from a fixed generator. For each rate, the share of frames above
-        // the bound must be within a quarter of the rate.
+        // the bound must differ from the rate by less than a quarter of the rate.
         for rate in [0.03f32, 0.05, 0.2] {
             let mut margin = Margin::starting_at(2.0, rate, 0.1);
             let mut noise = Noise(1);

@@ -65,7 +65,7 @@ names! { HeldOut:
     Stretches "stretches of time",
 }
 
-/// A model fitted to a [`Calibration`]'s frames.
+/// A model fitted to recorded frames ([`crate::Session::calibrate`]).
 #[derive(Clone, Debug)]
 pub struct Calibrated {
     /// The model file.
@@ -81,7 +81,7 @@ pub struct Calibrated {
     pub rmse_over_sd: f64,
     /// Upper bound from the held-out frames.
     pub upper: UpperBound,
-    /// Picture quality law; `None` if too few pictures were added.
+    /// Picture quality law; `None` if [`fit_quality`] cannot fit a law to the added pictures.
     pub quality: Option<FittedQuality>,
 }
 
@@ -227,7 +227,7 @@ impl Calibration {
         let (median_error, rmse_over_sd) = chosen.errors(&frames);
         let logs = chosen.crossed.iter().zip(&frames).map(|(p, f)| libm::log(f.seconds / p));
         let upper = UpperBound::from_groups(logs.zip(groups));
-        // With too few scenes, the model has no picture quality law.
+        // If the pictures do not suffice for a fit, the model has no picture quality law.
         let quality = fit_quality(&self.pictures, Quality::built_in(source[0])).ok();
         let provenance = serde_json::json!({
             "what": "Calibrated to its host's renderer",
@@ -254,7 +254,7 @@ fn stated(text: &str) -> &str {
 /// `quality`, the file has no law: that of its prior may be the law of another renderer.
 ///
 /// # Errors
-/// As [`UpperBound::store`] and [`Quality::store`].
+/// As [`UpperBound::store`] and [`crate::Session::set_quality`].
 pub fn write_metadata(
     file: &mut ModelFile,
     [renderer, device, clock]: [&str; 3],

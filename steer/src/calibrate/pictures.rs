@@ -34,7 +34,8 @@ const GROUPS: usize = 8;
 /// pictures differ from full quality by rounding only.
 const MAX_TIME_SHARE: f64 = 0.75;
 
-/// Ratio of successive values of c = step · distance² at which a path is evaluated.
+/// Ratio of successive steps, and of successive values of c = step · distance², at which errors are
+/// evaluated.
 const PATH_RATIO: f64 = 1.03;
 
 /// Difference in ln(error) assumed between full quality and the next coarser step, since the error of 0 at
@@ -105,8 +106,8 @@ pub struct FittedQuality {
     /// Excess error of fitted laws on scenes that were held out from their fits, divided by the excess error
     /// of the prior law on the same scenes. 1 or more if the prior law is kept; `None` without a prior.
     pub over_prior: Option<f64>,
-    /// As `over_best`, but only for settings that coarsen the ray step alone. The mean is over those frame
-    /// times of `over_best` that such settings reach; `None` if they reach none.
+    /// `over_best` for settings that coarsen the ray step alone. The mean is over those frame times of
+    /// `over_best` that such settings reach; `None` if they reach none.
     pub step_over_best: Option<f64>,
     /// Time at the coarsest step and full image size, as a share of the time at full quality.
     pub step_least_time: f64,
@@ -137,7 +138,7 @@ struct Grid {
 }
 
 impl Grid {
-    /// Returns the pictures to which the error is fitted: step, distance and mean ln of the error.
+    /// Returns the settings to whose errors the law is fitted: step, distance and mean ln(error).
     fn coarse(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         let coarse = |(s, d, time, _): &(f64, f64, f64, f64)| {
             (*s > 1.0 || *d > 1.0) && *time <= libm::log(MAX_TIME_SHARE)
@@ -145,9 +146,9 @@ impl Grid {
         self.points().filter(coarse).map(|(s, d, _, error)| (s, d, error))
     }
 
-    /// Replaces the means over `scenes` scenes by the means over these scenes and [`PRIOR_SCENES`] scenes
-    /// that follow the prior law, with the factor and the exponent between law and measured errors that fit
-    /// best.
+    /// Replaces the means over `scenes` scenes by the means over these scenes and [`PRIOR_SCENES`] further
+    /// scenes that follow the prior law. The error of a further scene is a factor times a power of the law's
+    /// error; factor and exponent are fitted to the measured errors.
     fn add_prior(&mut self, prior: &Quality, scenes: usize) {
         let (model, measured): (Vec<f64>, Vec<f64>) =
             self.coarse().map(|(s, d, error)| (libm::log(prior.error(s, d)), error)).unzip();
@@ -184,8 +185,8 @@ impl Grid {
         at_shares(&all, &shares(), false)
     }
 
-    /// Returns the mean, over frame times, of ln of the error of the law's setting divided by the smallest
-    /// error `best`.
+    /// Returns the mean, over frame times, of ln(error of the law's setting / smallest error). `best` holds
+    /// ln(smallest error) for each of [`shares`].
     fn regret(&self, law: &Quality, best: &[f64]) -> f64 {
         over_best(&self.path(law), best).unwrap_or(0.0)
     }
@@ -268,9 +269,9 @@ fn shares() -> Vec<f64> {
 }
 
 /// Returns by how much a law's choices exceed the best ones in ln(error): the mean over the [`shares`] that
-/// `path` reaches, `None` if it reaches none. `path` holds ln(time) and ln(error) of settings, in the order in
-/// which the law tries them; the law chooses the first setting whose time is at most the share. `best` holds,
-/// for each share, the smallest ln(error) of all settings whose time is at most this share.
+/// `path` reaches, `None` if it reaches none. `path` holds ln(time) and ln(error) of settings, in the order
+/// in which the law tries them; the law chooses the first setting whose time is at most the share. `best`
+/// holds, for each share, the smallest ln(error) of all settings whose time is at most this share.
 fn over_best(path: &[(f64, f64)], best: &[f64]) -> Option<f64> {
     let own = at_shares(path, &shares(), true);
     let both = own.iter().zip(best).filter(|(own, best)| own.is_finite() && best.is_finite());
@@ -442,7 +443,8 @@ impl Drawn {
         law_of(&grid)
     }
 
-    /// Returns the excess error on held-out scenes, divided by that of the prior law.
+    /// Returns the excess error of fitted laws on held-out scenes, divided by the excess error of the prior
+    /// law on the same scenes.
     fn over_prior(&self, prior: &Quality) -> f64 {
         let groups = self.scenes.len().min(GROUPS);
         let ratio = |group: usize| {

@@ -187,7 +187,8 @@ impl PriorModel {
         Ok(best.2)
     }
 
-    /// Fits a model, and for cross-validation one without each fold; `prior` holds the prior unit costs.
+    /// Fits a model to all frames and, for cross-validation, one model per fold to the frames outside the
+    /// fold. `prior` holds the prior unit costs.
     fn fit_from(
         &self,
         prior: &UnitCosts,

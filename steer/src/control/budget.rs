@@ -37,7 +37,7 @@ pub struct FrameBudget {
     rests: [f32; REST_FRAMES],
     /// Number of entries added to `rests` so far.
     count: u32,
-    /// Number of begun frames; 0 before the first.
+    /// Number of the current frame, from 1; frames without passes are not counted. 0 before the first frame.
     frame: u32,
     /// Sum of the passes' seconds at full quality, in the last frame with passes and in the current frame.
     full: [f32; 2],

@@ -18,7 +18,7 @@ const SD_OF_MEAN: f64 = 1.25;
 const MIN_COMPARISONS: u32 = 10;
 
 /// Mean error of the prediction, in ln(time), above which recent frames may lead. So recent frames replace
-/// only a prediction that is of no use. On the training paths, recent frames never lead.
+/// only a prediction that is of no use. On the undisturbed training paths, recent frames never lead.
 const LEAST_ERROR: f64 = 0.15;
 
 /// Ratio of the prediction's mean error to the forecast's mean error, above which recent frames begin to

@@ -7,13 +7,13 @@ use crate::numeric::Noise;
 use crate::predict::Source;
 use std::vec::Vec;
 
-/// Returns the plans, for a target of 20 ms, of the frames of one scene. An undisturbed frame takes 60 ms at
-/// step 1. Frame i takes `slowed(i)` times as long as an undisturbed frame.
+/// Plays frames with a target of 20 ms and returns their plans. Frame i has the changes `changes(i)`. An
+/// undisturbed frame takes 60 ms at step 1; frame i takes `slowed(i)` times as long.
 fn played(frames: usize, changes: impl Fn(usize) -> Changes, slowed: impl Fn(usize) -> f32) -> Vec<Decision> {
     played_with(HybridOptions::default(), frames, changes, slowed)
 }
 
-/// As [`played`], with options.
+/// Plays frames as [`played`] does, with options.
 fn played_with(
     options: HybridOptions,
     frames: usize,

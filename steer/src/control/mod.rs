@@ -79,7 +79,7 @@ pub enum Reason {
     /// no upper bound is within the tolerance: the step with the least expected cost of late frames and of
     /// lost quality, among the steps that are expected to meet the target.
     Fits = 1,
-    /// As `Fits`, but the change of the step was limited, since the scene has not changed abruptly.
+    /// The step of `Fits`, but with a limited change, since the scene has not changed abruptly.
     Damped = 2,
     /// The previous step still fits and is close to the best step.
     Held = 3,

@@ -44,7 +44,7 @@ pub struct Plan {
     pub seconds: f32,
     /// Upper bound in seconds; NaN if there is none.
     pub upper: f32,
-    /// As [`Prediction::out_of_range`]; NaN if the score is unknown.
+    /// [`Prediction::out_of_range`] for these settings; NaN if the score is unknown.
     pub out_of_range: f32,
     /// Reason for the step.
     pub reason: Reason,
@@ -105,7 +105,7 @@ pub struct Session {
     /// True if the clock of observed times is known not to be that of predicted times.
     converted: bool,
     recording: Option<Recording>,
-    /// Picture quality law set by the caller; `None` if the model's law is used.
+    /// Picture quality law set by the caller; `None` if the model's law or the built-in one is used.
     quality: Option<Quality>,
 }
 
@@ -184,7 +184,7 @@ impl Session {
     ///
     /// # Errors
     /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for a
-    /// summary whose sizes, spacing or cells differ from those of the preceding time step,
+    /// summary whose sizes, spacing, cells or blocks differ from those of the preceding time step,
     /// [`crate::ErrorKind::InvalidArgument`] if the voxel type differs; on an error nothing has changed.
     pub fn set_time_step(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) -> Result<()> {
         let Some(before) = &self.volume else {
@@ -485,7 +485,7 @@ impl Session {
     }
 
     /// Returns the controller and the cost function of the measured frame. Checks that every input is
-    /// present, so that the cost function cannot fail.
+    /// present, so that the cost function lacks none.
     fn costing(
         &mut self,
         changes: Changes,

@@ -206,7 +206,8 @@ fn narrow_limits_do_not_allow_a_finest_step_without_a_bound() {
     let cost = |step: f32| CostTerms::whole(0.019 / step, 0.0, Source::Analytic);
     let (plan, _) = planned(&mut hybrid, (0.02, 2.0), starts(true), cost);
     assert_eq!(plan.reason, Reason::Fits);
-    // The least expected cost lies between the expected step, 0.95, and the coarsest step.
+    // The step with the least expected cost lies between 0.95, at which the expected time equals the target,
+    // and the coarsest step.
     assert!((plan.step - 1.543456).abs() < 1e-4, "{plan:?}");
 }
 

@@ -49,7 +49,8 @@ impl<'a> Visible<'a> {
         self.runs[..count].iter().fold(0, |bits, &(first, last)| bits | simd.overlaps(low, high, first, last))
     }
 
-    /// As `bits`, for the pairs after the last whole group of 64; bits beyond these pairs are zero.
+    /// One bit per pair of bounds after the last whole group of 64, set where an entry within the bounds is
+    /// visible; bits beyond these pairs are zero.
     #[inline(always)]
     fn rest<S: Simd>(&self, simd: S, low: &[u8], high: &[u8]) -> u64 {
         let (low, high) = (chunks::<64, _>(low).1, chunks::<64, _>(high).1);

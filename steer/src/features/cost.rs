@@ -37,9 +37,9 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::FarLongestShadowSamples,
 ];
 
-/// Number of unit costs that any renderer may have. The next unit cost, for the conversion of stored values,
-/// is nonzero only for renderers like [`UnitCosts::CONVERSION`]. The unit costs after it, for the longest
-/// ray, are nonzero only for renderers like [`UnitCosts::GPU`].
+/// Number of unit costs that can be nonzero for renderers of every kind. The next unit cost, for the
+/// conversion of stored values, is nonzero only for renderers like [`UnitCosts::CONVERSION`]. The unit costs
+/// after it, for the longest ray, are nonzero only for renderers like [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
 /// For each unit cost of the longest ray: index in [`UnitCosts::seconds`] of the unit cost of the same kind

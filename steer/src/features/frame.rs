@@ -112,12 +112,12 @@ pub(crate) struct Work {
     pub(crate) lane_samples: f64,
     /// Number of samples with opacity if shading is on, otherwise 0.
     pub(crate) shaded: f64,
-    /// Number of samples along shadow rays with single scattering, otherwise 0.
+    /// Number of samples along shadow rays; 0 without single scattering.
     pub(crate) shadow_samples: f64,
-    /// As [`Self::shadow_samples`], plus the samples during which rays wait. In a renderer that marches eight
-    /// adjacent rays in lockstep, the others wait while any of the eight casts a shadow ray.
+    /// Number of samples along shadow rays, plus the samples during which rays wait. In a renderer that
+    /// marches eight adjacent rays in lockstep, the others wait while any of the eight casts a shadow ray.
     pub(crate) lane_shadow_samples: f64,
-    /// As [`Self::lane_shadow_samples`], for rays that are [`UNSHARED_SHADING`] reference steps apart, times
+    /// [`Self::lane_shadow_samples`] of rays that are [`UNSHARED_SHADING`] reference steps apart, times
     /// [`aside`]: samples along shadow rays whose reads the primary ray does not share.
     pub(crate) parted_shadow_samples: f64,
     /// Number of runs: consecutive samples between two jumps. 0 without skipping.
@@ -221,7 +221,8 @@ impl FrameFeatures {
         Ok(features)
     }
 
-    /// The default features, of a frame in which no ray meets the volume. Later measurements use `side`² rays.
+    /// The default features, of a frame in which no ray meets the volume. Later measurements use `side`²
+    /// rays.
     pub(crate) fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
@@ -287,8 +288,8 @@ impl FrameFeatures {
     }
 
     /// Estimated work of the frame at a setting. Counts are monotonic: never smaller for a finer step, nor
-    /// for a larger image of the same aspect ratio. The shares that wait for memory ([`Work::unshared`]) are
-    /// smaller in a larger image.
+    /// for a larger image of the same aspect ratio. The share of reads that no neighboring ray shares
+    /// ([`Work::unshared`]) is smaller in a larger image.
     pub(crate) fn work(&self, setting: &Setting) -> Work {
         let p = &self.probe;
         let pixels = f64::from(setting.width) * f64::from(setting.height);

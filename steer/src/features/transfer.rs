@@ -105,9 +105,9 @@ pub struct TransferSummary {
     /// Opacity of each table entry and the logarithm of its transmittance; zeros if the entry is not visible.
     entries: [[f32; 2]; TABLE_LEN],
     unit_distance: f32,
-    /// Prefix sums, over the entries below each entry, of the transmittance over [`CORRELATION_LENGTH`] and of
-    /// the number of visible entries. In double precision, because differences of sums near 256 must resolve
-    /// transmittances near 1e-12.
+    /// Prefix sums, over the entries below each entry, of the transmittance over [`CORRELATION_LENGTH`] and
+    /// of the number of visible entries. In double precision, because differences of sums near 256 must
+    /// resolve transmittances near 1e-12.
     sums: [[f64; 2]; TABLE_LEN + 1],
     grid: [usize; 3],
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
@@ -187,7 +187,8 @@ impl TransferSummary {
         self.interior.fit(interior, volume.cells);
         self.grid = volume.cells;
         self.distance_ready = false;
-        // A new number invalidates the cells' words, which were computed under the preceding table.
+        // A new number invalidates the cells' words, which were computed under the preceding table or for the
+        // preceding time step.
         let edits = self.edits % (packed::EDITS - 1) + 1;
         if edits < self.edits {
             self.cells.fill(0);
@@ -261,9 +262,10 @@ impl TransferSummary {
         (word != 0).then_some(Optics { extinction, visible, occupied, looks })
     }
 
-    /// Computes the packed words of the `cells` whose bit in `lanes` is set, and keeps them until the next edit.
-    /// The last cell of the grid replaces cells outside it. Every step of the computation runs over all cells:
-    /// the steps of a single cell wait for each other, and the loads of all cells together wait for memory once.
+    /// Computes the packed words of the `cells` whose bit in `lanes` is set, and keeps them until the next
+    /// edit. The last cell of the grid replaces cells outside it. Every step of the computation runs over all
+    /// cells: the steps of a single cell wait for each other, and the loads of all cells together wait for
+    /// memory once.
     #[cold]
     #[inline(never)]
     pub(super) fn compute<const N: usize>(

@@ -35,9 +35,9 @@ pub struct Prediction {
 pub struct CostTerms {
     /// Seconds of each term, none negative; their sum is the prediction.
     pub parts: [f32; TERMS],
-    /// As [`Prediction::out_of_range`].
+    /// Out-of-range score, see [`Prediction::out_of_range`].
     pub out_of_range: f32,
-    /// As [`Prediction::source`].
+    /// Origin of the prediction.
     pub source: Source,
 }
 

@@ -67,8 +67,8 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
     })
 }
 
-/// As [`load`], with a network that was already built from the same model, so that several predictors share
-/// its weights. An analytic model does not use the network.
+/// Returns the predictor of a model file as [`load`] does, with a network that was already built from the
+/// same model, so that several predictors share its weights. An analytic model does not use the network.
 ///
 /// # Errors
 /// As [`load`], and [`crate::ErrorKind::SizeMismatch`] if the network's number of inputs is not the
@@ -115,7 +115,7 @@ impl ModelPredictor {
         Self::with_net(Arc::new(PredNet::new(parts)?), model)
     }
 
-    /// As [`ModelPredictor::new`], with a network already built from the same model.
+    /// Returns a predictor as [`ModelPredictor::new`] does, with a network already built from the same model.
     fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
         let layout = InputLayout::of_model(model)?;
         let width = layout.width();

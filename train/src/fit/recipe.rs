@@ -265,8 +265,9 @@ impl Recipe {
     /// does not use them.
     ///
     /// # Errors
-    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, training
-    /// fails, or the fit is stopped before a network's training or before the end of an analytic model's fit.
+    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed,
+    /// training fails, or the fit is stopped before a network's training or before the end of an analytic
+    /// model's fit.
     pub fn make(
         &self,
         context: &FitContext<'_>,

@@ -79,7 +79,7 @@ pub struct Settings {
     pub final_learning_rate: f64,
     /// Largest norm of the whole gradient.
     pub clip_norm: f64,
-    /// Epochs without a better validation loss after which training stops.
+    /// Number of successive epochs without a lower validation loss after which training stops.
     pub patience: usize,
     /// Loss function.
     pub loss: Loss,
@@ -270,7 +270,8 @@ pub enum Stop {
 /// Result of a run.
 #[derive(Clone, Debug)]
 pub struct Trained {
-    /// The weights with the lowest validation loss.
+    /// The weights with the lowest validation loss; with the lowest training loss if there are no validation
+    /// frames.
     pub network: Network<f32>,
     /// Standardization, stored with the weights.
     pub standardization: Standardization,

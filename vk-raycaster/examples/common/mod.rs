@@ -80,7 +80,7 @@ pub(crate) fn vessels(n: usize) -> Vec<u8> {
     out
 }
 
-/// Returns the transfer function with a name: `transparent` (no ray terminates), `medium`, `opaque`, or
+/// Returns the transfer function of this name: `transparent` (no ray terminates), `medium`, `opaque`, or
 /// `scan` (contrast-filled vessels).
 pub(crate) fn transfer(name: &str) -> Option<TransferTable> {
     let list: &[(f32, [f32; 3], f32)] = match name {

@@ -97,8 +97,8 @@ impl VulkanRaycaster {
                     let counting = self.options.count_work;
                     let commands = record_tile(&setup, tile, table, timestamps, counting, sink.output(done));
                     let cast = Cast { pass: &pass, key: plan.key, tile, windowed, brick };
-                    // Drivers may compile a shader until the end of its first dispatch, whose time is
-                    // ignored.
+                    // Drivers may compile a shader until the end of its first dispatch, so the time of this
+                    // dispatch does not shrink the tiles.
                     let compiled = self.engine.has_pipeline(plan.key);
                     let tile_watch = Stopwatch::start();
                     let found = self.engine.cast(&cast, &commands)?;

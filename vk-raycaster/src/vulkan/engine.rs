@@ -392,7 +392,7 @@ impl Engine {
         }
         let sampler = [vk::DescriptorImageInfo::default().sampler(self.sampler.get())];
         write(3, DescriptorType::SAMPLER, WriteDescriptorSet::default().image_info(&sampler));
-        // Each image with its binding as a sampled and as a storage image.
+        // Each image, its binding as a sampled image, and its binding as a storage image.
         let targets = [(Target::Table, 1, 7), (Target::Volume(brick), 2, 8), (Target::SkipMap, 4, 9)];
         for (target, sampled, storage) in targets {
             let Some(image) = self.images.get(&target) else { continue };

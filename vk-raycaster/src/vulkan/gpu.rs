@@ -107,8 +107,8 @@ fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
 pub(crate) trait NamedCall<T> {
     fn named(self, call: &str) -> Result<T>;
 
-    /// As [`NamedCall::named`] for a call on an open device. The device is marked lost if the call returns
-    /// `VK_ERROR_DEVICE_LOST`.
+    /// Adds the names of the Vulkan call and of its device to an error. The device is marked lost if the call
+    /// returns `VK_ERROR_DEVICE_LOST`.
     fn on(self, gpu: &Gpu, call: &str) -> Result<T>;
 }
 
@@ -233,8 +233,8 @@ impl Gpu {
         self.abandoned.store(true, Ordering::Relaxed);
     }
 
-    /// Returns two flags: true if optimally tiled images of a format can be sampled, and true if they can be
-    /// sampled with a linear filter.
+    /// Returns two flags: true if optimally tiled images of a format can be copied to and sampled, and true
+    /// if they can be sampled with a linear filter.
     pub(crate) fn sampling(&self, format: vk::Format) -> (bool, bool) {
         // SAFETY: the physical device was enumerated from this instance.
         let properties =

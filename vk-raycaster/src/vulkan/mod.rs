@@ -160,7 +160,7 @@ struct DispatchSetup {
     key: ShaderKey,
     /// Length of a window: maximum number of samples that a dispatch takes along a ray.
     window: f32,
-    /// Number of the first sample of the ray's last window.
+    /// Number of the first sample of the last window of the longest possible ray.
     last_window: f32,
     table: Option<Vec<u8>>,
 }
@@ -186,8 +186,7 @@ impl VulkanRaycaster {
         Self::open(options, &|device| device)
     }
 
-    /// As [`VulkanRaycaster::new`], with functions of the device replaced by `wrap`, so that tests can make
-    /// Vulkan calls fail.
+    /// Opens a device whose functions `wrap` may replace, so that tests can make Vulkan calls fail.
     ///
     /// # Errors
     /// As [`VulkanRaycaster::new`].
@@ -418,8 +417,8 @@ fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
 
 /// Returns the bricks from front to back. With a perspective camera, the first brick is the one nearest to
 /// the eye. With parallel rays, it is the brick in the corner of the box that the rays reach first. Along
-/// each axis, no ray approaches the first brick. The bricks are therefore sorted by their distance from it,
-/// in bricks, summed over the axes.
+/// each axis, no ray moves towards the first brick. The bricks are therefore sorted by their distance from
+/// the first brick, in bricks, summed over the axes.
 fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     let parallel = setup.origin_up != [0.0; 3];
     let inside = |brick: &Brick, a: usize| {

@@ -1,5 +1,5 @@
-// The ray-casting shader. src/cpu.rs is its CPU version: same names, same operations in the same order. The crate
-// documentation defines the picture.
+// The ray-casting shader. src/cpu.rs is its CPU version: same names, same operations in the same order. The
+// crate documentation defines the picture.
 
 // Lines that start with # are directives of build.rs, which makes one module per mode:
 // SHADING   0 none, 1 local, 2 scatter, 3 local and scatter
@@ -95,7 +95,8 @@ struct Counts {
 }
 
 var<private> counts: Counts;
-// Private copies of the setup values that every sample uses: software devices load values of a buffer lane by lane.
+// Private copies of the setup values that every sample uses: software devices load values of a buffer lane by
+// lane.
 var<private> dims: vec3<f32>;
 var<private> last: vec3<f32>;
 var<private> scale: f32;
@@ -459,9 +460,10 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
     return sum;
 }
 
-// Row of workgroups that the dispatch's row `row` draws. A software device splits a dispatch into `parts` runs of
-// successive workgroups, one for each thread. The rows of the image are dealt to these runs in turn, so that every thread
-// gets a similar share of each region of the image. `parts` 1 changes nothing.
+// Row of the image's workgroups that row `row` of the dispatch draws. A software device splits a dispatch
+// into `parts` runs of successive workgroups, one for each thread. The rows of the image are dealt to these
+// runs in turn, so that every thread gets a similar share of each region of the image. `parts` 1 changes
+// nothing.
 fn dealt(row: u32, rows: u32) -> u32 {
     let each = rows / setup.parts;
     let more = rows % setup.parts;

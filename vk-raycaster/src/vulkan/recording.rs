@@ -33,7 +33,7 @@ pub(crate) enum Command {
     CopySlices { target: Target, first_slice: u32, slices: u32 },
     /// Copies the table's staging buffer to its image.
     CopyTable,
-    /// Makes a copied image ready to be sampled by the shader.
+    /// Makes a copied image ready to be read by the shader.
     FinishCopy { target: Target },
     /// Makes earlier writes to buffers visible to the copy or shader that follows.
     BufferBarrier(Hazard),
@@ -138,7 +138,7 @@ pub(crate) fn record_tile(
 pub(crate) fn record_slices(target: Target, depth: u32, first_slice: u32, slices: u32) -> Vec<Command> {
     let mut commands = vec![Command::PrepareCopy { target, keep: first_slice > 0 }];
     commands.push(Command::CopySlices { target, first_slice, slices });
-    // The image may be sampled only once all of it is copied; until then it stays a copy destination.
+    // The shader may read the image only once all of it is copied; until then it stays a copy destination.
     if first_slice + slices == depth {
         commands.push(Command::FinishCopy { target });
     }

@@ -146,7 +146,7 @@ impl Buffer {
             .ok_or_else(|| Error::new("a buffer that the host reads is not mapped; this is a driver fault"))
     }
 
-    /// As [`Buffer::bytes`], for writing.
+    /// Returns the bytes for writing, if the host can access them.
     pub(crate) fn bytes_mut(&mut self) -> Result<&mut [u8]> {
         let size = self.size as usize;
         self.memory

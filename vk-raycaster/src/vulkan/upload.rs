@@ -96,7 +96,8 @@ pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3], wish: Option<u32>) -> Resu
     Ok(())
 }
 
-/// Chooses how the shader fetches voxels: as requested, else the fastest way on the device.
+/// Chooses the source of voxels in the shader (as requested, else the fastest on the device), the format of
+/// the texels, and the bricks.
 pub(crate) fn plan(
     gpu: &Gpu,
     volume: &PreparedVolume,

@@ -69,8 +69,8 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    /// Returns the range of input planes that output plane `z` reads, and the first kernel plane that lies
-    /// inside the input. Kernel planes before this one, and those after the range, lie in the padding.
+    /// Returns the range of input planes that output plane `z` reads, and the index of the kernel plane that
+    /// lies on the first of them. Kernel planes without an input plane lie in the padding.
     pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {
         let low = z * self.stride;
         let first = low.max(self.padding);

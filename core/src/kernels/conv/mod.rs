@@ -55,7 +55,7 @@ pub(crate) struct Encoder {
 pub(crate) struct Scratch {
     workers: Vec<Worker>,
     outputs: Vec<Buffer>,
-    /// Sizes for which the buffers were allocated.
+    /// Sizes and layout for which the buffers were allocated (`Encoder::sizes`).
     sizes: Vec<usize>,
 }
 
@@ -122,7 +122,7 @@ impl Encoder {
         )
     }
 
-    /// Reallocates the scratch unless it fits this encoder and the number of threads.
+    /// Reallocates the scratch unless it fits this encoder, and adds a worker for each thread that lacks one.
     fn fit(&self, scratch: &mut Scratch, threads: usize) -> Result<()> {
         if !self.sizes().eq(scratch.sizes.iter().copied()) {
             // The scratch stays empty until every allocation has succeeded. After a failed allocation, the
@@ -196,7 +196,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// Computes the first two layers, with the output planes split over the workers.
+    /// Computes the first two layers, or the only one, with the output planes split over the workers.
     fn front(
         &self,
         prepare: &Prepare<'_>,

@@ -93,7 +93,7 @@ impl Planar {
         let cut = cut(level);
         let shape = block.shape;
         let (kernel, stride) = (shape.kernel, shape.stride);
-        // A phase is long enough for every voxel, and for reads of whole vectors at every tap.
+        // A phase is long enough for every voxel, and for reads of whole steps at every tap.
         let width = shape.output.next_multiple_of(cut.width);
         let phase = (shape.input + 2 * shape.padding)
             .div_ceil(stride)
@@ -209,7 +209,7 @@ impl Kernel for Rows<'_> {
                     width: first.shape.output,
                 };
                 // SAFETY: from the offset of each tap on, `run_row` reads the width, rounded up to whole
-                // vectors; the prepared planes are long enough for these reads. The group's rows stay inside
+                // steps; the prepared planes are long enough for these reads. The group's rows stay inside
                 // the output plane, which no other thread writes.
                 unsafe { tiles::run_row(s, &row) };
             }

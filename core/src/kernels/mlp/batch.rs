@@ -206,7 +206,7 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
     }
 }
 
-/// As [`tile`], for `VECTORS` vectors of outputs.
+/// Computes the part of [`tile`] that has `VECTORS` vectors of outputs.
 ///
 /// # Safety
 /// As [`tile`].

@@ -115,7 +115,8 @@ pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
     }
 }
 
-/// Dequantizes integer sums to W·x + b: scale·(weight scale·sum − zero·weight sum) + bias.
+/// Dequantizes integer sums to W·x + b = scale·(s·sum − zero·w) + bias, where s is the scale and w the sum of
+/// an output's weights.
 ///
 /// # Safety
 /// `panel` must be a packed int8 panel of `n` outputs, `o` + LANES ≤ `n`.
@@ -138,7 +139,7 @@ unsafe fn dequantize<S: Simd>(
     }
 }
 
-/// As `tile` of the module `batch`, for an int8 panel. `q` holds the quantized rows, `bytes` bytes apart;
+/// Multiplies `ROWS` quantized rows by one int8 panel: y = W·x + b. `q` holds the rows, `bytes` bytes apart;
 /// `ranges` holds their scales and zero points.
 ///
 /// # Safety
@@ -176,7 +177,7 @@ pub(super) unsafe fn tile_int8<S: Simd, const ROWS: usize>(
     }
 }
 
-/// As [`tile_int8`], for `VECTORS` vectors of outputs from output `from` on.
+/// Computes the part of [`tile_int8`] that has `VECTORS` vectors of outputs, from output `from` on.
 ///
 /// # Safety
 /// As `tile` of the module `batch`.

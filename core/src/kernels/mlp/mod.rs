@@ -1,7 +1,8 @@
 //! Dense layers packed for sequential reads, and the networks made of them.
 //!
 //! A layer's outputs are padded to a multiple of 16 and cut into panels of 64, 32 and 16. A panel is stored
-//! in the order in which it is read: its biases, then for each input the weights of all its outputs. So a
+//! in the order in which it is read: its biases (for int8 also the scales and the sums of the weights), then
+//! for each input (bfloat16: two inputs, int8: four inputs) the weights of all outputs of the panel. So a
 //! matrix-vector product reads memory sequentially and keeps all sums in registers; a product with a tile of
 //! several rows reads the same panel. The last layer, which has one output, stays a plain row. Padding is
 //! zero and stays zero, since SELU(0) = 0.
@@ -66,7 +67,7 @@ pub(crate) struct Mlp {
     data: Vec<Line>,
     /// Width of the widest activation, in floats.
     width: usize,
-    /// Size of the largest panel, in floats, for widening to f32.
+    /// Size of the largest panel, in floats, if panels are widened to f32; else 0.
     panel: usize,
 }
 

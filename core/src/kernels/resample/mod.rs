@@ -82,7 +82,7 @@ pub(crate) trait Scalar: Pod + Into<f32> + Send + Sync {
         self.into()
     }
 
-    /// The stored values of two neighbors as f32.
+    /// The stored values of two neighboring voxels, as f32.
     #[inline(always)]
     fn pair(pair: [Self; 2]) -> [f32; 2] {
         [pair[0].to_f32(), pair[1].to_f32()]
@@ -174,7 +174,7 @@ impl After {
 pub(crate) struct Geometry<'a> {
     /// Number of input voxels along x, y and z.
     pub(crate) dims: [usize; 3],
-    /// Elements between neighbors along x, y, z.
+    /// Elements from one voxel to the next along x, y, z.
     pub(crate) strides: [usize; 3],
     /// Number of output voxels per axis.
     pub(crate) n: usize,
@@ -192,8 +192,8 @@ pub(crate) fn scratch_len(row: usize, n: usize) -> usize {
 /// Number of rows added to a sum at once.
 const ROWS: usize = 4;
 
-/// Returns the span of reduced plane (or row) `i`: an output plane or, if the input has fewer planes than the
-/// output, an input plane.
+/// Returns the input planes (or rows) whose average is reduced plane (or row) `i`. A reduced plane is an
+/// output plane or, if the input has fewer planes than the output, an input plane.
 #[inline(always)]
 fn reduced_span(i: usize, m: usize, n: usize) -> Span {
     if m < n { Span::single(i) } else { Span::of(i, m, n) }

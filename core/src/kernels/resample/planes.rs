@@ -12,7 +12,7 @@ const DIRECT_ROWS: usize = 64;
 /// Function that writes a row of mapped voxels; arguments: index of the row's first element, output.
 pub(crate) type Fetch<'a> = dyn Fn(usize, &mut [f32]) + Sync + 'a;
 
-/// Copies a row of mapped voxels from `src[at]` on, `stride` elements apart.
+/// Maps a row of voxels, from `src[at]` on and `stride` elements apart, to `out`.
 pub(crate) fn fetch<T: Scalar, M: Map<T>>(
     level: Level,
     src: &[T],
@@ -113,8 +113,8 @@ fn planes_body(
     }
 }
 
-/// Adds the rows of one plane to `sum`. A row's weight is multiplied by the plane's weight. `rows` is scratch
-/// for [`ROWS`] rows.
+/// Adds the rows of one plane to `sum`, or sets `sum` to their sum if `first` is true. A row's weight is
+/// multiplied by the plane's weight. `rows` is scratch for [`ROWS`] rows.
 #[inline(always)]
 fn sum_rows(
     g: &Geometry<'_>,

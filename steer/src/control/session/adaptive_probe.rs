@@ -19,7 +19,8 @@ const STANDARD_ERRORS: f32 = 2.0;
 /// ln(time) by less than angle / `TURN`, so the time changes by less than the tolerance.
 const TURN: f32 = 0.4;
 
-/// As [`TURN`], for the change of ln(distance of the eye from the volume's center).
+/// Largest change of ln(distance of the eye from the volume's center) for which rays are not cast again, per
+/// unit of the tolerance. The value was derived as that of [`TURN`].
 const APPROACH: f32 = 0.15;
 
 /// View and settings for which the probe's rays were cast.

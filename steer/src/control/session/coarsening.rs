@@ -146,7 +146,8 @@ impl Coarsening {
         (step(level).clamp(finest, coarsest.max(finest)) as f32, level, self.distances[level])
     }
 
-    /// Returns the setting at c. The sides of its image are those of `full`, divided by the image sample distance.
+    /// Returns the setting at c. The sides of its image are those of `full`, divided by the image sample
+    /// distance.
     pub(super) fn setting(&self, full: Setting, c: f32) -> Setting {
         let (step, level, distance) = self.at(c);
         if level == 0 {
@@ -288,7 +289,7 @@ mod tests {
                 assert_eq!(back.take(c / 1.14).1, distance, "{c}");
             }
             before = distance;
-            // A new path stands for a change of the scene.
+            // A new path starts at distance 1, so c may require several levels at once.
             let (step, distance) = judged(Quality { image_weight: 0.002, ..EVEN }).take(c);
             assert!(step >= 1.149 || distance == 1.0, "{c}: {step} {distance}");
         }
@@ -323,7 +324,7 @@ mod tests {
     fn what_costs_the_picture_less_is_coarsened_first() {
         // A smaller image has almost no error, so the step must stay fine while the image can become smaller.
         let mut images = judged(Quality { image_weight: 0.002, ..EVEN });
-        // The next distance is used only where it leaves the step some room.
+        // The next distance is used only if the step then exceeds the finest step by [`DISTANCE_HYSTERESIS`].
         for (c, distance) in [(1.8f32, 1.2f32), (2.5, 1.44), (4.5, 1.728), (9.0, 2.48832)] {
             let (step, chosen) = images.take(c);
             assert!((chosen - distance).abs() < 1e-5 && step < 1.51, "{c}: {step} {chosen}");

@@ -92,7 +92,8 @@ impl Session {
     /// each frame as it was drawn, and observe its time.
     ///
     /// # Errors
-    /// As [`Calibration::new`].
+    /// [`crate::ErrorKind::InvalidArgument`] for a number of frames outside 8 to 65 536,
+    /// [`crate::ErrorKind::OutOfMemory`], and for the prior as [`crate::calibrate::prior_costs`].
     pub fn record(&mut self, prior: Option<&ModelFile>, frames: usize) -> Result<()> {
         let calibration = Calibration::new(prior, frames)?;
         let nothing = Planned { id: 0, work: [0.0; COSTS], shown: Shown::default() };
@@ -131,7 +132,9 @@ impl Session {
     /// unchanged and keeps recording; [`Session::set_predictor`] installs the model.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before [`Session::record`]; otherwise as [`Calibration::fit`].
+    /// [`crate::ErrorKind::NotReady`] before [`Session::record`], and for fewer than
+    /// [`crate::calibrate::FEWEST_FRAMES`] frames; [`crate::ErrorKind::OutOfMemory`], and as
+    /// [`crate::calibrate::fit_frames`].
     pub fn calibrate(&self) -> Result<Calibrated> {
         let Some(recording) = &self.recording else {
             bail!(

@@ -363,7 +363,8 @@ impl<'a> March<'a> {
     }
 
     /// Marches a shadow ray from a point in the box. Returns the length in occupied blocks, the whole length,
-    /// the number of empty cells, the number of lookups in the skip map, and 1 if the ray ended early, else 0.
+    /// the number of empty cells, the number of lookups in the skip map, and 1 if the ray ended early, else
+    /// 0.
     fn shadow(&mut self, from: Vec3) -> [f32; 5] {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;

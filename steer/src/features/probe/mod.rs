@@ -68,10 +68,11 @@ pub(crate) struct Probe {
     pub(super) spread: f32,
     /// Share of rays that terminate early.
     pub(super) terminated: f32,
-    /// As `occupied`, with the maximum of each ray and its neighbors in the probe in place of the ray's
-    /// value.
+    /// Mean, over rays, of the maximum length inside occupied blocks among a ray and its neighbors in the
+    /// probe.
     pub(super) occupied_max: f32,
-    /// As `occupied_max`, for the sum of the lengths in occupied and in empty blocks.
+    /// Mean, over rays, of the maximum length inside occupied and empty blocks together, among a ray and its
+    /// neighbors in the probe.
     pub(super) all_max: f32,
     /// Distance between neighboring probe rays in the image, in units of the image's height.
     pub(super) spacing: f32,
@@ -132,7 +133,8 @@ impl Probe {
         }
     }
 
-    /// As [`Probe::on`], with a given footprint and with buffers for `ROOM` rays, at least `side`².
+    /// Marches the rays of [`Probe::on`] with a given footprint and with buffers for `ROOM` rays, at least
+    /// `side`².
     fn cast<const ROOM: usize>(
         level: Option<Level>,
         volume: &VolumeSummary,

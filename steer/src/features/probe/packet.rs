@@ -216,8 +216,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         (found, simd.and_m(simd.nonzero(found), lanes))
     }
 
-    /// Mask of those `lanes` whose optics are not those of the present edit; `found` are the packed optics, XORed
-    /// with the bits of the edit's number.
+    /// Mask of those `lanes` whose optics are not those of the present edit; `found` are the packed optics,
+    /// XORed with the bits of the edit's number.
     #[inline(always)]
     fn unknown(&self, found: S::I, lanes: S::M) -> S::M {
         let simd = self.simd;

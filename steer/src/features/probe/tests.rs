@@ -202,18 +202,18 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
 /// perspective camera 1000 radii away.
 const LIMIT_TOLERANCE: f64 = 0.01;
 
-/// As [`LIMIT_TOLERANCE`], for quantities that count samples along shadow rays. A ray's shadow ray starts at
-/// a point selected by comparing a random number with shares of lengths. Where a share is close to that
-/// number, the two cameras may select different points, whose shadow rays differ much in length. This happens
-/// to some of the 121 rays and causes nearly all of the difference, which is at most 3.2 %.
+/// Tolerance in place of [`LIMIT_TOLERANCE`] for quantities that count samples along shadow rays. A ray's
+/// shadow ray starts at a point selected by comparing a random number with shares of lengths. If a share is
+/// close to that number, the two cameras may select different points, whose shadow rays differ much in
+/// length. This happens to some of the 121 rays and causes nearly all of the difference, at most 3.2 %.
 const SHADOW_LIMIT_TOLERANCE: f64 = 0.04;
 
-/// As [`LIMIT_TOLERANCE`], for lookups in the skip map, which differ between shadow rays even more than
-/// samples do.
+/// Tolerance in place of [`LIMIT_TOLERANCE`] for lookups in the skip map, which differ between shadow rays
+/// even more than samples do.
 const SEGMENTS_LIMIT_TOLERANCE: f64 = 0.05;
 
-/// As [`LIMIT_TOLERANCE`], for the ray with the most samples or lookups along shadow rays. It is a single
-/// ray, and its shadow ray may start at different points for the two cameras.
+/// Tolerance in place of [`LIMIT_TOLERANCE`] for the ray with the most samples or lookups along shadow rays.
+/// It is a single ray, and its shadow ray may start at different points for the two cameras.
 const LONGEST_LIMIT_TOLERANCE: f64 = 0.25;
 
 #[test]
@@ -317,7 +317,8 @@ fn aside(frame: &Frame) -> f64 {
 }
 
 /// An opaque volume ends each shadow ray at its first sample, unless the ray starts closer to the border than
-/// one shadow step. In a transparent volume, a shadow ray ends on average half a shadow step before the border.
+/// one shadow step. In a transparent volume, a shadow ray ends on average half a shadow step before the
+/// border.
 #[test]
 fn shadow_rays_take_the_sample_at_which_they_end() {
     let s = summary(&noise(64 * 64 * 64, 7), [64, 64, 64], 4);

@@ -7,7 +7,7 @@ use entire_core::scene::{Scalars, VolumeView};
 pub(super) struct Map {
     /// The range that maps to [0, 1].
     pub(super) range: (f32, f32),
-    /// Table entries per unit of the stored values; `None` if this ratio is not a normal number.
+    /// Table entries per unit of the stored values; `None` if this ratio is not finite and positive.
     scale: Option<f32>,
     /// Table entry of each byte that is counted: for volumes of bytes, the entry nearest to the stored value;
     /// for other types, the byte itself, because it is an entry already.

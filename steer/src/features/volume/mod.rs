@@ -87,8 +87,8 @@ impl VolumeSummary {
         Self::new_on(volume, Executor::Serial)
     }
 
-    /// As [`VolumeSummary::new`], on the executor's threads; the summary has the same bits. Allocates working
-    /// memory of a few rows of cells for each thread.
+    /// Scans a volume once, on the executor's threads; the summary has the same bits as that of
+    /// [`VolumeSummary::new`]. Allocates working memory of a few rows of cells for each thread.
     ///
     /// # Errors
     /// As [`VolumeSummary::new`].
@@ -96,7 +96,7 @@ impl VolumeSummary {
         Self::with_cells(volume, CELLS_PER_AXIS, executor)
     }
 
-    /// As [`VolumeSummary::new_on`], with at most `most` cells along each axis, 1…128.
+    /// Scans a volume as [`VolumeSummary::new_on`] does, with at most `most` cells along each axis, 1…128.
     pub(crate) fn with_cells(volume: &VolumeView<'_>, most: usize, executor: Executor<'_>) -> Result<Self> {
         let (mut summary, grid) = Self::layout(volume, most)?;
         match volume.scalars() {

@@ -75,7 +75,7 @@ impl SummarySeries {
         Self::with_cells(like, CELLS_PER_AXIS)
     }
 
-    /// As [`SummarySeries::new`], with at most `most` cells along each axis, 1…128.
+    /// Returns a series as [`SummarySeries::new`] does, with at most `most` cells along each axis, 1…128.
     pub(super) fn with_cells(like: &VolumeView<'_>, most: usize) -> Result<Self> {
         let (mut summary, grid) = VolumeSummary::layout(like, most)?;
         lay_out(&mut summary, &grid)?;
