@@ -26,7 +26,7 @@ bars-accuracy: ## Run the study and print every accuracy bar (fails if one is mi
 	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
 
 .PHONY: tables
-tables: build ## Collect timing tables again on this machine: make tables DATA=FOLDER-WITH-ensembles TABLES="scatter-members scatter-train"
+tables: build ## Collect timing tables again on this machine: make tables DATA=FOLDER-WITH-ensembles-AND-scans TABLES="scatter-members scatter-train"
 	DATA="$(DATA)" bash lab/scripts/tables.sh $(TABLES)
 
 .PHONY: distill
@@ -34,7 +34,7 @@ distill: build ## Train the paper's network on predictions of the selected predi
 	DATA="$(DATA)" bash lab/scripts/distill.sh $(SETS)
 
 .PHONY: models
-models: ## Make the shipped predictors and their cards again from the timing tables: models/
+models: ## Make the shipped predictors by unit costs again from the timing tables, and the cards of these and the distilled predictors: models/
 	$(LAB) study --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models
 
 .PHONY: bars-model

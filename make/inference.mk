@@ -17,7 +17,7 @@ peer-server:
 	$(CARGO) build --release --package entire-core --features rayon --example peer_server
 
 $(BENCH_OUT)/models/inputs.safetensors:
-	@test -e $(PEERS)/gen.py || { echo "no peer scripts at $(PEERS): say where with PEERS=folder" >&2; exit 1; }
+	@test -e $(PEERS)/gen.py || { echo "no peer scripts at $(PEERS): name their folder with PEERS=folder" >&2; exit 1; }
 	mkdir -p $(BENCH_OUT)/models
 	$(PYTHON) $(PEERS)/gen.py $(BENCH_OUT)/models
 

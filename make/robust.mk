@@ -6,5 +6,5 @@ bars-robust: ## Measure the bars of robustness: mutated model files, killed comm
 MIRI_SECONDS ?= 1800
 
 .PHONY: miri
-miri: ## If Miri is installed, run tests of core's scalar kernels and ffi's unit tests under Miri, some as on a 32-bit and a big-endian machine
+miri: ## If Miri is installed, run tests of core's scalar kernels and ffi's unit tests under Miri, and some tests of core and steer as on a 32-bit and a big-endian machine
 	CARGO="$(CARGO)" scripts/miri.sh $(MIRI_SECONDS)

@@ -34,8 +34,9 @@ tune: steer-build ## Search for better constants of the controller, on recorded 
 		--disturbances data/steer/disturbances/none.csv,data/steer/disturbances/bursts.csv,data/steer/disturbances/steady.csv \
 		--out "$(STEER_OUT)/tune.json"
 
-# Late frames of one round, those at the coarsest step, and other frames: columns 3, 5, 6, 9 of frames.csv are controller,
-# target, seconds and step.
+# An awk program that prints for each controller in frames.csv (frames of the first round): the share of late frames that are
+# at the coarsest step, and the share of frames at finer steps that are late. Columns 3, 5, 6, 9: controller, target, seconds,
+# step.
 LATE_AT_COARSEST = NR > 1 { late = $$6 > 1.1 * $$5; if ($$9 < 15.99) { finer[$$3]++; rest[$$3] += late } else coarse[$$3] += late } \
 	END { for (c in finer) printf "%s: %.0f %% of late frames are at the coarsest step; of frames at finer steps, %.0f %% are late\n", \
 	c, 100 * coarse[c] / (coarse[c] + rest[c] + 1e-9), 100 * rest[c] / finer[c] }

@@ -10,7 +10,7 @@ test-vtk-asan: ## Run the tests of re-entrant VTK events under AddressSanitizer 
 	@CARGO="$(CARGO)" plugins/vtk/run.sh asan
 
 .PHONY: bars-vtk
-bars-vtk: ## Compare steering with VTK's AutoAdjustSampleDistances; collect tables, train and evaluate for each renderer (about an hour)
+bars-vtk: ## Compare steering with VTK's AutoAdjustSampleDistances; train and evaluate predictors on the stored tables of each renderer (about an hour)
 	@CARGO="$(CARGO)" lab/scripts/vtk/bars.sh
 
 .PHONY: test-paraview

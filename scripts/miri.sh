@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Runs the tests of core's scalar kernels and the C library's unit tests under Miri, which finds undefined behavior and
-# supports only the scalar SIMD level. Then runs a small set of core's and steer's tests as on a 32-bit and on a big-endian
-# machine.
+# Runs tests under Miri, which finds undefined behavior and supports only the scalar SIMD level: the tests of core's scalar
+# kernels and the C library's unit tests as on this machine; then a small set of core's and steer's tests, without the C
+# library's, as on a 32-bit and on a big-endian machine.
 #
 #   scripts/miri.sh [seconds] [part...]     time limit of each part (1800); parts: core ffi 32bit bigendian (default: all)
 set -euo pipefail

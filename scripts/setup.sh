@@ -132,8 +132,8 @@ fi
 if driver=$(vulkan); then
     say "Vulkan driver $(basename "$driver"): ok"
 else
-    say "no Vulkan driver. The CPU version of the raycaster renders instead (slower, same pictures), and tests that need"
-    say "Vulkan are reported as ignored. To install one: apt-get install mesa-vulkan-drivers libvulkan1"
+    say "no Vulkan driver. The CPU version of the raycaster renders instead (slower, almost the same pictures), and tests"
+    say "that need Vulkan are reported as ignored. To install one: apt-get install mesa-vulkan-drivers libvulkan1"
 fi
 
 # Programs that tests use. If one is missing, the tests that need it are reported as ignored or skipped, never as passed.

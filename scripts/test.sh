@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
 # Builds and tests everything. Cheap steps come first, so that failures are found early.
 #
-#   scripts/test.sh            what `make test` runs
-#   scripts/test.sh change     what `.ci/run` runs for each change: the above, and a short form of every other suite
-#   scripts/test.sh nightly    what `.ci/nightly` and `make test-all` run: every suite in full, and tests that take hours
+#   scripts/test.sh            `make test` runs this
+#   scripts/test.sh change     `.ci/run` runs this for each change: the above, and short forms of the suites of
+#                              VTK, ParaView, Python, the window, farms and fuzzing
+#   scripts/test.sh nightly    `.ci/nightly` and `make test-all` run this: these suites in full, and tests that take hours
 #
-# All steps share one build (`profile.dev` of Cargo.toml, the features of the whole workspace) and one installed C library.
+# Most steps share one build (`profile.dev` of Cargo.toml, the features of the whole workspace) and one installed C library;
+# the others make builds of their own.
 # Wall and processor seconds of each step go to out/test/steps.csv; `make bars-gate` compares them.
 #
 # A step for which this machine lacks something is listed as skipped at the end, with the reason, and not as passed. Ignored

@@ -28,7 +28,8 @@ VOLUMENETS = {"vol_a": [8, 16, 32, 64, 128, 256], "vol_b": [16, 32, 64, 128, 256
 
 
 def widths(shape):
-    """Layer widths: the given number of hidden layers, then halved down to 16, then 1; 16 inputs."""
+    """Layer widths: 16 inputs, a first layer, the given number of hidden layers of the same width, widths halved down to
+    16, then 1."""
     if shape is None:
         return [16, 1]
     depth, width = shape

@@ -294,7 +294,7 @@ def main():
     with Bars(asked()) as bars:
         if not options.data or not Path(options.data, "ensembles").is_dir():
             why = f"{options.data} holds no ensembles/" if options.data else "the volumes' folder is not named"
-            sys.exit(f"{why}: make bars-machine DATA=FOLDER-WITH-ensembles")
+            sys.exit(f"{why}: make bars-machine DATA=FOLDER-WITH-ensembles-AND-scans")
         if not shutil.which(options.bin):
             sys.exit(f"{options.bin} is not there; build it with `make build`, or name it with --bin")
         try:

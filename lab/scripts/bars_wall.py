@@ -13,8 +13,8 @@ Each part is played --runs times. --only names the parts to play; bars of other 
                    volume's demo at its first frame, beside the neighbor's bursts. Bar: the share of bursts after which
                    the setting is back at the quiet one within two frames. A frame belongs to a burst if the process got
                    clearly less processor time per wall time in it than in the median frame.
-  halved           The same scene; in the middle of the path, the process is stopped half of the time from then on, for
-                   about a millisecond each (SIGSTOP and SIGCONT, which need no privilege). Bar: number of frames until
+  halved           The same scene; from 10 s after the start on, the process is stopped half of the time, about a
+                   millisecond at a time (SIGSTOP and SIGCONT, which need no privilege). Bar: number of frames until
                    two in a row take at most 1.1 x target.
   bonsai           `entire steer` plays another scan with a target of 10 ms, on a quiet machine.
 
@@ -70,10 +70,12 @@ DISTURBED = 0.85
 # The setting is back if ray step times squared image sample distance is at most this multiple of the quiet one.
 NEAR = 1.1
 BACK_FRAMES, BACK = 2, 0.9
-# Seconds after the start of a run, and shortest time for which the process then runs between two stops.
+# Seconds from the start of a run until its speed is halved; shortest time, in seconds, for which the process then runs
+# between two stops.
 HALVED_AFTER, HALVED_TURN = 10.0, 0.001
 # A frame is at half the speed if its processor time per wall time is below this share of the median of the path's first
-# AROUND frames. At least as many frames must be at half the speed.
+# AROUND frames. The half speed begins at the first such frame for which the median share of the next AROUND frames is below
+# this limit, too.
 AT_HALF, AROUND = 0.75, 30
 HELD_FRAMES = 3
 
@@ -144,7 +146,7 @@ def frames_until_back(rows):
 
 def frames_until_held(rows):
     """Returns the number of frames at half the speed before two in a row that are not late; None if the speed is not
-    halved, or too close to an end of the path."""
+    halved, or is halved too close to an end of the path."""
     shares = [busy(r) for r in rows]
     slow = AT_HALF * statistics.median(shares[:AROUND])
     last = len(rows) - AROUND
@@ -179,8 +181,8 @@ class Machine:
         self.entire, self.out, self.runs = Path(options.bin).resolve(), Path(options.out).resolve(), options.runs
         self.data = Path(options.data).resolve() if options.data else None
 
-        # Folder of this machine's model, which is calibrated with other volumes than the played ones; only this script
-        # uses it.
+        # Folder of this machine's model, which is calibrated with other volumes than the played ones. No other program
+        # uses this model.
         self.environment = {**os.environ, "XDG_DATA_HOME": str(self.out / "home")}
 
     def calibrate(self):

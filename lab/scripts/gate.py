@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The bars of the gates (sets of tests and checks): duration, skipped tests, removed tests, tests of VTK and ParaView that
-no kept result has.
+the kept results lack.
 
     gate.py [--before REVISION]         prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
     gate.py --measure [demo test change nightly]

@@ -45,8 +45,9 @@ BEFORE = "5c08403"
 ENTIRE_BUILD, CORE_BUILD_S = 0.75, 15
 # Units of measured figures.
 UNIT = r"%|(?:[µm]?s|dB|[KMG]i?B)\b"
-# The rows of README's section Five numbers, by the begin of their names. For the figures of each row, with entire and for
-# comparison: section of docs/src/results.md, begin of the row's name, column, index of the number in the cell.
+# The rows of README's section Five numbers, by the beginnings of their names. A row has one or two figures: with entire, and
+# for comparison. Each figure has: section of docs/src/results.md, beginning of the row's name, column, index of the number
+# in the cell.
 README_FIGURES = {
     "late frames": (
         ("Steering by wall time", "entire", 1, 0),
@@ -63,7 +64,7 @@ README_FIGURES = {
         ("Render farms", "queue in random order", 2, 0),
     ),
 }
-# Limits of the files that a reader visits to follow a value (see walks.py).
+# Limits of the number of files that a reader visits to follow a value (see walks.py).
 WALKS = {"plan": 4, "calibrate": 12, "steer": 12, "train": 8}
 # Crates that only studies use.
 STUDY_CRATES = ("forust-ml", "image-compare")
@@ -247,7 +248,7 @@ def missing_targets(pages):
 
 
 def missing_examples():
-    """Example programs that a script or makefile builds and no crate has: no test builds them."""
+    """Yields the example programs that a script or makefile builds, but no crate has. No test builds them."""
     has = {Path(path).stem for path in tracked("*/examples/*.rs")} | {Path(path).parts[-2] for path in tracked("*/examples/*/main.rs")}
     for path in tracked("Makefile", "make/*", "*.sh", "*.py"):
         for name in re.findall(r"--example[\"',\s]+([a-z]\w*)", (ROOT / path).read_text(encoding="utf-8")):
@@ -443,7 +444,7 @@ def measure_builds(bars, before):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="leave out what needs cargo or built programs")
-    parser.add_argument("--bin-dir", type=Path, help="where `entire` and `entire-lab` are (default target/release)")
+    parser.add_argument("--bin-dir", type=Path, help="folder of `entire` and `entire-lab` (default target/release)")
     parser.add_argument("--measure-build", nargs="?", const=BEFORE, metavar="REVISION",
                         help=f"compare the builds of `entire` at this revision (default {BEFORE}) and at HEAD")
     options = parser.parse_args()
@@ -534,7 +535,7 @@ def measure(bars, options):
     if options.measure_build:
         measure_builds(bars, options.measure_build)
     else:
-        bars.lacking("make bars-house HOUSE_BUILD=1", ["release-build-over-earlier-build", "core-build-processor-s"])
+        bars.lacking("only on request: make bars-house HOUSE_BUILD=1", ["release-build-over-earlier-build", "core-build-processor-s"])
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@
 
     sample.py [SEED] [--comments 100] [--sentences 40] [--texts 40]
 
-A reader marks each text that needs a second reading: at most 3 comments, 1 sentence and 1 text may (CONTRIBUTING.md).
+A reader marks each text that needs a second reading: at most 3 comments, 1 sentence and 1 text may be marked
+(CONTRIBUTING.md).
 """
 import argparse
 import random

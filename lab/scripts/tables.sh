@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Collects timing tables of data/timings anew on this machine, as their manifests say (`entire collect --like`), with scene
 # features. The first rendering of every frame is discarded, except in tables of the low-resolution proxy: LVRP renders a
-# frame once. Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. If it is
-# interrupted, the same command continues. Nothing else should run meanwhile.
+# frame once. Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. After an
+# interruption, the same command continues. Nothing else should run meanwhile.
 #   DATA     the folder that holds ensembles/ and scans/
 #   OUT      folder for the tables; default: out/tables
 set -euo pipefail

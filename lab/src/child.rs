@@ -1,4 +1,5 @@
-//! Waits for child processes of a study. A process whose time is over is asked to end, and killed if it does not end.
+//! Waits for child processes of a study. A process whose time is over is asked to end, and killed if it does
+//! not end.
 
 use anyhow::{Context, Result};
 use nix::sys::signal::{Signal, kill};
@@ -10,9 +11,9 @@ use std::time::{Duration, Instant};
 /// Interval between checks of a running process.
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Waits until a process ends; returns its exit status, and true if the process was asked to end. Once `over` returns
-/// true (a deadline has passed, or the user asked to stop), `signal` asks the process to end; if it still runs after
-/// `grace`, it is killed.
+/// Waits until a process ends; returns its exit status, and true if the process was asked to end. Once `over`
+/// returns true (a deadline has passed, or the user asked to stop), `signal` asks the process to end; if it
+/// still runs after `grace`, it is killed.
 pub(crate) fn wait(
     child: &mut Child,
     over: impl Fn() -> bool,
@@ -26,8 +27,8 @@ pub(crate) fn wait(
         }
         match asked {
             None if over() => {
-                // Until the exit status is read, no other process can get this id. An error is ignored, since a
-                // process that does not end is killed below.
+                // Until the exit status is read, no other process can get this id. An error is ignored, since
+                // a process that does not end is killed below.
                 let _ = kill(Pid::from_raw(child.id().cast_signed()), signal);
                 asked = Some(Instant::now());
             }

@@ -70,7 +70,7 @@ impl FittedPredictor {
         Ok(Self { title: model.title().to_owned(), held_out, model })
     }
 
-    /// The predictor's error, for a controller that uses the predictor.
+    /// Root mean square of the predictor's errors in ln(seconds), for a controller that uses the predictor.
     pub(crate) fn log_sd(&self) -> Option<f32> {
         Some(self.held_out.log_sd as f32)
     }

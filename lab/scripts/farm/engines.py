@@ -410,7 +410,7 @@ def main():
         has_hq = subprocess.run([options.python, "-c", "import hyperqueue"], capture_output=True).returncode == 0
         for part in options.parts:
             with bars.part(*ASKED[part]):
-                # Every other run with killed processes uses HyperQueue.
+                # Every second run with killed processes uses HyperQueue.
                 if part in ("hq-frames", "hq-sleeping", "kills") and not has_hq:
                     bars.lacking(f"{options.python} has no hyperqueue (pip install hyperqueue)", ASKED[part])
                 else:

@@ -11,7 +11,7 @@
 Compared are sizes (x fastest), the voxels' type in memory, the spacing (to a relative 1e-5), the range of the finite
 voxels, and a CRC-32 of the voxels. Prints `bar files-read-alike`: of the reads that both sides accept, the percentage on
 which they agree. Files that only one side reads are listed by reason. The command's readers are built from
-lab/scripts/readers/Cargo.toml (--target-dir DIR: where). Needs Python 3.9, and cargo.
+lab/scripts/readers/Cargo.toml (--target-dir DIR: folder of the build). Needs Python 3.9, and cargo.
 """
 import argparse
 import csv

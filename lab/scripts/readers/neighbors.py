@@ -251,7 +251,7 @@ def make(files, wanted, seed, folder, keep):
 
 
 def clear(path, keep):
-    """Removes a mutated file and its folder; copies the file to the folder `keep` before, if there is one."""
+    """Removes a mutated file and its folder; first copies the file into the folder `keep`, if one is given."""
     if keep:
         shutil.copy(path, keep / f"{path.parent.name}-{path.name}")
     shutil.rmtree(path.parent)

@@ -7,7 +7,7 @@
 #
 # With the word compare, only the comparison is made.
 # VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
-# VTK_OUT      where builds and results go (default target/vtk)
+# VTK_OUT      folder of builds and results (default target/vtk)
 # VTK_REPEATS  repeats of the comparison (default 3)
 # VTK_FRAMES   frames of the comparison's path (default 200)
 # VTK_BEFORE   an earlier revision: the observer's time is also compared with that of this revision's class

@@ -12,7 +12,7 @@ so that other work on the machine affects all contenders equally:
               found by bisection in short runs, then refined in at most five runs of the whole path, until the mean frame
               time is within MEET of the target
   cold        vtkEntireSteering without a model, learning from its first frame on
-  calibrated  vtkEntireSteering with a model trained on random frames of this mapper (--model), of other volumes
+  calibrated  vtkEntireSteering with a model fitted to random frames of this mapper (--model), of other volumes
 
 There is a target by processor time and one by wall time: half of the mean frame time of `full` by that clock, from a
 first pass of every tenth frame of the path. Each contender is scored by the clock that it steers by:

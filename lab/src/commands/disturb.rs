@@ -26,8 +26,8 @@ pub(crate) enum Neighbor {
     Bursts,
     /// One core is busy all the time.
     Steady,
-    /// No load, but half of the speed: for 10 of the 20 seconds, the process is stopped half of the
-    /// time, for about a millisecond each.
+    /// No load, but half of the speed for 10 of the 20 seconds: the process is stopped half of the time,
+    /// about a millisecond at a time.
     HalfSpeed,
 }
 
@@ -89,8 +89,8 @@ fn disturb(neighbor: Neighbor, stop: &AtomicBool) {
 /// longer; each stop lasts as long as the process ran before it.
 const TURN: Duration = Duration::from_millis(1);
 
-/// Records in a child process, which is stopped for about every second millisecond in the middle half of its
-/// second part.
+/// Records in a child process, which is stopped for about every second millisecond in the middle half of
+/// the recording's second part.
 fn run_at_half_speed(options: &Options) -> Result<()> {
     let mut command = Command::new(std::env::current_exe()?);
     command.arg("disturb").arg(&options.volume).args(["--neighbor", "none", "--device"]);

@@ -234,7 +234,7 @@ fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
          #expected median error, %",
     );
     let mut chart = Chart::new(
-        "Frames that a calibration needs, from models of other makes of machine",
+        "Error of calibrations, with models of other makes of machine as priors",
         Axis::log("frames"),
         Axis::linear("median error on other members, %").from(0.0),
     );

@@ -20,8 +20,8 @@ use entire_vk_raycaster::Renderer;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Folder of the recorded paths for the paper's use case 1, steering. `make steer-traces
-/// STEER_OUT=data/steer` records them.
+/// Folder of the recorded paths and calibration frames for the paper's use cases. `make steer-traces
+/// STEER_OUT=data/steer` makes them.
 const STEERING_DATA: &str = "data/steer";
 
 /// Reproduce every table and figure of the paper, beside our results.
@@ -288,8 +288,8 @@ fn steer(work: &Work<'_>, step: &StepOptions) -> Result<()> {
         if calibration.exists() && folder.is_dir() { trials::steering_network(work, mode)? } else { None };
     let Some(network) = network else {
         note(&format!(
-            "use case 1 is skipped: it needs recorded paths in {STEERING_DATA} (make steer-traces STEER_OUT=data/steer) \
-             and the frames of its network"
+            "use case 1 is skipped: it needs recorded paths and calibration frames in {STEERING_DATA} (make \
+             steer-traces STEER_OUT=data/steer) and the frames on which its network is trained"
         ));
         return Ok(());
     };

@@ -34,7 +34,7 @@ pub(crate) struct Options {
     /// Numbers of the scenes; default: all.
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
     pub(crate) scenes: Vec<usize>,
-    /// Also play the scenes that work on a real renderer on this device, timed by --clock.
+    /// Also play on this device the scenes that can be played on a real renderer, timed by --clock.
     #[arg(long, value_enum)]
     pub(crate) device: Option<Device>,
     /// Clock of frame times on that device; `auto`: the device's timestamps on a GPU, else wall time.
@@ -142,8 +142,8 @@ fn page(
     );
     page.table(
         &matrix(verdicts, methods),
-        "First failure of each method in each scene, or ok without a failure. T is the target; shares are of the \
-         frames in which the coarsest step meets it.",
+        "First failure of each method in each scene, or ok without a failure. T is the target; shares are of \
+         the frames in which the coarsest step meets it.",
     );
     if !real.is_empty() {
         page.heading("On a real renderer");

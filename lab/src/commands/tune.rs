@@ -72,7 +72,7 @@ fn worth_table(worth: &[Removed]) -> Table {
     table
 }
 
-/// Largest number of constants of our controller that are searched.
+/// Limit of the bar on the number of constants of our controller that a search can change.
 const MOST_SEARCHED: usize = 12;
 
 /// A search of one controller's constants.

@@ -37,8 +37,8 @@ fn any_order(measured: &[f64], speeds: &[f64]) -> Result<f64> {
     Ok(sum / RANDOM_ORDERS as f64)
 }
 
-/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars. `source` states
-/// the origin of the tasks.
+/// Compares every method for 2 to 64 nodes, writes a report into a folder, and returns the bars. `source`
+/// states the origin of the tasks.
 pub(crate) fn compare(tasks: &[Task], source: String, folder: &Path) -> Result<Vec<Bar>> {
     make_folder(folder)?;
     let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;

@@ -1,6 +1,6 @@
-//! Study of a device within a given time: pictures compared with those of the CPU version, the device's rates, timing
-//! tables in all shading modes, models of the machine, a path with switches, and a report. Every step is stored
-//! when it is finished, so that an interrupted run can be continued.
+//! Study of a device within a given time: pictures compared with those of the CPU version, the device's
+//! rates, timing tables in all shading modes, models of the machine, a path with switches, and a report.
+//! Every step is stored when it is finished, so that an interrupted run can be continued.
 
 pub(crate) mod pictures;
 pub(crate) mod report;

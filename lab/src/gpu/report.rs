@@ -161,7 +161,7 @@ impl Found {
                     numbers.row(vec![name.as_str().into(), value.to_string().trim_matches('"').into()]);
                 }
             }
-            page.table(&numbers, "As `entire probe` prints them.");
+            page.table(&numbers, "The values are those that `entire probe` prints.");
         }
         page.heading("Frame times");
         page.table(&self.times(), "Median milliseconds of frames that no calibration rendered.");

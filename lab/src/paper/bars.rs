@@ -59,7 +59,8 @@ pub(crate) fn bars(
     let mut out = Vec::new();
     if !paper.partial {
         out.push(Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0));
-        // A person compares the paper's sentences with the results; a program finds known wordings again.
+        // A person finds the sentences that the results contradict; the program looks only for listed
+        // wordings.
         out.push(Bar::at_most("paper/sentences-contradicted", None, 0.0).with_note("read by a person"));
         let found = Bar::at_most("paper/contradicted-wordings-on-a-page", contradicted(paper).ok(), 0.0);
         out.push(found.with_note(format!("of {} that a person listed", paper.contradicted.wordings.len())));
@@ -383,8 +384,8 @@ mod tests {
         assert!(of("distilled-network-over-lvrp").starts_with("0.1000 0.6000 ok"));
     }
 
-    /// The pages of the repository make none of the listed claims, and a claim counts where its lines break
-    /// elsewhere.
+    /// The pages of the repository make none of the listed claims, and a claim is found even if its lines
+    /// break elsewhere.
     #[test]
     fn no_page_says_what_the_results_contradict() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");

@@ -22,7 +22,7 @@ pub(crate) const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
 const UNIFORM: &str = "uniform";
 /// Name of the assignment by measured times.
 const GROUND_TRUTH: &str = "GT";
-/// Name in place of a data set's, for the results on tasks of a recorded path.
+/// Name that results on the tasks of a recorded path have instead of a data set's name.
 pub(super) const RECORDED: &str = "recorded";
 
 /// Total time of the slowest node when tasks are assigned by a predictor's times, divided by the total time
@@ -71,8 +71,8 @@ fn loads(measured: &[f64], predicted: &[(&str, &[f64])]) -> Result<Vec<Fact>> {
     Ok(out)
 }
 
-/// Assigns the frames of a recorded path as tasks, by the times of the paper's network as it is and
-/// distilled.
+/// Assigns the frames of a recorded path as tasks, by the times that the paper's network predicts, unchanged
+/// and distilled. Does nothing if the description or the files lack these networks.
 pub(crate) fn balance_recorded(work: &Work<'_>, recorded: &Path) -> Result<()> {
     let trace = Trace::open(recorded)?;
     let mode = &trace.draw.shading.to_string();
@@ -120,7 +120,8 @@ pub(crate) fn balance_recorded(work: &Work<'_>, recorded: &Path) -> Result<()> {
     write(work.out, &results)
 }
 
-/// Assigns the orbit's tasks to nodes, and stores the nodes' total times. Writes the task list.
+/// Assigns the orbit's tasks to nodes, and stores percentiles of the nodes' total times. Writes the task
+/// list.
 pub(crate) fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
     let all = read_all(out, Vec::new())?;
     for from in all.iter().filter(|r| r.panel == Panel::Varied) {

@@ -156,7 +156,7 @@ impl Open {
             let found = differences(&old, &manifest);
             ensure!(
                 found.is_empty(),
-                "cannot continue {}: {}; remove it, or choose another --out",
+                "cannot continue {}: {}; remove this table, or choose another --out",
                 path.display(),
                 found.join("; ")
             );

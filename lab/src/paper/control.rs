@@ -19,7 +19,7 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Controllers in the charts with a value per frame: the paper's three, and ours.
+/// Names and titles of the controllers in the charts with a value per frame: the paper's three, and ours.
 const CHARTED_CONTROLLERS: [(&str, &str); 4] = [
     (ControllerKind::Olp.name(), "OLP"),
     (ControllerKind::Pid.name(), "PID"),
@@ -327,10 +327,13 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         }
         let paths = r.frames.get("paths").map_or(0, |f| f[2]);
         let caption = format!(
-            "All controllers play {paths} recorded paths of {} with up to four targets. The quality is the \
-             oracle's ray step divided by the controller's, at most 1, averaged over frames. For a \
-             controller of the image resolution, the quality is the smallest image reduction that meets the \
-             target, divided by the controller's. The oracle knows the recorded time of every ray step.",
+            "All controllers play {paths} recorded paths of {}. The targets are those of 5, 10, 20 and 40 \
+             frames per second that some ray step meets exactly in at least half of a path's frames, and a \
+             series of these targets. The mean error is the mean of |time − target| / target over the frames that take \
+             exactly the target time at some ray step. The quality is the oracle's ray step divided by the \
+             controller's, at most 1, averaged over frames. For a controller of the image resolution, the \
+             quality is the smallest image reduction that meets the target, divided by the controller's. The \
+             oracle knows the recorded time of every ray step.",
             r.set
         );
         s.tables.push((table, caption));
@@ -342,7 +345,9 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
                 drawn = drawn.series(Series::new(&c.name, Mark::Line(c.points.clone())).color(color));
             }
             if !shown.is_empty() {
-                s.charts.push((drawn, "One of the paths, frame by frame.".into()));
+                let what =
+                    "One of the paths, frame by frame. `ours` is this project's controller and predictor.";
+                s.charts.push((drawn, what.into()));
             }
         }
         s.pictures.extend(
@@ -368,7 +373,7 @@ pub(super) fn response_section(of: &[&Results], s: &mut Section) {
         }
         if !shown.is_empty() {
             let what = "Each line has the times of one scene at different ray steps, divided by the time of \
-                        this scene at the reference step. G is the median over the scenes.";
+                        this scene at the reference step. G is the median over the scenes, made monotone.";
             s.charts.push((drawn, what.into()));
             s.summary = format!("{} curves", shown.len() - 1);
         }

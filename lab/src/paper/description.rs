@@ -36,7 +36,7 @@ pub(crate) struct Paper {
     pub(crate) repeats: u32,
     /// Renderings discarded after each volume is loaded.
     pub(crate) warm_up: u32,
-    /// Enlargement of the volumes at load.
+    /// Factor by which each side of a volume is enlarged when the volume is loaded.
     pub(crate) enlarge: usize,
     /// Voxels per side of the volumes of the low-resolution proxy (LVRP).
     pub(crate) proxy: usize,
@@ -62,7 +62,7 @@ pub(crate) struct Paper {
     pub(crate) tuning: Tuning,
     pub(crate) orbit: Orbit,
     pub(crate) trials: Trials,
-    /// Data sets and modes of each part of the study; `overall` uses all of them.
+    /// Data sets and modes of each part of the study, except `overall`, which uses all.
     pub(crate) panels: BTreeMap<Panel, Vec<(String, String)>>,
     pub(crate) labels: Vec<Label>,
     pub(crate) limits: Limits,
@@ -275,7 +275,7 @@ pub(crate) struct Trials {
     pub(crate) runs: usize,
     /// Number of epochs on the measured frames.
     pub(crate) epochs: usize,
-    /// Changes of the recipe, each tried alone. The last one combines those that lower the error.
+    /// Changes of the recipe, each tried alone. The last one combines those that clearly lower the error.
     pub(crate) changes: Vec<Change>,
 }
 
@@ -350,8 +350,8 @@ pub(crate) enum Validation {
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub(crate) enum Panel {
-    /// The network, our predictor and both baselines on every data set and mode; by volumes, members and
-    /// modality.
+    /// The network, our predictor and both baselines on every data set and mode, tested on random volumes,
+    /// left-out members and scans.
     #[default]
     Overall,
     /// The network without one of its inputs, each input in turn.
@@ -381,8 +381,8 @@ pub(crate) enum Panel {
     /// The paper's recipe on different numbers of frame times that a teacher predicted; runs only if --only
     /// names it.
     Frames,
-    /// The paper's network on each data set: by the paper's recipe, with all changes of the recipe that
-    /// lower the error, and distilled; runs only if --only names it.
+    /// The paper's network on each data set: by the paper's recipe, with the changes of the recipe that
+    /// clearly lower the error, and distilled; runs only if --only names it.
     Improved,
 }
 

@@ -93,7 +93,8 @@ impl Record {
         !self.provenance.stopped.starts_with("interrupted")
     }
 
-    /// Mean peak signal-to-noise ratio over the volumes of a part (`train`, `validation`, `test`) of a data set, dB.
+    /// Mean peak signal-to-noise ratio over the volumes of a part (`train`, `validation`, `test`) of a data
+    /// set, dB.
     pub(crate) fn psnr(&self, part: &str, set: &str) -> Option<f64> {
         self.provenance.psnr_db.get(part)?.get(set).copied()
     }
@@ -128,7 +129,7 @@ pub(crate) fn encode(work: &Work<'_>, places: &[Place], threads: Option<usize>) 
             .collect();
         ensure!(
             parts_of.iter().all(|p| p.root == root),
-            "the data sets lie in several folders; an encoder of all data sets needs them in one folder"
+            "the data sets lie in several folders; put all of them into one folder"
         );
         let Encoder { set, size, features, .. } = encoder;
         println!("encode {} of {}: {set}, {size}³, F = {features}", i + 1, encoders.len());

@@ -1,4 +1,5 @@
-//! The frames of a data set and mode: timing tables with their features, and the same frames at low resolution.
+//! The frames of a data set and mode: timing tables with their features, and the same frames at low
+//! resolution.
 
 use super::Work;
 use super::collect::{Kind, table_path};
@@ -96,8 +97,8 @@ impl Loaded {
     }
 }
 
-/// The encoders for a data set's frames: those trained on the data set or on all data sets together, if there are
-/// any, and the shipped ones. Test-only volumes are encoded by the encoders of every data set.
+/// The encoders for a data set's frames: those trained on the data set or on all data sets together, if there
+/// are any, and the shipped ones. Test-only volumes are encoded by the encoders of every data set.
 fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
     let wanted = |e: &Encoder| set.only_tests || e.set == set.name || e.set == ALL;
     let all = trained(work, None)?.into_iter().filter(wanted).map(|e| e.path(work.out));
@@ -140,7 +141,7 @@ pub(super) fn main_encoder(work: &Work<'_>, own: Option<&str>) -> Result<(PathBu
     }
     let path = work.paper.encoders.shipped[0].clone();
     let name = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    Ok((path, format!("{name} as shipped, of members of three data sets together")))
+    Ok((path, format!("{name} as shipped, trained on members of three data sets together")))
 }
 
 /// Computes the features of a table unless they exist.

@@ -1,6 +1,6 @@
 //! The paper's network on each data set, tested on measured frames of left-out members: trained by the
-//! paper's recipe, with all changes of the recipe that lower the error, and distilled from a teacher model.
-//! The results also have the errors of the teacher, and of LVRP with two numbers of voxels.
+//! paper's recipe, with the changes of the recipe that clearly lower the error, and distilled from a teacher
+//! model. The results also have the errors of the teacher, and of LVRP with two numbers of voxels.
 
 use super::Work;
 use super::description::{Panel, TrialTables};

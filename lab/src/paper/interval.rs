@@ -52,8 +52,9 @@ fn rmse_of<'a>(drawn: impl Iterator<Item = &'a Errors> + Clone) -> f64 {
     (0..runs).map(|run| (total(run) / frames as f64).sqrt()).sum::<f64>() / runs as f64
 }
 
-/// Interval of the RMSE of one predictor divided by that of another on the same frames: it holds [`LEVEL`] of the
-/// [`DRAWS`] ratios. `None` if the frames are not the same, or are of fewer than two volumes.
+/// Interval of the RMSE of one predictor divided by that of another on the same frames: it contains the share
+/// [`LEVEL`] of the [`DRAWS`] ratios. `None` if the frames are not the same, or are of fewer than two
+/// volumes.
 pub(super) fn of_ratio(over: &ByVolume, under: &ByVolume) -> Option<(f64, f64)> {
     let same = over.len() == under.len()
         && over.iter().zip(under).all(|((a, x), (b, y))| a == b && x.frames == y.frames);

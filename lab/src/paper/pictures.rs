@@ -76,7 +76,7 @@ pub(crate) fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Rendere
     Ok(())
 }
 
-/// Draws the last time step of each of a data set's members, in the base mode.
+/// Draws the last time step of every member of every data set that has members, in the base mode.
 pub(crate) fn draw_renderings(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
     let folder = work.out.join("pictures");
     make_folder(&folder)?;

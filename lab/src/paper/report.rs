@@ -148,8 +148,8 @@ pub(crate) fn write_book(paper: &Paper, material: &Material, pages: &Path) -> Re
     let mut out = String::from(
         "# The paper's tables\n\n\
          This page has every table and figure of the paper that was measured for this project. The paper's\n\
-         numbers are under the words *In the paper*. All other numbers, charts and pictures are of this\n\
-         project.\n\
+         numbers are under the words *In the paper*, and in notes that name the paper. All other numbers,\n\
+         charts and pictures are of this project.\n\
          [The paper](paper.md#what-the-comparison-says) explains the results. Hardware and volumes differ\n\
          from the paper's, so compare ratios, not seconds.\n\n\
          | word | meaning |\n\
@@ -157,17 +157,21 @@ pub(crate) fn write_book(paper: &Paper, material: &Material, pages: &Path) -> Re
          | RMSE | root mean squared error, in seconds of processor time (in the study \
          on a GPU: of the GPU's time) |\n\
          | SD | standard deviation |\n\
-         | run | one of several trainings that differ in the seed |\n\
+         | run | repetition with another seed: of a training; for the mean of 15 %, of the draw of frames; \
+         in fine-tuning and with a share of the training frames, also of the draw of training frames |\n\
          | the network | the paper's PredNet on features of a VolumeNet |\n\
          | ours | entire's predictor: the time of an analytic model, multiplied by a learned factor |\n\
          | mean of 15 % | constant prediction: the mean time of a random 15 % of the test frames |\n\
          | LVRP | time of rendering the volume reduced to 64³ voxels (study on a GPU: \
          24³), converted by a linear fit |\n\
-         | 12C256 | PredNet with 12 layers 256 → 256, followed by layers of 128, 64, 32, 16 and 1 outputs |\n\
+         | 12C256 | PredNet with a first layer of 256 outputs, 12 layers 256 → 256, and layers of 128, 64, \
+         32, 16 and 1 outputs |\n\
          | 128³F2 | VolumeNet with an input of 128³ voxels and 2 features |\n\
          | shipped encoder | VolumeNet in `models/`, trained on members of all three data sets, \
          without the test members |\n\
-         | left-out member | ensemble member (one simulation) whose volumes are used only for the test |\n\
+         | left-out member | ensemble member (one simulation) whose volumes are test data, and not training \
+         data of the tested networks and encoders; volumes of m04 of Nyx and Castro were validation data of \
+         the shipped encoder |\n\
          | lobes | Gaussian lobes whose sum is the opacity of the transfer function |\n\n",
     );
     let _ = write!(

@@ -134,8 +134,8 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
         let mut caption = format!("{}: errors by split.", title(paper, r));
         if r.encoder != stated {
             caption += &format!(
-                " {}. In the other split, the network uses the shipped encoder. If the table has rows of \
-                 scans, they are predicted by the models of the split by random volumes.",
+                " {}. In the other split, the network uses the shipped encoder. In rows of scans, the \
+                 frames are predicted by the models of the split by random volumes.",
                 r.encoder
             );
             stated = r.encoder.as_str();
@@ -175,7 +175,7 @@ pub(super) fn errors_by_data_set(
     let mut table = Table::headed(
         "data set, renderer | tested on | #training frames | #test frames | #network: RMSE, s | \
          #network: SD of the RMSE over runs, s (runs) | #network: time of a prediction, ms | \
-         #mean of 15 %: RMSE, s | #LVRP: RMSE, s | #LVRP: time of a frame, ms | #ours: RMSE, s | \
+         #mean of 15 %: RMSE, s | #LVRP: RMSE, s | #LVRP: median time of a frame, ms | #ours: RMSE, s | \
          #ours: SD of the RMSE over runs, s | #ours: time of a prediction, ms | \
          #RMSE: network / mean of 15 % | #RMSE: network / LVRP | #RMSE: ours / network",
     );

@@ -79,8 +79,8 @@ fn each(paper: &Paper, of: &[&Results], s: &mut Section) {
         });
         let more = match r.panel {
             Panel::Varied => {
-                " The table has the test frames of four experiments, each with one parameter that varies; \
-                 the column `tested on` names this parameter."
+                " The table has the errors on the test frames of four experiments. In each, one parameter \
+                 varies; the column `tested on` names it."
             }
             Panel::Samples => {
                 " A number in the column `predictor` is the share of the training frames on which the \
@@ -335,8 +335,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x != SORTED).map(|c| c.chart.as_str()).collect();
         for name in names {
-            let chart =
-                Chart::new(name, Axis::log("frames learned from"), Axis::log("RMSE, s, median of runs"));
+            let chart = Chart::new(name, Axis::log("training frames"), Axis::log("RMSE, s, median of runs"));
             let of = r.curves.iter().filter(|c| c.chart == name && c.x != SORTED);
             let what = format!("Fine-tuning starts from the pre-trained network. {pretrained}");
             s.charts.push((lines(chart, of), format!("{what}{machine}")));
@@ -371,7 +370,9 @@ fn tuning(of: &[&Results], s: &mut Section) {
         if !r.curves.is_empty() {
             let what = "Each model was trained on some frames of the renderer, device or data set in the \
                         column `target`. `fine-tuned` continues the training of the pre-trained network; \
-                        `from nothing` is a new network. The RMSE is the median of the runs.";
+                        `from nothing` is a new network. `ours, calibrated` is the pre-trained predictor of \
+                        this project, calibrated to these frames; some stored results name it \
+                        `ours, transferred`. The RMSE is the median of the runs.";
             s.tables.push((few, format!("{what}{machine}")));
         }
     }

@@ -272,7 +272,9 @@ impl At<'_> {
     }
 
     fn varied(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
-        let table = self.loaded.varied.context("no frames of one parameter varied at a time")?;
+        let table = self.loaded.varied.context(
+            "there are no frames in which one parameter varies; `entire-lab paper collect` collects them",
+        )?;
         let line = line_of(&self.loaded.low, &frames.training);
         let networks = self.networks(split, frames)?;
         let ours = self.ours(split, frames)?;
@@ -434,8 +436,9 @@ impl At<'_> {
 /// Name of the share of the variance of ln(time per pixel) that lies between volumes.
 pub(super) const BETWEEN_VOLUMES: &str = "between volumes";
 
-/// Share of the variance of ln(time per pixel) that lies between volumes. The variance of volume means that
-/// the scatter within volumes causes by chance is subtracted. `None` with fewer than two volumes.
+/// Share of the variance of ln(time per pixel) that lies between volumes. The part of the variance of the
+/// volumes' means that comes from the scatter within volumes is subtracted. `None` with fewer than two
+/// volumes.
 fn between_volumes(of: &TimedFrames<'_>) -> Option<Fact> {
     let mut by_volume: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for (f, seconds) in of.frames.iter().zip(&of.seconds) {

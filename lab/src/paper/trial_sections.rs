@@ -38,7 +38,9 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
     let mut frames = Section::default();
     for r in of(Panel::Frames) {
         let what = "Another model, the teacher, predicted the frame times for the training. The network was \
-                    trained by the paper's recipe and tested on measured times.";
+                    trained by the paper's recipe with two differences: all frames of the validation \
+                    volumes are used, and the more frames, the fewer epochs. It was tested on measured \
+                    times.";
         frames.tables.push(trials_table(r, what, "predicted frames of each volume"));
         let x = |row: &Row| row.more.get("training frames").copied();
         let rows = || r.rows.iter().filter(|row| x(row).is_some());
@@ -48,7 +50,7 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
             Some((x(row)?, low, high))
         });
         let (x, y) = (Axis::log("frames"), Axis::log("RMSE: network / mean of 15 %"));
-        let chart = Chart::new("Error by the number of frames learned from", x, y)
+        let chart = Chart::new("Error by the number of training frames", x, y)
             .series(Series::new("interval over test volumes", Mark::Band(band.collect())).color(0))
             .series(Series::new("mean over runs", Mark::Line(line)).color(0));
         frames.charts.push((chart, "All networks were trained on the same volumes.".into()));
@@ -74,6 +76,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
         let more = |k: &str| row.more.get(k).map(|v| format!("{v:.0}"));
         let over_first = first.map(|f| row.rmse / f.rmse);
         let interval = first.and_then(|f| interval::of_ratio(&row.by_volume, &f.by_volume));
+        let spread = if row.runs > 1 { seconds(row.rmse_sd) } else { "-".into() };
         table.row(vec![
             row.name.as_str().into(),
             more("training frames").into(),
@@ -81,7 +84,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
             more("epochs").into(),
             more("best epoch").into(),
             seconds(row.rmse).into(),
-            format!("{} ({})", seconds(row.rmse_sd), row.runs).into(),
+            format!("{spread} ({})", row.runs).into(),
             format!("{:.3}", row.rmse / row.sd).into(),
             with_interval(row.over_constant, r.over_constant_interval(row)).into(),
             with_interval(row.over_lvrp, r.over_lvrp_interval(row)).into(),
@@ -132,11 +135,11 @@ fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
          Nyx and Castro, and m03 of MAESTROeX; the rows `all three` also have m04 of Nyx and Castro. \
          `{AS_IT_IS}` is the paper's recipe on measured frames. `{}` predicts the logarithm of seconds, \
          trains on every order of the lobes, and takes the weights of the last epochs. `{DISTILLED}` is a \
-         shipped network that was trained on 440000 frame times. Its teacher predicted these times; the \
-         teacher was fitted to measured frames of the same 44 volumes. `{LVRP_AS_PAPER}` renders 24³ of 192³ \
-         voxels (Nyx, Castro), and 18³ of 128 × 128 × 192 voxels (MAESTROeX: a 539th). In the unshaded \
-         rows, its frames were timed on another machine than all other frames, and converted by its linear \
-         fit.",
+         shipped network that was made from 440000 frame times of 44 volumes, one of them for validation and \
+         one for test. Its teacher predicted these times; the teacher was fitted to measured frames of the \
+         same volumes. `{LVRP_AS_PAPER}` renders 24³ of 192³ voxels (Nyx, Castro), and 18³ of 128 × 128 × 192 \
+         voxels (MAESTROeX: a 539th). In all rows, a linear fit of its own converts its times. In the \
+         unshaded rows, its frames were timed on another machine than all other frames.",
         paper.trials.changes.last().map_or("", |c| c.name.as_str())
     );
     any.then_some((table, caption))

@@ -121,7 +121,7 @@ impl Measured {
     }
 }
 
-/// Runs those of the requested trials of the first mode whose results are missing.
+/// Runs the requested trials of the first mode, except those whose results are stored.
 pub(crate) fn run(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
     let first = work.paper.trials.tables.first().filter(|t| work.selection.has_mode(&t.mode));
     let Some(tables) = first else { return Ok(()) };

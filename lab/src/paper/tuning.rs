@@ -1,6 +1,6 @@
-//! Fine-tuning: the network is pre-trained on all data sets with frames and adapted to other renderers,
-//! machines and kinds of volumes with few frames. It is compared with networks trained from scratch and
-//! with unit costs, which are calibrated to the same frames.
+//! Fine-tuning: the network is pre-trained on all data sets whose frames were collected. It is then adapted
+//! with few frames to other renderers, machines and kinds of volumes, and compared with networks trained from
+//! scratch and with unit costs, which are calibrated to the same frames.
 
 use super::Work;
 use super::collect::{Kind, table_path};

@@ -176,7 +176,7 @@ pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Resul
     }
     ensure!(
         !found.is_empty(),
-        "{} holds none of the data sets; name the folder that holds them, or ensembles/, with --data",
+        "{} holds none of the data sets; name with --data the folder that holds them or ensembles/",
         data.display()
     );
     Ok(found)

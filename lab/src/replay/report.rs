@@ -183,8 +183,8 @@ impl Results<'_> {
         let mut page = Page::new(
             "Frame times on target, compared with an oracle",
             &format!(
-                "{} recorded paths over real volumes, {} trials, {frames} frames per controller. Without --model, \
-                 the predictor was not trained on any of the volumes.",
+                "{} recorded paths over real volumes, {} trials, {frames} frames per controller. Without \
+                 --model, the predictor is fitted to the tables of --calibration.",
                 self.traces.len(),
                 self.trials.len()
             ),

@@ -10,8 +10,9 @@ pub struct Three {
     pub missed: f64,
     /// Mean |t − target| / target over the reachable frames ([`Replayed::reachable`]).
     pub deviation: f64,
-    /// Mean over all frames of the oracle's step divided by the chosen step, at most 1. For rules that change the
-    /// image resolution: mean of the least reduction that meets the target, divided by the chosen reduction.
+    /// Mean over all frames of the oracle's step divided by the chosen step, at most 1. For rules that change
+    /// the image resolution: mean of the least reduction that meets the target, divided by the chosen
+    /// reduction.
     pub quality: f64,
 }
 

@@ -511,7 +511,7 @@ fn two_eyes(method: ControllerKind) -> Verdict {
     judge(28, method, &seen, Limits { run: 2, quality: 0.85, ..Limits::missed(0.05) }, None)
 }
 
-/// Least share of bursts in scene 29 after which the step is back.
+/// Least share of bursts in scene 29 after which the step returns to its value before the burst.
 pub(crate) const BACK: f64 = 0.9;
 
 /// Largest number of frames in scene 31 until the target is held at half the speed.

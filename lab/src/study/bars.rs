@@ -10,7 +10,8 @@ const PAPER: &str = "paper";
 /// Name of the paper's network, distilled from another predictor.
 const DISTILLED: &str = "distilled";
 
-/// The networks with a bar on their error with eight-bit weights: the paper's, and those that the study ships by name.
+/// The networks with a bar on their error with eight-bit weights: the paper's, and those that the study ships
+/// by name.
 pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> {
     let by_name = |name: &&str| ![PAPER, SELECTED].contains(name);
     std::iter::once(PAPER).chain(study.ship.iter().map(|s| s.predictor.as_str()).filter(by_name))

@@ -66,8 +66,8 @@ pub(crate) fn main_table(found: &Findings, set: &str, split: &str, panel: Option
     table
 }
 
-/// Table of the errors on training frames, in cross-validation, and on the main split, each with its interval over
-/// volumes, and of the error by which the rule compares predictors.
+/// Table of the errors on training frames, in cross-validation, and on the main split, each with its interval
+/// over volumes, and of the error by which the rule compares predictors.
 pub(crate) fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::headed(
         "predictor | #RMSE/SD (90 %), training frames | #… cross-validated | #… test | \
@@ -112,7 +112,8 @@ impl Plotted<'_> {
     }
 }
 
-/// Chart of a group's predictors on the main split: error against latency, with the number of fitted parameters.
+/// Chart of a group's predictors on the main split: error against latency, with the number of fitted
+/// parameters.
 fn frontier(study: &Study, found: &Findings, set: &Set, split: &str) -> Chart {
     let group: Vec<&Set> = study.group(set).collect();
     let mut places: Vec<Plotted<'_>> = models(found, &set.name, split)
@@ -130,8 +131,8 @@ fn frontier(study: &Study, found: &Findings, set: &Set, split: &str) -> Chart {
             front.push(place);
         }
     }
-    // Only the frontier, the selected predictor and the references, which the rule cannot select, are labeled;
-    // more labels would overlap.
+    // Only the frontier, the selected predictor and the references, which the rule cannot select, are
+    // labeled; more labels would overlap.
     let selected = found.selected.get(&set.name);
     let reference = |name: &str| study.predictors.iter().any(|p| p.name == name && !p.cross_validated);
     let named = |place: &Plotted<'_>| {
@@ -184,8 +185,8 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
     let mut page = Page::new(
         study.title.as_str(),
         &format!(
-            "Every predictor is trained on the training tables of a data set only and tested on other \
-             splits. A frame's time is the median of its repeats by the clock {:?}. Latency is \
+            "Every predictor is trained only on the training tables of a data set, and tested on each \
+             split. A frame's time is the median of its repeats by the clock {:?}. Latency is \
              measured on one thread, with caches evicted before every call. It includes the scene features but \
              not the work per volume. The work per transfer function has its own column.",
             study.clock
@@ -241,7 +242,14 @@ pub(crate) fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                     format!("{:.1}", 100.0 * c.metrics.mdape).into(),
                 ]);
             }
-            page.table(&table, "Errors on each half of the volumes after a calibration to the other half.");
+            page.table(
+                &table,
+                &format!(
+                    "The volumes are in two halves. Each half is predicted after a calibration to \
+                     {CALIBRATION_FRAMES} frames of the other half; the errors are those of both halves \
+                     together."
+                ),
+            );
         }
     }
     if !found.left_out.is_empty() {

@@ -67,8 +67,8 @@ pub(crate) fn shipped<'a>(study: &'a Study, found: &Findings, set: &str, name: &
     if name == SELECTED { by_rule(study, found, set).map(|p| p.name.as_str()) } else { Some(name) }
 }
 
-/// Number of fitted parameters in a model for a shading mode: weights and biases of its network that are not zero, and
-/// unit costs of work that occurs in frames of this mode.
+/// Number of fitted parameters in a model for a shading mode: weights and biases of its network that are not
+/// zero, and unit costs of work that occurs in frames of this mode.
 pub(super) fn numbers(model: &Model, shading: Shading) -> usize {
     let held = |quantity: &str| match quantity {
         "local_samples" | "far_local_samples" => shading.is_lit(),

@@ -58,8 +58,8 @@ pub struct Trace {
     pub scales: Vec<(u32, f32)>,
     /// Settings of drawing.
     pub draw: DrawSettings,
-    /// Points of every frame's grid: first those at scale 1, steps ascending, then smaller images if they were
-    /// recorded.
+    /// Points of every frame's grid: first those at scale 1, steps ascending, then smaller images if they
+    /// were recorded.
     pub frames: Vec<Vec<TracePoint>>,
     /// Machine, device, commit and date.
     pub provenance: serde_json::Value,

@@ -150,7 +150,7 @@ fn scores_under(disturbance: &str, more: &[&str]) -> [serde_json::Value; 2] {
 #[test]
 fn whatever_else_runs_fewer_frames_are_late_than_under_olp() {
     let dir = tempfile::tempdir().unwrap();
-    // Half of the speed for 3 of 9 seconds.
+    // Half of the speed for 3 of 12 seconds.
     let halved = dir.path().join("halved.csv");
     std::fs::write(&halved, "start_s,slowdown\n0,1\n3,2\n6,1\n9,1\n").unwrap();
     let recorded = |name: &str| format!("data/steer/disturbances/{name}.csv");

@@ -220,8 +220,8 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     }
     assert_eq!(steering["pictures"].as_array().unwrap().len(), 3);
 
-    // The report has an entry with a command for every label of a table or figure of the paper, and marks the entries
-    // that are not measured.
+    // The report has an entry with a command for every label of a table or figure of the paper, and marks the
+    // entries that are not measured.
     let (output, said) = paper(at, "report", &["--bars", "--keep", "kept.json.gz"]);
     let bars = printed(&output.stdout);
     assert!(bars.contains("bar paper/castro_blast/none/ours-over-network"), "{bars} {said}");
@@ -306,6 +306,8 @@ fn trials_are_judged_by_volume_and_made_once() {
     let (_, said) = paper(at, "report", &[]);
     let html = std::fs::read_to_string(at.join("out/report.html")).unwrap_or_else(|e| panic!("{e} {said}"));
     assert!(html.contains("one change at a time") && html.contains("lobes sorted"));
+    // A single run has no SD.
+    assert!(html.contains("- (1)"));
 
     let trials = files(&at.join("out/trials"));
     assert_eq!(trials.len(), 2 * 2 + 2);

@@ -66,7 +66,7 @@ const GAP: f64 = 7.0;
 /// Vertical distance of a text from its point, in pixels, beyond which a line joins them.
 const JOIN_DISTANCE: f64 = 16.0;
 
-/// Area of overlap, in square pixels, that is as bad as a text that the line to another text crosses.
+/// Area of overlap, in square pixels, that counts as much as one text crossed by a joining line.
 const CROSSING_AREA: f64 = 100.0;
 
 impl Place {
@@ -92,8 +92,9 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// Returns a place beside the point (x, y) for a text of a given width, in pixels: the first free place, else
-    /// the place with the least overlap with marks, texts and the outside of the frame; crossed texts count, too.
+    /// Returns a place beside the point (x, y) for a text of a given width, in pixels: the first free place,
+    /// else the place with the least overlap with marks, texts and the outside of the frame; crossed texts
+    /// count, too.
     pub(super) fn place(&mut self, x: f64, y: f64, width: f64, frame: &Rect) -> Place {
         let at = |(leftward, down): (bool, f64)| Place {
             leftward,
