@@ -33,9 +33,9 @@ pub(crate) fn shipped_models(shading: Shading) -> Result<Vec<(String, ModelFile)
     files(shading).into_iter().map(read).collect()
 }
 
-/// The priors of a calibration of a renderer with these typical costs, with their names: the shipped models of the
-/// shading mode, which were fitted to software renderers. For a GPU there are none, so that the calibration starts from
-/// the typical costs.
+/// The priors of a calibration, with their names. `typical` are the typical costs of the calibrated renderer.
+/// For a GPU there are no priors, so that the calibration starts from the typical costs. For every other
+/// renderer, the priors are the shipped models of the shading mode, which were fitted to software renderers.
 pub(crate) fn shipped_priors(shading: Shading, typical: &UnitCosts) -> Result<Vec<(String, ModelFile)>> {
     if *typical == UnitCosts::GPU { Ok(Vec::new()) } else { shipped_models(shading) }
 }

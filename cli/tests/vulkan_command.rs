@@ -1,4 +1,4 @@
-//! `entire render` on Vulkan. Without a Vulkan device the test is reported as ignored.
+//! `entire render` and `entire probe` on Vulkan. Without a Vulkan device, the tests are reported as ignored.
 
 mod support;
 
@@ -59,7 +59,7 @@ fn main() {
     let arguments = Arguments::from_args();
     let missing = VulkanRaycaster::new(VulkanOptions::default()).err();
     if let Some(error) = &missing {
-        eprintln!("No Vulkan device, this test is ignored: {error}");
+        eprintln!("No Vulkan device, these tests are ignored: {error}");
     }
     type Test = fn() -> Result<(), Failed>;
     let tests: [(&str, Test); 3] = [

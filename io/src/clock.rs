@@ -47,8 +47,8 @@ pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
 /// Returns the parser of `--clock`.
 pub fn clock_parser() -> impl TypedValueParser<Value = ClockChoice> {
     let auto = PossibleValue::new(AUTO).help(
-        "The clock that the text of this option names for `auto`; without such a text, the device's timestamps \
-         if all frames have them, else wall time",
+        "Device timestamps if all frames have them, else wall time, unless another rule for `auto` is stated \
+         above",
     );
     PossibleValuesParser::new([auto].into_iter().chain(named_clocks()))
         .try_map(|name| if name == AUTO { Ok(None) } else { name.parse::<Clock>().map(Some) })
@@ -159,8 +159,8 @@ pub fn agreed<'a>(
         if let Some(other) = asked.filter(|c| *c != clock) {
             bail!(
                 "{name} predicts {} seconds, but --clock asks for {}; leave --clock out, or make a model for \
-                 the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine or, \
-                 with --data TABLE.csv, to a table",
+                 the requested clock: `entire calibrate --clock {}` fits it to measurements of this machine \
+                 or, with --data TABLE.csv, to a table",
                 clock.name(),
                 other.name(),
                 other.name()

@@ -37,7 +37,7 @@ pub enum Device {
     Auto,
     /// The Vulkan raycaster.
     Vulkan,
-    /// The CPU version of the raycaster, which draws the same pictures and counts their samples.
+    /// The CPU version of the raycaster, which draws almost the same pictures and counts their samples.
     Cpu,
 }
 

@@ -73,7 +73,7 @@ impl Layout {
     /// When the file contains no PredNet, an input group is unknown, or volume features are needed and the
     /// file has no VolumeNet.
     pub fn of_model(model: &Model) -> Result<Self> {
-        ensure!(model.prednet.is_some(), "the model file holds no PredNet");
+        ensure!(model.prednet.is_some(), "the model file holds no PredNet; give a model that predicts");
         let layout = InputLayout::of_model(model)?;
         let encoder = model.volumenet.as_ref().map(Encoder::new).transpose()?;
         ensure!(

@@ -120,8 +120,8 @@ mod tests {
     use entire_steer::numeric::solve;
     use entire_steer::predict::{COSTS, UnitCosts};
 
-    /// Returns one candidate per entry of `amounts`, which has its amounts of the first two kinds of work;
-    /// its amount of every other kind is 1.
+    /// Returns one candidate for each entry of `amounts`. The entry has the candidate's amounts of the first
+    /// two kinds of work; the amounts of all other kinds are 1.
     fn pool(amounts: &[[f64; 2]]) -> Pool {
         let candidate = |amounts: &[f64; 2]| {
             let mut work = [1.0; COSTS];

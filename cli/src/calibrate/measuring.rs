@@ -50,7 +50,8 @@ pub(crate) struct Measuring<'a> {
     bar: &'a ProgressBar,
     volumes: HashMap<(usize, usize), Volume>,
     visits: BTreeMap<usize, Vec<Visit>>,
-    /// Ratio of wall seconds on this machine to the seconds that the prior predicts for its own machine.
+    /// Ratio of expected wall seconds on this machine to the seconds that the prior predicts for its own
+    /// machine.
     scale: f64,
     switch: f64,
     /// Load of the machine by other programs.

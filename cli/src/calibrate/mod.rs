@@ -1,5 +1,5 @@
 //! Fits a model to this machine in a minute and a half: chooses informative frames, renders them in passes,
-//! and fits unit costs to their times, with the shipped models as prior.
+//! and fits unit costs to their times. The prior is the given models, else typical costs.
 //!
 //! `pool` draws candidate frames and computes their features; `design` chooses among them; `measuring`
 //! renders them in several passes, short frames after untimed warm-up renderings, and compares pictures with
@@ -127,8 +127,8 @@ fn too_short(seconds: f64, choosing: f64) -> String {
     let measured = (1.0 - PICTURES_SHARE) * seconds - FIT_SECONDS - choosing;
     let needed = MEASUREMENT_SECONDS.max(2.0 * measured) + FIT_SECONDS + choosing;
     format!(
-        "within {seconds} s, of which the choice of frames took {choosing:.1} s; give --seconds {:.0}, or name fewer or \
-         smaller volumes",
+        "within {seconds} s, of which the choice of frames took {choosing:.1} s; give --seconds {:.0}, or \
+         name fewer or smaller volumes",
         (needed / (1.0 - PICTURES_SHARE)).ceil()
     )
 }
@@ -137,8 +137,8 @@ fn too_short(seconds: f64, choosing: f64) -> String {
 /// and fits a model to them. [`prior_costs`] makes the prior from the models `priors`.
 ///
 /// # Errors
-/// When volumes cannot be read, the renderer fails or lacks the clock, or
-/// fewer than [`FEWEST_FRAMES`] were drawn.
+/// When volumes cannot be read, the renderer fails or lacks the clock, or fewer than [`FEWEST_FRAMES`] were
+/// drawn.
 pub(crate) fn calibrate(
     settings: &Settings,
     priors: &[NamedPrior],
@@ -217,8 +217,8 @@ fn fit_to_frames(
     let renderer = expected_costs(context, part);
     let (_, side) = prior_costs(priors, &renderer)?;
     let unknown = UnitCosts::OF_UNKNOWN;
-    // A renderer of unknown kind may run on a GPU, where the longest rays have costs. The volumes, from which
-    // these rays are counted, may be missing; then a software renderer is assumed.
+    // A renderer of unknown kind may run on a GPU, where the longest ray has unit costs of its own. Its work
+    // is counted in the volumes; if they are missing, a software renderer is assumed.
     let longest = || counts(context, part, &unknown[1], side).ok();
     let (renderers, work) = match (renderer == unknown[0]).then(longest).flatten() {
         Some(work) => (&unknown[..], work),
@@ -254,8 +254,7 @@ pub fn calibrate_to_frames(
 /// `pictures`, if given. If a table has no stored scene features, its volumes are opened.
 ///
 /// # Errors
-/// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, or inputs
-/// cannot be computed.
+/// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, or inputs cannot be computed.
 pub fn calibrate_to_tables(
     tables: &[Table],
     (shading, clock): (Shading, Clock),

@@ -107,7 +107,8 @@ impl BackgroundLoad {
         }
     }
 
-    /// The share of disturbed time, and the number of frames, of `frames`, that have only disturbed repeats.
+    /// Returns a text with the share of disturbed time, and with the number of frames that have only
+    /// disturbed repeats. `frames` is the number of all frames.
     pub(crate) fn text(&self, frames: usize) -> String {
         match self.mean {
             Some(_) => format!(

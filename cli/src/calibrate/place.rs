@@ -36,7 +36,7 @@ pub(crate) fn shading_of(model: &Model) -> Option<Shading> {
 }
 
 /// True if a model with these metadata was calibrated on the volume; `None` if the metadata lack the hashes
-/// of the model's volumes, like those of shipped models, of networks and of models that a session made.
+/// of the model's volumes, as in shipped models, in networks, and in models that a session made.
 ///
 /// # Errors
 /// When the volume's files cannot be read.
@@ -63,7 +63,8 @@ pub(crate) fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFi
     let Some(path) = file_of(shading).filter(|p| p.is_file()) else { return Ok(None) };
     let (file, model) = read_model_file(&path).with_context(|| {
         format!(
-            "the machine's model is damaged; remove {}, or make it again with `entire calibrate --shade {shading}`",
+            "the machine's model is damaged; remove {}, or make it again with `entire calibrate --shade \
+             {shading}`",
             path.display()
         )
     })?;
@@ -137,8 +138,8 @@ pub fn machine_file(shading: Shading) -> Result<PathBuf> {
     file_of(shading).filter(|p| p.is_file()).with_context(|| {
         let shading: &str = shading.into();
         format!(
-            "this machine has no model for shading {shading}; make one with `entire calibrate --shade {shading}`, \
-             or name a model with --model"
+            "this machine has no model for shading {shading}; make one with `entire calibrate --shade \
+             {shading}`, or name a model with --model"
         )
     })
 }

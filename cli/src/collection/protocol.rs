@@ -210,8 +210,8 @@ impl Protocol {
             let name = job.seed_name();
             ensure!(
                 v.seed_name.as_ref().is_none_or(|seed_name| *seed_name == name),
-                "the random frames of {} were drawn from the name {:?}, but the file now has the name {name:?}; give the \
-                 file, and for a time step also its two folders, the former name",
+                "the random frames of {} were drawn from the name {:?}, but the file now has the name \
+                 {name:?}; give the file, and for a time step also its two folders, the former name",
                 job.name(),
                 v.seed_name.unwrap_or_default()
             );

@@ -33,7 +33,8 @@ use std::path::{Path, PathBuf};
 /// mode; on a GPU, it is typical costs of a GPU. A few frames determine the speed of this machine; hundreds
 /// of frames determine each unit cost. Prints the error on held-out volumes, and warns if other programs used
 /// the machine. Ctrl-C ends the measurement early; the model is then fitted to the frames measured so far.
-/// `demo`, `steer`, `predict` and libentire (entire_model_open_machine) find the model by themselves.
+/// `demo`, `steer`, `explore`, `predict` and libentire (entire_model_open_machine) find the model by
+/// themselves.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire calibrate

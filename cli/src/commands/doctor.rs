@@ -132,7 +132,7 @@ fn tested_with(part: &str, version: &str) -> String {
         return String::new();
     };
     let versions = versions.1;
-    // The first word with a digit is the number; the text may have a name before it.
+    // The first word that begins with a digit is the number; the text may have a name before it.
     let number =
         version.split([' ', ',']).find(|w| w.starts_with(|c: char| c.is_ascii_digit())).unwrap_or("");
     let mut parts = number.split('.');

@@ -17,7 +17,8 @@ use std::path::PathBuf;
 /// predictions; a graph shows both times beside the target. While nothing changes, the picture is refined to
 /// full quality, in time slices that are no longer than the target. Without --model, the model of this
 /// machine is used (`entire calibrate --clock wall`), else the shipped model. Drag to turn, shift-drag to
-/// pan, scroll to zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to undo.
+/// pan, scroll to zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to undo an edit of the
+/// transfer function.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire explore data/nyx_cosmology/m01/t0010.nrrd
@@ -58,7 +59,8 @@ pub(crate) struct Options {
     /// Play events from a file (JSON lines, see the book) instead of user input.
     #[arg(long, value_name = "FILE.jsonl")]
     pub(crate) script: Option<PathBuf>,
-    /// Write a row of CSV for every frame: seconds, prediction, step, memory.
+    /// Write a CSV file with a row for each frame (seconds, prediction, step, memory), each loaded volume,
+    /// each view that was refined to full quality, and each action `full_frame` of --script.
     #[arg(long, value_name = "FILE.csv")]
     pub(crate) log: Option<PathBuf>,
 }
@@ -76,8 +78,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 #[cfg(not(feature = "explore"))]
 fn open(_: &Options, _: f64) -> Result<()> {
     anyhow::bail!(
-        "this `entire` was built without its window; build it with `make explore`, or with `cargo install --path cli \
-         --features explore`"
+        "this `entire` was built without its window; build it with `make explore`, or with `cargo install \
+         --path cli --features explore`"
     )
 }
 

@@ -202,8 +202,8 @@ pub(crate) fn run(options: &Options, program: &[OsString]) -> Result<()> {
     }
     if let Some((task, error)) = summary.quarantined.first() {
         bail!(
-            "{} tasks were given up, such as {task}: {}; their logs are in {}; --resume --retry-quarantined tries \
-             them again",
+            "{} tasks were given up, such as {task}: {}; their logs are in {}; --resume --retry-quarantined \
+             tries them again",
             summary.quarantined.len(),
             error.lines().next().unwrap_or_default(),
             job.state().join("quarantine").display()

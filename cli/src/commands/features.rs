@@ -23,7 +23,7 @@ use std::path::PathBuf;
   entire features --data frames.csv --root ../volumes \\
       --volumenet models/volumenet-128f2.safetensors")]
 pub struct Options {
-    /// Timing tables written by `entire collect`.
+    /// Timing tables, such as those that `entire collect`, another collector or your own program writes.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
     /// Model files with a VolumeNet, the network that computes volume features; only models with volume
@@ -62,8 +62,9 @@ pub fn run(options: &Options) -> Result<()> {
     let mut encoders = Vec::new();
     for path in &options.volumenet {
         let model = open_model(path)?;
-        let parts =
-            model.volumenet.as_ref().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+        let parts = model.volumenet.as_ref().with_context(|| {
+            format!("{} holds no VolumeNet; give a model that encodes volumes", path.display())
+        })?;
         encoders.push((encoder_id(parts), VolumeNet::new(parts)?));
     }
     for path in &options.data {

@@ -9,9 +9,10 @@ use std::path::PathBuf;
 
 /// Assign the tasks of a render farm to its nodes and predict when the last task ends.
 ///
-/// All seconds in the task list must be wall time on a node of speed 1. `entire predict` names the clock of
-/// its seconds; seconds by another clock than wall time make the predicted end wrong. Writes the assignment
-/// or, for a queue, the order of the tasks, as CSV or JSON by the ending of the file's name.
+/// All seconds in the task list must be wall time: task times on a node of speed 1, and load times, which do
+/// not depend on the node. `entire predict` names the clock of its seconds; seconds by another clock than
+/// wall time make the predicted end wrong. Writes the assignment or, for a queue, the order of the tasks, as
+/// CSV or JSON by the ending of the file's name.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv

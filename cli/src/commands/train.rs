@@ -42,7 +42,7 @@ Examples:
       --model-kind residual --layers 32
         unit costs times a learned factor")]
 pub(crate) struct Options {
-    /// Timing tables written by `entire collect`.
+    /// Timing tables, such as those that `entire collect`, another collector or your own program writes.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub(crate) data: Vec<PathBuf>,
     /// Model file to write; its model card is written beside it as Markdown.
@@ -146,8 +146,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if split.validation.is_empty() {
         note(&match split.test.is_empty() {
             true => format!(
-                "fewer than three {}s, so all frames are used for training and none is held out; test on other \
-                 data",
+                "fewer than three {}s, so all frames are used for training and none is held out; test on \
+                 other data",
                 split.by.name()
             ),
             false => "no --validation-groups: the training frames decide when training stops, and the upper \
@@ -233,7 +233,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISE_LIMIT) {
         let other = if clock == Clock::Cpu { "" } else { ", or try --clock cpu" };
         note(&format!(
-            "repeats of one frame differ by {:.0} %; collect on a quieter machine, with more --repeats{other}",
+            "repeats of one frame differ by {:.0} %; collect on a quieter machine, with more \
+             --repeats{other}",
             100.0 * (n.log_sd.exp() - 1.0)
         ));
     }
@@ -345,8 +346,8 @@ fn check_used(recipe: &Recipe) -> Result<()> {
     ] {
         ensure!(
             !given || recipe.inputs.iter().any(|name| name.trim() == group.name()),
-            "{option} has no effect without the input group {group}; leave {option} out, or name the group in \
-             --inputs"
+            "{option} has no effect without the input group {group}; leave {option} out, or name the group \
+             in --inputs"
         );
     }
     Ok(())

@@ -121,8 +121,8 @@ impl SteeringModel {
         self.volume_features.as_deref()
     }
 
-    /// The model's errors on samples. Models without the ray step as input are
-    /// evaluated at the reference step only.
+    /// The model's errors on samples. Models without the ray step as input are evaluated at the reference
+    /// step only.
     ///
     /// # Errors
     /// When there are no samples, or the model needs an input that they lack.
@@ -200,8 +200,8 @@ pub(crate) fn chosen_model(
     Ok((title, file.to_model()?, known))
 }
 
-/// Returns the [chosen](chosen_model) model. Sessions scale the shipped model, whose error here is unknown, to
-/// this machine frame by frame.
+/// Returns the [chosen](chosen_model) model. Sessions scale the shipped model, whose error here is unknown,
+/// to this machine frame by frame.
 pub(crate) fn steering_model(
     given: Option<(String, Model)>,
     machine: Option<(String, ModelFile)>,

@@ -58,8 +58,8 @@ pub struct Contender {
     pub name: String,
     /// The session that plans the controller's frames and learns from their times.
     pub session: Session,
-    /// True if the controller may choose the image sample distance in addition to the step, up to the course's
-    /// maximum.
+    /// True if the controller may choose the image sample distance in addition to the step, up to the
+    /// course's maximum.
     pub chooses_image_sample_distance: bool,
     /// Quantity that the controller's decisions set.
     pub acts_on: ActsOn,
@@ -69,7 +69,7 @@ pub struct Contender {
 pub(crate) struct Record {
     /// Ray step, reference steps.
     pub(crate) step: f32,
-    /// Pixels between rays along each side; 1 where the controller does not choose it.
+    /// Pixels between rays along each side; 1 at full image size.
     pub(crate) image_sample_distance: f32,
     /// Size (width, height) of the drawn image, pixels.
     pub(crate) size: (u32, u32),

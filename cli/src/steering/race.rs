@@ -36,8 +36,7 @@ pub(crate) struct Race<'a> {
     pub(crate) scenes: (usize, usize),
     pub(crate) draw: DrawSettings,
     pub(crate) controllers: &'a [ControllerKind],
-    /// Target, seconds; `None` for [`TARGET_SHARE`] of the median time of the
-    /// random scenes.
+    /// Target, seconds; `None` for [`TARGET_SHARE`] of the median time of the random scenes.
     pub(crate) target: Option<f64>,
     pub(crate) model: &'a SteeringModel,
 }
@@ -70,7 +69,8 @@ pub fn measure(
     let bar = progress_bar(label);
     bar.set_length(scenes as u64);
     bar.reset_eta();
-    // Collections draw three lobes by default. With one to three lobes, some scenes show a nearly empty volume.
+    // Collections draw three lobes by default. With one to three lobes, some scenes show a nearly empty
+    // volume.
     let distribution = SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() };
     for scene in 0..scenes {
         let place = || format!("random scene {scene}");

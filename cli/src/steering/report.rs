@@ -37,9 +37,9 @@ impl ResponseCurve {
         let samples = self.samples.iter().map(wide).map(|(x, y)| (x, y, String::new())).collect();
         let points = self.points.iter().map(wide).collect();
         Chart::new(
-            "G: frame time at a ray step / at the reference step",
+            "G: frame time at a ray step / frame time at the reference step",
             Axis::log("step / reference steps"),
-            Axis::log("frame time / at the reference step"),
+            Axis::log("frame time / frame time at the reference step"),
         )
         .size(900.0, 300.0)
         .series(Series::new("random scenes", Mark::Points(samples)).color(6))
@@ -126,17 +126,17 @@ fn table_caption() -> String {
     format!(
         "T is the target, t is the time of a frame. A switch is a frame at which the camera or the transfer \
          function changes abruptly, or at which another volume or image size begins. The best value of each \
-         column is bold. \"> 1.1 T\" and \"> 1.25 T\" are the shares of frames that took longer than 1.1 T and \
-         1.25 T. \"|t-T|/T\" is the mean of |t - T| / T over all frames. \"At switches\" is this mean over the \
-         first {SWITCH_FRAMES} frames from each switch on. \"Calm\" is this mean over all other frames, without \
-         the first {SWITCH_FRAMES} of the path. \"p95\" and \"worst\" are the 95th percentile and the maximum of \
-         the frame times. \"Recovery\" is the number of frames from a switch until two frames in a row are on \
-         target, averaged over the switches; it is 0 if the frame of the switch and the next one are on target. \
-         A frame is on target if t is within 25 % of T, or shorter at the finest step, or longer at the coarsest \
-         step. \"PSNR\" compares each picture with the picture at the reference step, after smaller images were \
-         enlarged to full size; equal pictures count as {BEST_PSNR:.0} dB. \"Step\" is the mean ray step. For \
-         rules that change the image resolution and keep the reference step, it is the mean number of pixels of \
-         the full image per drawn pixel."
+         column is bold. \"> 1.1 T\" and \"> 1.25 T\" are the shares of frames that took longer than 1.1 T \
+         and 1.25 T. \"|t-T|/T\" is the mean of |t - T| / T over all frames. \"At switches\" is this mean \
+         over the first {SWITCH_FRAMES} frames from each switch on. \"Calm\" is this mean over all other \
+         frames, without the first {SWITCH_FRAMES} of the path. \"p95\" and \"worst\" are the 95th \
+         percentile and the maximum of the frame times. \"Recovery\" is the number of frames from a switch \
+         until two frames in a row are on target, averaged over the switches; it is 0 if the frame of the \
+         switch and the next one are on target. A frame is on target if t is within 25 % of T, or shorter at \
+         the finest step, or longer at the coarsest step. \"PSNR\" compares each picture with the picture at \
+         the reference step, after smaller images were enlarged to full size; equal pictures count as \
+         {BEST_PSNR:.0} dB. \"Step\" is the mean ray step. For rules that change the image resolution and \
+         keep the reference step, it is the mean number of pixels of the full image per drawn pixel."
     )
 }
 
@@ -261,17 +261,17 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         .series(Series::new("time at the reference step", Mark::Band(band)).color(6));
     let chart = per_controller(chart, playback, |c| Mark::Line(numbered(c, &|r| r.seconds * 1e3)));
     let left_out = if shown(&playback.names).len() < playback.names.len() {
-        " Three rules convert recent frame times to the reference step by G, the frame time as a function of the step. \
-         Of these rules, charts and pictures show OLP only."
+        " Three rules convert recent frame times to the reference step by G, the frame time as a function of \
+         the step. Of these rules, charts and pictures show OLP only."
     } else {
         ""
     };
     page.chart(
         &chart,
         &format!(
-            "Measured time of every frame under every controller.{left_out} The shaded area reaches from the \
-             target to the frame's time at the reference step. All controllers draw the same frame before \
-             the next frame begins; their order rotates from frame to frame."
+            "Measured time of every frame under the controllers of the legend.{left_out} The shaded area \
+             reaches from the target to the frame's time at the reference step. All controllers draw the \
+             same frame before the next frame begins; their order rotates from frame to frame."
         ),
     );
 
@@ -286,8 +286,9 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
         page.chart(
             &chart,
-            "Mean over the switches (abrupt changes of camera, transfer function, volume or image size). Reactive \
-             controllers notice a switch one frame late. Predicting controllers plan the switch's frame.",
+            "Mean over the switches (abrupt changes of camera, transfer function, volume or image size). \
+             Reactive controllers notice a switch one frame late. Predicting controllers plan the switch's \
+             frame.",
         );
     }
 
@@ -306,9 +307,9 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
         });
         page.chart(
             &chart,
-            "Distance between rays along each side of the image, for each controller. Two kinds of controllers \
-             change this distance: those that act on image resolution, and entire's controller if it may coarsen \
-             the image.",
+            "Distance between rays along each side of the image, for each controller. Two kinds of \
+             controllers change this distance: those that act on image resolution, and entire's controller \
+             if it may coarsen the image.",
         );
     }
 
@@ -341,8 +342,9 @@ fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metr
     if !story.response.points.is_empty() {
         page.chart(
             &story.response.chart(),
-            "Algorithm 1 and OLP use this one curve for all scenes. The scatter of the scenes about the \
-             curve is the error of these two; entire's controller predicts each scene's own curve.",
+            "Algorithm 1 and the controllers that convert recent frame times, such as OLP, use this one \
+             curve for all scenes. The scatter of the scenes about the curve is an error of these \
+             controllers; entire's controller predicts each scene's own curve.",
         );
     }
 
@@ -413,8 +415,8 @@ pub(crate) fn make_report_folder(folder: &Path) -> Result<()> {
     ensure_no_table(&folder.join(FILES[0])).context("--out")
 }
 
-/// Writes the [`FILES`] into a folder, which is made if it does not exist.
-/// Returns the metrics of the controllers.
+/// Writes the [`FILES`] into a folder, which is made if it does not exist. Returns the metrics of the
+/// controllers.
 pub(crate) fn write(
     folder: &Path,
     story: &Story,

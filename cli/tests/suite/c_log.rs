@@ -6,7 +6,7 @@ use entire_io::dataset::{Clock, Table};
 use std::path::PathBuf;
 
 #[test]
-#[ignore = "needs the table that `make test-ffi` has a C program write, named in ENTIRE_C_LOG"]
+#[ignore = "needs the table that a C program of `make test-ffi` writes; ENTIRE_C_LOG names it"]
 fn a_log_written_from_c_is_a_timing_table() {
     let path = PathBuf::from(std::env::var_os("ENTIRE_C_LOG").expect("ENTIRE_C_LOG names the table"));
     let table = Table::read(&path, 0).unwrap();

@@ -84,7 +84,7 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let fitted = run(at, "calibrate --data frames.csv --out logged.safetensors --threads 1");
     assert!(fitted.status.success() && stdout(&fitted).contains("to expect"), "{}", stderr(&fitted));
     let logged = model_of(&at.join("logged.safetensors"));
-    // Wall time, since the CPU version has no time stamps.
+    // Wall time, since the CPU version has no timestamps.
     assert!(load(&logged).is_ok() && logged.metadata["entire.clock"] == "wall");
 
     // Frames of another shading are not used, and do not affect the choice of the clock.
@@ -150,8 +150,8 @@ fn a_model_states_what_coarser_pictures_cost() {
     let at = dir.path();
     volumes(at);
     // With few frames, most of the time is left for pictures.
-    let line = "calibrate a.nrrd b.nrrd c.nrrd --device cpu --seconds 60 --frames 12 --min-size 96 --max-size 128 \
-                --quiet --threads 1 --out m.safetensors";
+    let line = "calibrate a.nrrd b.nrrd c.nrrd --device cpu --seconds 60 --frames 12 --min-size 96 \
+                --max-size 128 --quiet --threads 1 --out m.safetensors";
     let made = run(at, line);
     assert!(made.status.success(), "{}", stderr(&made));
     let model = model_of(&at.join("m.safetensors"));
@@ -216,7 +216,7 @@ fn what_cannot_be_calibrated_is_said() {
     fails(at, "calibrate a.nrrd --termination -1 --out m.safetensors", 1, &["above 0 and at most 1"]);
     // --root is for tables alone.
     fails(at, "calibrate a.nrrd --root . --out m.safetensors", 2, &["--root"]);
-    // The CPU version has no time stamps.
+    // The CPU version has no timestamps.
     let line = format!("calibrate a.nrrd --clock device --out m.safetensors {QUICK_OPTIONS}");
     fails(at, &line, 1, &["has no timestamps", "--clock"]);
     let twice = "calibrate a.nrrd ./a.nrrd --out m.safetensors";

@@ -1,4 +1,4 @@
-//! `render`, `predict` and `encode` as other programs call them.
+//! `render`, `predict`, `encode` and `probe` as other programs call them.
 
 use crate::support::*;
 use std::io::Write;

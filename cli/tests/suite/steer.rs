@@ -108,7 +108,7 @@ fn a_demo_that_nobody_reads_writes_its_report() {
     check_report(&dir.path().join("out"), 7, 16);
 }
 
-/// Checks that the machine's model is calibrated with the volumes in data/, but not with the played volume.
+/// Checks that the demo calibrates its model with the volumes in data/, but not with the played volume.
 #[test]
 fn demo_calibrates_on_other_volumes_and_its_model_steers() {
     let dir = setting();

@@ -197,8 +197,8 @@ fn the_paper_configuration_writes_encoder_and_network_into_one_file() {
     std::fs::write(data.path().join("encoder.safetensors"), file.to_bytes().unwrap()).unwrap();
 
     let line = "train --quiet --data t.csv --out paper.safetensors --preset 1C32 --target seconds --inputs \
-                volume_features,camera,resolution,transfer_function --volumenet encoder.safetensors --epochs 3 \
-                --dtype f16";
+                volume_features,camera,resolution,transfer_function --volumenet encoder.safetensors --epochs \
+                3 --dtype f16";
     works(&data, line);
     let m = model(&data, "paper.safetensors");
     assert_eq!(m.inputs.iter().map(|g| g.size).collect::<Vec<_>>(), [2, 3, 2, 3]);

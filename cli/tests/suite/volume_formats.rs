@@ -287,7 +287,7 @@ fn lying_headers_do_not_allocate() {
     check("a_1x1x2_uint8.raw", b"1234", "need 2 bytes, but the data has 4");
 }
 
-/// Opens a small file that is made after a public bug report of another reader.
+/// Opens a small file that is modeled on a public bug report of another program that reads volumes.
 fn reported(name: &str) -> Volume {
     Volume::open(report(name)).unwrap_or_else(|error| panic!("{error:#}"))
 }

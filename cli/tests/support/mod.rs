@@ -140,7 +140,8 @@ pub(crate) fn prednet() -> Vec<Tensor<'static>> {
 pub(crate) const VOLUMENET_METADATA: [(&str, &str); 2] =
     [("entire.format", "1"), ("entire.volumenet", r#"{"input":4,"blocks":[{"stride":2,"padding":0}]}"#)];
 
-/// Tensors of a VolumeNet that takes 4³ voxels, one block of two channels (kernel 2, stride 2), 2 features.
+/// Tensors of a VolumeNet with an input of 4³ voxels, one block of two channels (kernel 2, stride 2), and two
+/// features.
 pub(crate) fn volumenet() -> Vec<Tensor<'static>> {
     let weight = |n: usize, seed: f32| (0..n).map(|i| ((i as f32 + seed) * 0.9).cos() * 0.3).collect();
     vec![
@@ -215,7 +216,7 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes").join(name)
 }
 
-/// A file that is made after a public bug report of another reader.
+/// A file that is modeled on a public bug report of another program that reads volumes.
 pub(crate) fn report(name: &str) -> PathBuf {
     fixture("").with_file_name("reports").join(name)
 }

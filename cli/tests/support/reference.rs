@@ -22,7 +22,8 @@ pub(crate) fn check_page(name: &str, program: Command, intro: &str) {
     assert_eq!(kept.len(), made.len(), "docs/src/{name} is out of date; run `make reference`");
 }
 
-/// Columns of a narrow terminal. A longer line of a help text is wrapped, so that an example cannot be copied.
+/// Columns of a narrow terminal. A longer line of a help text is wrapped, so that an example cannot be
+/// copied.
 const TERMINAL_COLUMNS: usize = 80;
 
 /// Checks that every command has examples at the end of its help, and accepts them.

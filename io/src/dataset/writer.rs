@@ -59,8 +59,8 @@ impl Writer {
         let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| {
             if e.kind() == std::io::ErrorKind::AlreadyExists {
                 anyhow!(
-                    "{} exists already; choose another name, remove it, or, if it is an unfinished table of `entire \
-                     collect`, resume it by the same command with --resume",
+                    "{} exists already; choose another name, remove it, or, if it is an unfinished table of \
+                     `entire collect`, resume it by the same command with --resume",
                     path.display()
                 )
             } else {

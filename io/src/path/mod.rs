@@ -338,8 +338,8 @@ impl PathFile {
                     let before: &CameraPose = before;
                     ensure!(
                         key.switch || before.parallel_scale.is_some() == pose.parallel_scale.is_some(),
-                        "{}: of the cameras here and at frame {frame}, only one has a parallel_scale, so they \
-                         cannot be interpolated; give it to both, or \"switch\": true",
+                        "{}: of the cameras here and at frame {frame}, only one has a parallel_scale, so \
+                         they cannot be interpolated; give it to both, or \"switch\": true",
                         place()
                     );
                 }

@@ -161,8 +161,8 @@ pub(crate) fn expect_end(
         );
     }
     Ok(Some(format!(
-        "{prefix}{behind} bytes after the {expected} bytes of {voxels} are left out; check sizes and type in the \
-         header if no bytes should follow"
+        "{prefix}{behind} bytes after the {expected} bytes of {voxels} are left out; check sizes and type in \
+         the header if no bytes should follow"
     )))
 }
 
@@ -296,8 +296,8 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
         if !token.is_empty() {
             ensure!(
                 out.len() != voxels,
-                "{prefix}there are more than the {voxels} numbers that the sizes call for; check the sizes in the \
-                     header"
+                "{prefix}there are more than the {voxels} numbers that the sizes call for; check the sizes \
+                     in the header"
             );
             let Some(value) = std::str::from_utf8(&token).ok().and_then(&number) else {
                 bail!(
@@ -316,8 +316,8 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
     }
     ensure!(
         out.len() >= voxels,
-        "{prefix}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its header is \
-             wrong",
+        "{prefix}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its \
+             header is wrong",
         out.len()
     );
     Ok(out)

@@ -27,8 +27,8 @@ pub struct Reading {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub array: Option<String>,
     /// Fill values, which mark voxels without data: numbers separated by commas; `none`; or `auto`: a
-    /// minimum or maximum that is frequent and far from all other values. Such voxels are shown as the low end
-    /// of the range.
+    /// minimum or maximum that is frequent and far from all other values. Such voxels are shown as the low
+    /// end of the range.
     #[arg(long, default_value_t, value_name = "VALUE,…|auto|none", allow_hyphen_values = true)]
     pub fill: Fill,
     /// Scalar range that maps to [0, 1]: two numbers; `data`: the range of the voxel values; `auto`: 0 to
@@ -355,8 +355,8 @@ fn non_finite(view: &VolumeView<'_>) -> Option<String> {
     let (broken, all) = (view.non_finite(), view.shape().voxels);
     (broken > 0).then(|| {
         format!(
-            "{broken} of {all} voxels are NaN or infinite as 32-bit floats; they count as the ends of the range (NaN as the \
-             low end)"
+            "{broken} of {all} voxels are NaN or infinite as 32-bit floats; they count as the ends of the \
+             range (NaN as the low end)"
         )
     })
 }

@@ -32,8 +32,8 @@ impl Volume {
         let [x, y, z] = dims;
         ensure!(
             dims.iter().all(|n| *n <= MAX_VOLUME_EDGE),
-            "enlarged {factor} times, the volume would have {x} x {y} x {z} voxels; at most {MAX_VOLUME_EDGE} \
-             along each axis are accepted"
+            "enlarged {factor} times, the volume would have {x} x {y} x {z} voxels; at most \
+             {MAX_VOLUME_EDGE} along each axis are accepted"
         );
         let spacing = self.spacing.map(|s| s / factor as f32);
         self.with_size(dims, spacing)

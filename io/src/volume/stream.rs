@@ -142,8 +142,8 @@ impl<'a> Stream<'a> {
             }
         } else if line.len() > MAX_LINE {
             bail!(
-                "{}header line at byte {} is longer than {MAX_LINE} bytes; this is not a text header; check the \
-                 file",
+                "{}header line at byte {} is longer than {MAX_LINE} bytes; this is not a text header; check \
+                 the file",
                 self.prefix(),
                 self.read - line.len() as u64
             );
@@ -401,8 +401,8 @@ impl Folder {
         let start = Path::new(name).components().next();
         ensure!(
             !matches!(start, Some(Component::RootDir | Component::Prefix(_))),
-            "the header names the data file {name:?} by an absolute path; put the file beside the header, and name \
-             it relative to the header"
+            "the header names the data file {name:?} by an absolute path; put the file beside the header, \
+             and name it relative to the header"
         );
         Ok(self.path.join(name))
     }

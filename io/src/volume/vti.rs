@@ -334,7 +334,8 @@ fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> 
 
 fn several_components(array: &Array) -> anyhow::Error {
     anyhow!(
-        "array {:?} has {} components per voxel, but only 1 is accepted; save one component, or the magnitude",
+        "array {:?} has {} components per voxel, but only 1 is accepted; save one component, or the \
+         magnitude",
         shown(array),
         array.components
     )
@@ -397,8 +398,8 @@ fn parse(bytes: &[u8]) -> Result<File> {
                     Some("vtkLZ4DataCompressor") => Compressor::Lz4,
                     Some(other) => bail!(
                         "compressor {other:?} is not read; accepted are vtkZLibDataCompressor, \
-                         vtkLZ4DataCompressor and none: read the file with VTK's vtkXMLImageDataReader and write \
-                         it with vtkXMLImageDataWriter after its SetCompressorTypeToZLib()"
+                         vtkLZ4DataCompressor and none: read the file with VTK's vtkXMLImageDataReader and \
+                         write it with vtkXMLImageDataWriter after its SetCompressorTypeToZLib()"
                     ),
                 };
             }

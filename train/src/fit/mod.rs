@@ -67,7 +67,8 @@ pub fn predict_rows(
     rows: &[f32],
     storage: Option<Storage>,
 ) -> Result<Vec<f64>> {
-    let parts = model.prednet.as_ref().context("the model file holds no PredNet")?;
+    let parts =
+        model.prednet.as_ref().context("the model file holds no PredNet; give a model that predicts")?;
     let net = match storage {
         Some(storage) => PredNet::with(parts, Level::detect(), storage)?,
         None => PredNet::new(parts)?,

@@ -100,8 +100,8 @@ pub struct Recipe {
     /// 256), then widths halved down to 16, then 1.
     #[arg(long, conflicts_with = "fine_tune")]
     pub preset: Option<String>,
-    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size,
-    /// scene_features.
+    /// Input groups of the network, in its order of inputs. Accepted are volume_features, camera, resolution,
+    /// transfer_function, step_size and scene_features.
     #[arg(
         long,
         value_delimiter = ',',
@@ -354,10 +354,9 @@ impl Recipe {
                 // All entries except these two describe the file's own predictor, which is replaced.
                 let taken = [Key::Format.name(), Key::VolumeNet.name()];
                 file.metadata.retain(|key, _| taken.contains(&key.as_str()));
-                let parts = model
-                    .volumenet
-                    .as_ref()
-                    .with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+                let parts = model.volumenet.as_ref().with_context(|| {
+                    format!("{} holds no VolumeNet; give a model that encodes volumes", path.display())
+                })?;
                 (file, Some(Encoder::new(parts)?))
             }
             None => (ModelFile::default(), None),
@@ -527,7 +526,8 @@ impl Recipe {
             path.display()
         );
         let mut layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
-        let net = model.prednet.as_ref().context("the model file holds no PredNet")?;
+        let net =
+            model.prednet.as_ref().context("the model file holds no PredNet; give a model that predicts")?;
         let settings = Settings { target: net.target, ..self.settings()? };
         let inputs = rows(&layout, context, parts)?;
         ensure!(!(context.stop)(), NOTHING_LEARNED);

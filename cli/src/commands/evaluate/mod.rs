@@ -39,11 +39,11 @@ pub(crate) struct Options {
     /// Model files.
     #[arg(long, required = true, num_args = 1.., value_name = "SAFETENSORS")]
     pub(crate) model: Vec<PathBuf>,
-    /// Timing tables written by `entire collect`.
+    /// Timing tables, such as those that `entire collect`, another collector or your own program writes.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub(crate) data: Vec<PathBuf>,
-    /// Clock of the measured seconds; `auto`: the clock that the models state. A model that states another
-    /// clock is refused.
+    /// Clock of the measured seconds; `auto`: the clock that the models state, else the device's timestamps
+    /// if all frames have them, else wall time. A model that states another clock is refused.
     #[arg(long, value_parser = clock_parser(), default_value = "auto")]
     pub(crate) clock: ClockChoice,
     /// Only frames with this shading: none, local, scatter or local-scatter.
@@ -208,8 +208,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             let metrics =
                 Metrics::new(&predicted[heard..], &measured[heard..]).context("no frames are left")?;
             lines.push(format!(
-                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, median error {:.2} % on the other \
-                 {} frames",
+                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, median error {:.2} % on the \
+                 other {} frames",
                 m.name,
                 metrics.rmse_over_sd,
                 100.0 * metrics.mdape,
@@ -244,7 +244,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     println!("{}", overall.to_text());
     println!("{}", more.to_text());
     println!(
-        "median of predicted / measured - 1, in %, of each tenth of the frames, from the fastest to the slowest"
+        "median of predicted / measured - 1, in %, of each tenth of the frames, from the fastest to the \
+         slowest"
     );
     println!("{}", bias.to_text());
     println!("{}", by_group.to_text());
@@ -275,7 +276,7 @@ fn assess(
         pairs.into_iter().filter_map(|(g, (p, t))| Some((g.to_owned(), Metrics::new(&p, &t)?))).collect();
     let bound = upper.and_then(|u| bound::judge(&u, &predicted, measured));
     let bound_coverage = bound.as_ref().map(|b| b.coverage);
-    // Both intervals are of the same draws.
+    // Both intervals are computed from the same bootstrap samples.
     let both = |m: &Metrics| [m.rmse_over_sd, m.mdape];
     let intervals = intervals_by_group(&predicted, measured, groups, (BOOTSTRAP_ROUNDS, 0.95), both);
     let [rmse_over_sd_interval, mdape_interval] = intervals.map_or([None; 2], |both| both.map(Some));

@@ -68,8 +68,8 @@ pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
 pub(super) fn tables_of(predictors: &[Predictor]) -> (Table, Table, Table) {
     let percent = |v: f64| format!("{:.2}", 100.0 * v);
     let mut overall = Table::headed(
-        "predictor | #frames | #in training or validation | #RMSE, s | #RMSE/SD | #MAE, s | #median error, % | \
-         #p95, % | #p99, % | #R² in log | #within upper bound, % | #µs per prediction | \
+        "predictor | #frames | #in training or validation | #RMSE, s | #RMSE/SD | #MAE, s | \
+         #median error, % | #p95, % | #p99, % | #R² in log | #within upper bound, % | #µs per prediction | \
          #µs per transfer function",
     );
     for p in predictors {
@@ -269,8 +269,8 @@ pub(super) fn write_report(
     page.table(
         overall,
         "RMSE/SD is the RMSE divided by the standard deviation of the measured times; it is 1 for a \
-         predictor that always gives their mean. The median error, p95 and p99 are the median, the 95th and the \
-         99th percentile of the absolute percentage error. A dash under \"in training or validation\": \
+         predictor that always gives their mean. The median error, p95 and p99 are the median, the 95th and \
+         the 99th percentile of the absolute percentage error. A dash under \"in training or validation\": \
          the model's file does not state its training data, or the predictor has no model. A time per \
          prediction is the median of warm calls in one thread, scene features included.",
     );
@@ -291,7 +291,8 @@ pub(super) fn write_report(
     );
     page.table(
         bias,
-        "Median of predicted / measured - 1, in %, for each tenth of the frames, from the fastest to the slowest.",
+        "Median of predicted / measured - 1, in %, for each tenth of the frames, from the fastest to the \
+         slowest.",
     );
     page.heading("Predicted against measured");
     let drawn = match thinning(measured.len()) {

@@ -82,7 +82,7 @@ impl Steering for Predicts {
         let log_sd = predictor.log_sd().filter(|_| self.calibrated);
         let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), log_sd);
         let mut session = Session::with_controller(predictor, steers);
-        // The window renders with the raycaster, to which the model's quality law was fitted.
+        // The window renders with the raycaster, whose quality law applies if the model states none.
         choose_pictures(&mut session)?;
         session.set_timing_source("entire explore", WINDOW.name())?;
         Ok(session)

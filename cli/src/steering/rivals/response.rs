@@ -124,8 +124,8 @@ impl StepResponse {
     }
 }
 
-/// Returns G, a curve over the ray step, from random scenes: the time of each scene at every step is divided by
-/// its time at the reference step.
+/// Returns G, a curve over the ray step, from random scenes: the time of each scene at every step is divided
+/// by its time at the reference step.
 ///
 /// # Errors
 /// When no scene was timed at two steps.
