@@ -57,7 +57,8 @@ pub trait Host: Send + Sync {
     /// When the file cannot be written; the message names the file.
     fn write_picture(&self, file: &Path, picture: &Image) -> Result<()>;
 
-    /// The command line that calibrates a model to this machine.
+    /// Returns two commands in one line: the first calibrates a model to this machine, the second opens the
+    /// volume again.
     fn calibration(&self, volume: &Path, shading: Shading) -> String;
 }
 

@@ -1,4 +1,5 @@
-//! The frame log: every frame as a row of CSV.
+//! The log: a CSV file with a row for each frame, each loaded volume, each view that was refined to full
+//! quality, and each action `full_frame` of a script.
 
 use crate::steering::FrameRecord;
 use anyhow::{Context, Result};

@@ -44,7 +44,7 @@ pub(crate) struct Changed {
     pub(crate) transfer: bool,
     /// True if the transfer function was replaced.
     pub(crate) replaced: bool,
-    /// True if modes, sizes, target or controller changed.
+    /// True if a mode, the target, the controller or another setting of steering changed.
     pub(crate) settings: bool,
 }
 

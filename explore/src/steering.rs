@@ -280,7 +280,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         ),
         Reason::Fits => format!("a setting that is expected to fit {target}"),
         Reason::Damped => {
-            format!("gradually approaches the step that fits {target}, because nothing changed abruptly")
+            format!("a gradual approach to the step that fits {target}, because nothing changed abruptly")
         }
         Reason::Held => {
             format!("the setting of the last frame, which still fits {target} and is close to the best")

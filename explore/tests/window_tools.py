@@ -182,7 +182,7 @@ def mean_difference(a, b):
 
 
 def where_different(a, b):
-    """Returns a text: the number of different pixels of two pictures, and their bounding box."""
+    """Returns a text: the number of pixels in which two pictures differ by more than 2, and their bounding box."""
     width = a[0]
     places = [i // 3 for i, (x, y) in enumerate(zip(a[2], b[2])) if abs(x - y) > 2]
     if not places:

@@ -27,9 +27,9 @@ pub(crate) struct Ask<'a> {
     /// without overhead and loading, and at most all of it with them. A bundle of a single task may exceed
     /// it.
     pub(crate) limit: f64,
-    /// True if expected times are only assumed: no model or list gives them, and few tasks were measured. A
-    /// bundle then has at most a quarter of a slot's share of the waiting tasks, and only `limit` restricts
-    /// its expected seconds.
+    /// True if expected times are only assumed: no model file or list gives them, and few tasks were
+    /// measured. A bundle then has at most a quarter of a slot's share of the waiting tasks, and only `limit`
+    /// restricts its expected seconds.
     pub(crate) blind: bool,
     /// Interval, in requests, at which the answer is a random task of the volume with the fewest sent tasks,
     /// so that the model learns about every volume; 0 for never. No effect if loading is expensive.
@@ -217,7 +217,7 @@ impl Dispatcher {
         Time(f64::from(key))
     }
 
-    /// The next waiting task of a volume. Removes sent tasks from the end of the volume's lane.
+    /// The next waiting task of a volume. Removes sent tasks from the end of the volume's list.
     fn front(&mut self, v: usize) -> Option<u32> {
         while let Some(&task) = self.lanes[v].last() {
             if self.waits[task as usize] {

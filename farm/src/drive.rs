@@ -341,13 +341,13 @@ impl Drive<'_, '_> {
                 upper_s = self.planner.learner().upper(&sent.tasks, UPPER) + loading + self.planner.overhead;
                 upper_s *= f64::from(1u32 << retries.min(6));
             }
-            // A task is not given up if its expected time is only assumed: the engine ends its bundle at the
-            // limit.
+            // A task is not given up if its expected time is only assumed: it is sent, with the limit as its
+            // time request.
             if let Some(limit) = limit.filter(|l| sent.expected_s > *l && !blind) {
-                // Only tasks that are expected to keep to the limit are bundled, so this bundle has one task.
+                // A bundle of several tasks is expected to keep to the limit, so this bundle has one task.
                 let why = format!(
-                    "the task is expected to take {:.0} s, its volume's loading included; the engine runs nothing \
-                     longer than {limit:.0} s",
+                    "the task is expected to take {:.0} s, its volume's loading included; the engine runs \
+                     nothing longer than {limit:.0} s (see --time-limit)",
                     sent.expected_s
                 );
                 for task in sent.tasks.clone() {

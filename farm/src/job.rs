@@ -169,7 +169,7 @@ impl Job {
         let mut names = HashSet::new();
         if let Some(volume) = volumes.iter().find(|v| !names.insert((v.name.as_str(), v.time))) {
             bail!(
-                "volumes: {} has the name {} of an earlier entry; give it another `name`",
+                "volumes: {} has the name {} of an earlier file; give it another `name`, in its own entry",
                 volume.path.display(),
                 volume.name
             );
@@ -240,8 +240,9 @@ impl Job {
     }
 
     /// A task's id: a 64-bit hash of the inputs of its picture and of the renderer's settings. The name of
-    /// the transfer function is included; name and time step of a volume are included only if the renderer
-    /// gets them; the folder of its files is not included.
+    /// the transfer function is included. The volume's name and time step are included only if the renderer
+    /// gets them. The name of the volume file is included without its folder; the names of its data files are
+    /// included as in the header, perhaps with a folder.
     pub fn id(&self, task: usize) -> u64 {
         let at = self.place(task);
         self.id_with(self.hashes[0][at.volume], at)
@@ -511,7 +512,7 @@ fn check_program(command: &[String], timeout: Option<f64>) -> Result<()> {
     );
     ensure!(
         timeout.is_none_or(|t| t > 0.0 && std::time::Duration::try_from_secs_f64(t).is_ok()),
-        "renderer: timeout_s is {}; it must be a positive number of seconds",
+        "renderer: timeout_s is {}; it must be positive and below 1.8e19, in seconds",
         timeout.unwrap_or(f64::NAN)
     );
     Ok(())

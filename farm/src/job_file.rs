@@ -60,9 +60,10 @@ pub struct JobFile {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VolumesEntry {
-    /// Name of the volume; default: the stem of the first file, or of each file if `series` is false.
+    /// Name of the volume. Several files that are no series have the names `NAME-STEM`, with the stem of each
+    /// file. Default: the stem of the first file, or of each file if `series` is false.
     pub name: Option<String>,
-    /// Files or glob patterns. The files are sorted by name; numbers in names are compared by value.
+    /// Files or glob patterns. The files are sorted by path; numbers in paths are compared by value.
     pub files: Vec<String>,
     /// True if the files are time steps of one volume.
     #[serde(default)]
@@ -199,7 +200,7 @@ pub enum Renderer {
 pub struct Predict {
     /// A model file.
     pub model: Option<PathBuf>,
-    /// A task list with `task` (an id) and `predicted_s`.
+    /// A task list with `task` (an id) and `predicted_s`; tasks without `predicted_s` have `measured_s`.
     pub list: Option<PathBuf>,
     /// True if the analytic model predicts the times, unless a model or list is given. Default: true for the
     /// project's raycaster, false for other renderers. If false, expected times are proportional to pixels /
@@ -215,7 +216,7 @@ pub struct Predict {
 pub struct Retry {
     /// Number of failures after which a task is quarantined.
     pub attempts: u32,
-    /// Number of workers lost during a task after which the task is quarantined.
+    /// Number of losses of a task with its worker after which the task is quarantined.
     pub losses: u32,
 }
 

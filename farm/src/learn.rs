@@ -23,9 +23,11 @@ use rayon::prelude::*;
 const BASE_FEATURES: usize = 9;
 /// Prior standard deviations of the coefficients of the [`BASE_FEATURES`] features.
 const PRIOR: [f64; BASE_FEATURES] = [CONSTANT_SD_WITHOUT_MODEL, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
-/// Prior standard deviation of the constant (ln of a common factor) if no model or list gives base times.
+/// Prior standard deviation of the constant (ln of a common factor) if no model file or list gives base
+/// times.
 const CONSTANT_SD_WITHOUT_MODEL: f64 = 4.0;
-/// Prior standard deviation of the constant if a model or list, perhaps of another machine, gives base times.
+/// Prior standard deviation of the constant if a model file or list, perhaps of another machine, gives base
+/// times.
 pub const CONSTANT_SD_WITH_MODEL: f64 = 0.5;
 /// Prior standard deviation of the coefficient of each transfer function.
 const PRIOR_TRANSFER: f64 = 0.3;
@@ -49,7 +51,7 @@ const SLOPE_SD_WITH_MODEL: f64 = 0.04;
 const SCATTER_SLOPE_WITH_MODEL: (f64, f64) = (0.2, 4.0);
 /// Number of standard deviations at which residuals are clipped: one hung task must not affect the others.
 const HUBER: f64 = 4.0;
-/// Number of residuals that are kept for random draws.
+/// Maximum number of residuals that are kept for random draws.
 const MAX_DRAWN_RESIDUALS: usize = 1024;
 
 /// Returns the upper limit of a task's expected time, in seconds, which is the upper limit of any prediction.
@@ -91,7 +93,7 @@ impl Shape {
         Self { constant: sd, ..self }
     }
 
-    /// True if the base seconds come from a model or list, not from pixels / step.
+    /// True if the base seconds come from a model file or list, not from the analytic model or pixels / step.
     pub(crate) fn has_model(&self) -> bool {
         self.constant < CONSTANT_SD_WITHOUT_MODEL
     }
@@ -268,7 +270,7 @@ impl Learner {
     }
 
     /// Divisor of the standard deviation of a task's residual: above 1 for tasks longer than the mean, below
-    /// 1 for shorter ones; 1 for all without a model or list.
+    /// 1 for shorter ones; 1 for all tasks without a model file or list.
     fn calm(&self, task: usize) -> f64 {
         if !self.shape.has_model() {
             return 1.0;

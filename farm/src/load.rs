@@ -1,6 +1,6 @@
-//! Loading times of volumes: means of an affine function of the volume's size and of the measured times of
-//! the volume. One such function holds for a node's first reading of a volume (cold), another one for later
-//! readings (warm).
+//! Loading times of volumes. The expected time is the mean of the volume's measured times and of one more
+//! value, which an affine function computes from the volume's size. One such function holds for a node's
+//! first reading of a volume (cold), another one for later readings (warm).
 
 /// Assumed rates of loading before any measurement, cold and warm, bytes per second.
 const ASSUMED_RATES: [f64; 2] = [200e6, 1000e6];

@@ -1,4 +1,4 @@
-//! The plan during a run, of driver and simulator: tasks, their expected times, the predicted end.
+//! Plan of a run, used by driver and simulator: tasks, their expected times, the predicted end.
 
 use super::dispatch::{Ask, Dispatcher, Order, Time};
 use super::learn::{Learner, Shape};
@@ -17,7 +17,7 @@ const EXPLORATION: (f64, u32) = (0.1, 4);
 /// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// The task is not part of this run.
+    /// The task is not queued.
     Idle,
     /// The task waits to be sent.
     Waits,
@@ -237,7 +237,8 @@ impl Planner {
         changed
     }
 
-    /// True if expected times are only assumed: no model or list gives them, and few tasks were measured.
+    /// True if expected times are only assumed: no model file or list gives them, and few tasks were
+    /// measured.
     pub(crate) fn is_blind(&self) -> bool {
         self.setting.learn && self.learner.observed() < 8 && !self.learner.shape().has_model()
     }

@@ -98,7 +98,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
         ("Expected times", super::predict::source(job)),
         ("Engine", format!("{}, {} slots", runs[last].engine, runs[last].slots)),
     ];
-    // The keys are those of the job file.
+    // The renderer is shown as JSON, whose keys are those of the job file.
     facts.extend(Provenance::of(serde_json::to_string(&job.renderer)?).facts());
     page.facts(facts);
     page.write(file)

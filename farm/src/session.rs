@@ -13,7 +13,7 @@ use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// Time limit for the last lines of a program that has closed its input.
+/// Time limit for each further line of a program that has closed its input.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
 /// Answer of a renderer to a task.
@@ -123,7 +123,7 @@ impl Session {
         if let Some(fields) = value.as_object_mut() {
             fields.remove("files");
         }
-        value["out"] = out.to_str().context("the image's path is not UTF-8")?.into();
+        value["out"] = out.to_str().context("the image's path is not UTF-8; set another `output`")?.into();
         let (clock, limit) = (Instant::now(), self.limit);
         let Running { child, input, lines, .. } = running;
         let (written, waits) = mpsc::channel::<()>();

@@ -1,4 +1,4 @@
-//! Progress display of a farm: a bar with rate and expected end on a terminal, else a line at intervals.
+//! Progress display of a farm: a bar with rate and remaining time on a terminal, else a line at intervals.
 
 use entire_io::progress::templated_bar;
 use entire_io::quiet::is_quiet;

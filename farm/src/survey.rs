@@ -9,7 +9,7 @@ use entire_report::Table;
 /// Maximum number of nodes that is considered.
 const MAX_NODES: usize = 4096;
 
-/// A number of nodes, with its end and cost.
+/// A number of nodes, with the job's end and its node hours on these nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Offer {
     nodes: usize,

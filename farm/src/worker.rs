@@ -82,7 +82,7 @@ impl Worker {
                 Painter::Stays(Session::new(command.clone(), limit(timeout_s)))
             }
             Renderer::Pvbatch { script, args, program, timeout_s } => {
-                let script = script.to_str().context("the script's path is not UTF-8")?.to_owned();
+                let script = script.to_str().context("the script's path is not UTF-8; rename it")?.to_owned();
                 let command = [vec![program.clone(), script], args.clone()].concat();
                 Painter::Stays(Session::new(command, limit(timeout_s)))
             }

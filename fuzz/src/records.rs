@@ -50,7 +50,8 @@ pub fn check_manifest(input: &[u8]) {
 }
 
 /// Checks that at least 16 frames (all frames of a shorter path) have a camera and a transfer table, in an
-/// accepted path of at most `MOST_PATH_FRAMES` frames; longer paths are only parsed.
+/// accepted path of at most `MOST_PATH_FRAMES` frames. Paths of more frames, up to `MAX_FRAMES`, are only
+/// parsed.
 pub fn check_path(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let Some(file) = accepted(PathFile::parse(text)) else { return };

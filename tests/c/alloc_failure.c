@@ -59,7 +59,7 @@ void *aligned_alloc(size_t alignment, size_t size) {
     return fails(size) ? NULL : __libc_memalign(alignment, size);
 }
 
-/* A volume that is larger than any other allocation of the library. */
+/* Side and number of voxels of the large volume; rows and columns of the batch. */
 enum { SIDE = 64, LARGE = SIDE * SIDE * SIDE, ROWS = 100000, COLUMNS = 11 };
 
 static uint8_t *model_bytes;

@@ -20,7 +20,7 @@ if ((${#parts[@]} == 0)); then parts=(address thread 32bit); fi
 for part in "${parts[@]}"; do
     case $part in
         address | thread | 32bit) ;;
-        *) echo "sanitizers.sh: found word \"$part\"; use address, thread, 32bit, or none for all" >&2; exit 2 ;;
+        *) echo "sanitizers.sh: found word \"$part\"; use address, thread, 32bit, or no word for all" >&2; exit 2 ;;
     esac
 done
 mkdir -p "$work"
@@ -143,7 +143,7 @@ if asked 32bit; then
         timeout "$seconds" cargo check --quiet --package entire-ffi --target i686-unknown-linux-gnu || fail "32-bit build"
         ok "32-bit build: checked"
     else
-        skip test-sanitizers "32-bit build: rustup target add i686-unknown-linux-gnu"
+        skip test-sanitizers "32-bit build: the target is not installed (rustup target add i686-unknown-linux-gnu)"
     fi
 fi
 

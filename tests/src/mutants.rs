@@ -120,7 +120,7 @@ pub struct Mutants {
 }
 
 impl Mutants {
-    /// Mutants of the given model files and of generated encoders.
+    /// Mutants of the given model files and of generated networks.
     ///
     /// # Panics
     /// When one of the files is no model file.
@@ -220,7 +220,7 @@ impl Mutants {
         parts.metadata.insert(Key::Format.into(), "1".into());
     }
 
-    /// Adds a PredNet with consistent sizes: deep, wide, or both.
+    /// Adds a PredNet with consistent sizes; depth and widths are random.
     fn prednet(&mut self, parts: &mut Parts) {
         parts.tensors.retain(|t| !t.name.starts_with("prednet."));
         let mut width = 1 + self.below(40);

@@ -225,7 +225,7 @@ fn small_frame() -> Frame {
     frame(20.0, 35.0, 2.5, 19, 13)
 }
 
-/// Uses a renderer in every way: sets volume and transfer function, draws a frame twice. Returns the picture.
+/// Sets volume and transfer function of a renderer, and draws a frame twice. Returns the picture.
 fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
     set_field(gpu, [9, 8, 7], &medium())?;
     let [first, second] = [gpu.render(&small_frame())?, gpu.render(&small_frame())?];

@@ -174,7 +174,7 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
         // Bytes are tested with all scenes, the other types with the first three.
         for scene in scenes().into_iter().take(if kind == "u8" { usize::MAX } else { 3 }) {
             compare_modes(&mut both, kind, &scene, &Shading::ALL, |name, a, b| {
-                assert!(!exact || a == b, "{name}: device {a:?}, twin {b:?}");
+                assert!(!exact || a == b, "{name}: device {a:?}, CPU version {b:?}");
                 check_counts(name, a.expect("counts"), b.expect("counts"));
             })?;
         }
@@ -210,7 +210,7 @@ fn check_counts(name: &str, device: WorkCounts, twin: WorkCounts) {
         close(device.rays, twin.rays, 0.01)
             && close(device.samples, twin.samples, 0.02)
             && close(device.shaded, twin.shaded, 0.05),
-        "{name}: device {device:?}, twin {twin:?}"
+        "{name}: device {device:?}, CPU version {twin:?}"
     );
 }
 
@@ -277,7 +277,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
         both.set_volume(&view)?;
         for scene in scenes() {
             compare_modes(&mut both, kind, &scene, &[Shading::None, Shading::Local], |name, a, b| {
-                assert!(!exact || a == b, "{name}: device {a:?}, twin {b:?}");
+                assert!(!exact || a == b, "{name}: device {a:?}, CPU version {b:?}");
             })?;
         }
     }

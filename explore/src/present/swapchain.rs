@@ -29,7 +29,7 @@ pub(super) struct Swapchain {
     pub(super) waits: bool,
     /// True if the surface has changed since the swapchain was made.
     pub(super) stale: bool,
-    /// The swapchain that this one replaced while the device was hanging, which may still use it.
+    /// The replaced swapchain, if the device was hanging: the device may still use it.
     _replaced: Option<Box<Self>>,
     device: SharedDevice,
 }

@@ -1,4 +1,4 @@
-//! The transfer function: opacity over the volume's histogram, colors below it, numbers beside it.
+//! The transfer function: opacity over the volume's histogram, and below it colors, numbers and presets.
 
 use crate::state::{Command, Handle, State};
 use crate::transfer::{COLOR_MAPS, Opacity, PRESETS};
@@ -137,7 +137,8 @@ fn handles(state: &State, axes: Axes) -> Vec<(Handle, Pos2)> {
             .iter()
             .enumerate()
             .flat_map(|(i, l)| {
-                // To the right of the center, or to its left where the right side is beyond the curve's end.
+                // The handle of the width is to the right of the center. If the right side is beyond the
+                // curve's end, the handle is to the left.
                 let half = l.width.sqrt();
                 let side =
                     if l.center + half <= 1.001 { l.center + half } else { (l.center - half).max(0.0) };

@@ -74,7 +74,7 @@ fn steering(ui: &mut Ui, state: &mut State) {
         );
         if copy.clicked() && state.calibration.is_empty() {
             state.said =
-                Some(("the copied commands contain the name of a volume; open a volume first".into(), false));
+                Some(("the commands contain the name of a volume; open a volume first".into(), false));
         } else if copy.clicked() {
             ui.ctx().copy_text(state.calibration.clone());
             state.said = Some((format!("copied: {}", state.calibration), false));

@@ -61,8 +61,8 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
 
 fn picture(painter: &Painter, rect: Rect, shown: &Shown) {
     let unit = Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0));
-    // The steered picture and the full-quality picture are both queued here. The application removes the
-    // pictures that must not be shown once it knows whether it draws a new frame (`aim` in app/frame.rs).
+    // The steered picture and the full-quality picture are both queued here. Once the application knows
+    // whether it draws a new frame, it removes pictures that must not be shown (`aim` in app/frame.rs).
     painter.image(shown.steered, rect, unit, Color32::WHITE);
     let Some((full, [width, height], covered)) = shown.full else { return };
     for region in covered.into_iter().flatten() {
@@ -201,7 +201,7 @@ fn work(painter: &Painter, state: &State, rect: Rect) {
         );
         painter.rect_filled(cell, 0.0, color);
     }
-    let text = format!("samples per ray at full quality; largest mean of a tile: {most:.0}");
+    let text = format!("samples per ray at full quality; largest mean of a cell: {most:.0}");
     let at = rect.left_bottom() + Vec2::new(8.0, -26.0);
     note(painter, at, Align2::LEFT_BOTTOM, text, 12.0, Color32::WHITE);
 }

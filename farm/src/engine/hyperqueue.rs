@@ -171,7 +171,7 @@ impl Engine for HyperQueue {
         while let Ok(line) = self.lines.recv_timeout(wait.saturating_sub(clock.elapsed())) {
             said.push(line);
         }
-        // A script that has ended sends no line to wait for.
+        // If the script has ended, `recv_timeout` returns at once, and this call waits instead.
         std::thread::sleep(wait.saturating_sub(clock.elapsed()));
         // The spool is read after the script's events, so that it has all answers of ended bundles.
         let mut out = self.spool.poll()?;
@@ -179,7 +179,7 @@ impl Engine for HyperQueue {
         for line in said {
             match serde_json::from_str(&line) {
                 Ok(Said::Over(bundle)) if self.spool.forget(bundle) => {
-                    let why = format!("the bundle's worker ended without an answer: {}", log(bundle));
+                    let why = format!("the worker ended before it finished its bundle: {}", log(bundle));
                     out.push(Event::Lost(bundle, why));
                 }
                 Ok(Said::Failed { failed, why }) if self.spool.forget(failed) => {

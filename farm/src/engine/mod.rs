@@ -1,4 +1,4 @@
-//! Engines that run bundles: processes of this machine, HyperQueue, Slurm (both installed by the user).
+//! Engines that run bundles: processes of this machine, HyperQueue or Slurm. Users install the last two.
 
 mod hyperqueue;
 mod local;
@@ -106,13 +106,13 @@ pub trait Engine {
 }
 
 pub(crate) fn utf8(word: &OsStr) -> Result<String> {
-    word.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", word.display()))
+    word.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8; rename it", word.display()))
 }
 
 /// Paths that engines use.
 #[derive(Clone, Debug)]
 pub struct Places {
-    /// Folder of the database in which the planner and the workers keep their journals, orders and results.
+    /// Folder of the database in which the driver and the workers keep the journal, orders and answers.
     pub state: PathBuf,
     /// Command line of this program: an executable file, then arguments. With the argument
     /// `farm-worker` appended, it runs the worker.

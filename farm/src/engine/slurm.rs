@@ -42,8 +42,8 @@ pub struct Slurm {
     spool: Spool,
     /// Job of each bundle that was sent and has not ended.
     open: BTreeMap<u64, Job>,
-    /// Bundles for which sbatch made no job since the last query, each with the reason; empty if sbatch was
-    /// not called.
+    /// Bundles for which sbatch made no job since the last query, each with the reason, which is empty if
+    /// sbatch was not called.
     refused: Vec<(u64, String)>,
     looked: Option<Instant>,
     /// Time of the first query without an answer since the last answer.
@@ -164,7 +164,7 @@ impl Slurm {
         names.sort_unstable();
         names.dedup();
         let slots = options.nodes.unwrap_or(names.len());
-        ensure!(slots > 0, "sinfo lists no node; give the number of bundles that run at once with --slots");
+        ensure!(slots > 0, "sinfo lists no node; use --slots to give the number of bundles that run at once");
         let listed = ask("sinfo", &["-h", "-o", "%P %l"], None)?;
         let named = partitions(&options.sbatch, std::env::var("SBATCH_PARTITION").ok());
         let limit = options.limit.or(longest_request(&listed, named.as_deref()));

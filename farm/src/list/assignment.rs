@@ -65,7 +65,7 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 ///
 /// # Errors
 /// For no node or more than [`MAX_NODES`], for a speed that is not finite and positive, for a time that is
-/// negative or not finite, and for times whose sum is not finite.
+/// negative or not finite, and for times whose sum on the slowest node is not finite.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
     let mut loads = vec![0.0f64; speeds.len()];

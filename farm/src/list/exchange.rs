@@ -76,8 +76,6 @@ fn best_change(
     let mut best: Option<Change> = None;
     for &give in &held[last] {
         for to in (0..loads.len()).filter(|&n| n != last) {
-            // Seconds of an ideal task to take: if `last` took this task in exchange for `give`, both nodes
-            // would end at the same time.
             let (own, other) = (1.0 / speeds[last], 1.0 / speeds[to]);
             // The time at which both nodes would end if tasks could be divided: no change of these two nodes
             // ends earlier.
@@ -85,6 +83,8 @@ fn best_change(
             if best.as_ref().is_some_and(|b| ideal - ROUNDING * loads[last] >= b.longest) {
                 continue;
             }
+            // Seconds of an ideal task to take: if `last` took this task in exchange for `give`, both nodes
+            // would end at the same time.
             let even = times[give] - (loads[last] - loads[to]) / (own + other);
             let above = held[to].partition_point(|&t| times[t] < even);
             let around = [above.checked_sub(1), Some(above)];

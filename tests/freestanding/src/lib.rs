@@ -18,7 +18,7 @@ use entire_core::scene::{Scalars, VolumeView};
 /// prediction network, and one line per level and volume for the volume network.
 ///
 /// # Errors
-/// The core's message, or "the model has no …".
+/// The core's message, "the model has no …", or "cannot write".
 pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
     let text = |e: entire_core::Error| e.to_string();
     let failed = |_| String::from("cannot write");

@@ -1,5 +1,5 @@
-//! Checks that no prediction is zero, negative, infinite or NaN, neither of models with hostile weights nor
-//! of the shipped models.
+//! Checks that no prediction is zero, negative, infinite or NaN, for models with hostile weights and for the
+//! shipped models.
 
 use entire_core::ErrorKind;
 use entire_core::kernels::Executor;

@@ -24,7 +24,7 @@ fn value_noise(p: [f32; 3]) -> f32 {
     mix(mix(row(0, 0), row(1, 0), f[1]), mix(row(0, 1), row(1, 1), f[1]), f[2])
 }
 
-/// Five octaves of value noise with a radial fall-off: a dense volume, about 60 % of its voxels above zero.
+/// Five octaves of value noise with a radial fall-off: a dense volume.
 pub(crate) fn noise(n: usize) -> Vec<u8> {
     let mut out = Vec::with_capacity(n * n * n);
     for z in 0..n {
