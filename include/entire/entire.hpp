@@ -163,7 +163,7 @@ inline status done(entire_result code) {
     return nothing{};
 }
 
-// The failure of a call with a model that was moved from, in functions of the C interface that accept NULL as no model.
+// The failure of a call with a model that was moved from. Needed where the C function takes NULL for no model.
 inline failure no_model() { return {ENTIRE_NULL_ARGUMENT, "the model was moved from; pass the model that owns it"}; }
 
 template <class Handle, void (*Free)(Handle *)> struct deleter {
@@ -374,7 +374,8 @@ public:
         const std::size_t columns = seconds.empty() ? 0 : inputs.size() / seconds.size();
         if (columns * seconds.size() != inputs.size())
             return failure{ENTIRE_SIZE_MISMATCH, std::to_string(inputs.size()) + " inputs cannot be divided among " +
-                                                     std::to_string(seconds.size()) + " frames equally"};
+                                                     std::to_string(seconds.size()) +
+                                                     " frames equally; pass one row of inputs per frame"};
         return detail::done(
             entire_model_predict_batch(get(), inputs.data(), seconds.size(), columns, seconds.data()));
     }
@@ -451,7 +452,8 @@ public:
         return detail::done(
             entire_session_set_quality(get(), image_weight, step_exponent, image_exponent, ray_share));
     }
-    // The quality law that plans use: the one that was set, else the model's if it is for this renderer.
+    // The quality law that plans use: the one that was set, else the model's if it is for this renderer, else the
+    // built-in one of the renderer that set_timing_source() names.
     plain_result<entire::quality> quality() const {
         entire::quality known;
         if (auto code = entire_session_quality(get(), &known.image_weight, &known.step_exponent, &known.image_exponent,

@@ -69,7 +69,8 @@ build() {
     echo "paraview: built $plugin"
 }
 
-# Runs a command on a display of its own, which does not reset when its last client ends.
+# Runs a command on a display of its own, which does not reset when its last client ends, for at most LIMIT seconds (default
+# 600).
 display() { timeout "${LIMIT:-600}" xvfb-run -a -s "-screen 0 1280x900x24 -noreset" "$@"; }
 
 build

@@ -36,7 +36,7 @@ vtk_python=${VTK_PYTHON:-/usr/bin/python3}
 
 lacks() { skip_all test-python "$1"; }
 command -v "$python" >/dev/null || lacks "$python is not installed (apt-get install python3 python3-venv)"
-"$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))' || lacks "$python is older than 3.9"
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))' || lacks "$python is older than 3.9 (set PYTHON to a newer one)"
 "$python" -c 'import ensurepip, venv' 2>/dev/null || lacks "Python's venv is not installed (apt-get install python3-venv)"
 
 # environment NAME: makes a virtual environment with exactly the packages of requirements-NAME.txt, once per list and version

@@ -31,7 +31,7 @@ lacks() { skip_all $name "$1"; }
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++ libvtk9-dev python3-vtk9 xvfb xauth)"
 compgen -G "/usr/lib/*/cmake/vtk-9*/vtk-config.cmake" >/dev/null || [[ ${VTK_DIR:-} ]] ||
     lacks "VTK 9's development files are not installed (apt-get install libvtk9-dev python3-vtk9 xvfb xauth)"
-python=$(command -v "$python") || { echo "run.sh: $python is not a program; set VTK_PYTHON to the Python that has VTK's module" >&2; exit 2; }
+python=$(command -v "$python") || { echo "run.sh: ${VTK_PYTHON:-/usr/bin/python3} is not a program; set VTK_PYTHON to the Python that has VTK's module" >&2; exit 2; }
 command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
 
 # build FOLDER OPTION...

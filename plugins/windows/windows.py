@@ -111,7 +111,7 @@ class Window:
 
 
 class Plot(Window):
-    """A window of PyVista, without a second volume in a renderer."""
+    """A window of PyVista with one volume in each renderer."""
 
     def open(self) -> None:
         import entire  # noqa: F401  (PyVista's accessor)

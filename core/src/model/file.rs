@@ -45,8 +45,8 @@ impl<'a> Source<'a> {
         if stated > MAX_HEADER as u64 || stated > rest.len() as u64 {
             bail!(
                 InvalidModel,
-                "not a safetensors file, or cut short: it states a header of {stated} bytes, {} bytes follow (at most \
-                 {MAX_HEADER} are accepted)",
+                "not a safetensors file, or cut short: it states a header of {stated} bytes (at most \
+                 {MAX_HEADER} are accepted), but {} bytes follow",
                 rest.len()
             );
         }

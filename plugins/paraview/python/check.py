@@ -99,7 +99,7 @@ steering.proxy.TargetFrameTime = 1000.0
 for _ in range(3):
     interact()
 read = steering.read()
-check(read["SampleDistance"] < 0.5 * coarse, "with a long target frames are drawn as finely as without the plugin")
+check(read["SampleDistance"] < 0.5 * coarse, "with a long target, the sample distance is under half of the coarsest")
 before = read["NumberOfSteeredFrames"]
 steering.proxy.Enabled = 0
 interact()

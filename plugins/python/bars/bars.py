@@ -127,7 +127,7 @@ def frames_held(options, bars):
 def three_lines(options, bars):
     wheels = sorted(Path(options.wheels).glob("entire-*.whl"))
     if not wheels:
-        raise FileNotFoundError(f"no wheel in {options.wheels}: make wheel")
+        raise FileNotFoundError(f"no wheel in {options.wheels}; run `make wheel`")
     wheel = wheels[0]
     bars.found("wheel", wheel.stat().st_size / 1e6, "MB")
     folder = options.out / "clean"

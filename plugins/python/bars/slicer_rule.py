@@ -3,10 +3,10 @@
 
     slicer_rule.py [VOLUME.nrrd] [--rate FPS] [--clock wall|cpu] [--out out/python/slicer.csv]
 
-Two views, each with its own scene, draw every frame: entire steers one of them, Slicer's rule the other.
-Prints a row of results for each view, and writes both rows to the file --out, in which rows of the other clock stay.
-Without VOLUME, the views show a synthetic volume like a CT scan. A frame's time is that of vtkRenderWindow::Render() and includes the work of the
-graphics device. On a shared machine, use `--clock cpu`: it counts processor time, with one thread of Mesa's software
+Two views, each with its own scene, draw every frame: entire steers one of them, Slicer's rule the other. Prints a row of
+results for each view, and writes both rows to the file --out, in which rows of the other clock stay. Without VOLUME, the
+views show a synthetic volume like a CT scan. A frame's time is that of vtkRenderWindow::Render() and includes the work of
+the graphics device. On a shared machine, use `--clock cpu`: it counts processor time, with one thread of Mesa's software
 driver, so that without other load both clocks agree. Slicer's rule measures wall time in any case, so other load makes
 its frames coarser.
 """

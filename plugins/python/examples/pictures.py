@@ -166,7 +166,9 @@ PICTURES = {"test": (pyvista, vtk, trame, yt), "qt": (vispy, napari)}
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--environment", choices=PICTURES, required=True, help="environment of run.sh to draw for")
+    parser.add_argument(
+        "--environment", choices=PICTURES, required=True, help="environment of run.sh in which this script runs"
+    )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", help="comma-separated: " + ", ".join(f.__name__ for p in PICTURES.values() for f in p))
     options = parser.parse_args()

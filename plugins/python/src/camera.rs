@@ -324,8 +324,8 @@ impl Camera {
         let right = forward.cross(up);
         if !eye.is_finite() || !(right.length() > 0.5) || !fov.is_finite() {
             return Err(PyValueError::new_err(
-                "the matrix gives no view; it must map the world to clip coordinates, with independent x, y \
-                 and w",
+                "the matrix gives no view; it must map the world to clip coordinates by a perspective or \
+                 parallel projection",
             ));
         }
         let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(eye)];
@@ -333,9 +333,10 @@ impl Camera {
         from_view(volume, rows, fov as f32, scale)
     }
 
-    /// Returns true if the change from `before` to this camera is abrupt: a turn by about 30 degrees or more,
-    /// a change of the distance (of the scale, for parallel cameras) by a factor of 1.5 or more, or a change
-    /// between perspective and parallel projection.
+    /// Returns true if the change from `before` to this camera is abrupt: a component of the view direction
+    /// changed by more than 0.5 (a turn of 30 to 51 degrees, depending on its axis), the distance (for
+    /// parallel cameras, the scale) changed by a factor of 1.5 or more, or the projection changed between
+    /// perspective and parallel.
     ///
     /// Parameters
     /// ----------

@@ -14,8 +14,7 @@ use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::scene::Frame;
 use entire_steer::calibrate::Picture;
-use entire_steer::control::ObserveFlags;
-use entire_steer::control::{HybridOptions, Quality, Session as Core, StepLimits};
+use entire_steer::control::{HybridOptions, ObserveFlags, Quality, Session as Core, StepLimits};
 use entire_steer::features::{Changes, PROBE_SIDE, Setting};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use numpy::PyArray1;
@@ -181,8 +180,9 @@ impl Session {
     /// ----------
     /// image_weight : float or None
     ///     Error of an image of half the size along each side, divided by the error of a step twice as
-    ///     coarse, 1e-3 to 1e3. With None, the initial value, the session uses the model's law, if the model
-    ///     was calibrated with pictures of this renderer, else the law that is built in for the renderer.
+    ///     coarse, raised to the power above; 1e-3 to 1e3. With None, the initial value, the session uses the
+    ///     model's law, if the model was calibrated with pictures of this renderer, else the law that is
+    ///     built in for the renderer.
     /// step_exponent, image_exponent : float, optional
     ///     Exponents of the errors of step and image, 0.05 to 8. Default 1.
     /// ray_share : float, optional
@@ -437,7 +437,8 @@ impl Session {
     /// -------
     /// str
     ///     "learned"; "clipped" if the time is far from the expected one, so that its influence was limited;
-    ///     or "ignored" if the frame was unusual, or cancelled no later than its expected end.
+    ///     or "ignored" if the frame was unusual, was cancelled no later than its expected end, or had no
+    ///     prediction.
     ///
     /// Raises
     /// ------

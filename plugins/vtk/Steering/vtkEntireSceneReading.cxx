@@ -151,7 +151,8 @@ std::string ReadGrid(
     key.Spacing[axis] = std::fabs(key.Spacing[axis]);
     if (!(key.Spacing[axis] > 0) || !std::isfinite(key.Spacing[axis]))
     {
-      return "the mapper's input has a spacing of " + std::to_string(key.Spacing[axis]);
+      return "the mapper's input has a spacing of " + std::to_string(key.Spacing[axis]) +
+        "; it must be finite and not 0";
     }
   }
   if (mapper->GetCropping() && mapper->GetCroppingRegionFlags() == VTK_CROP_SUBVOLUME)

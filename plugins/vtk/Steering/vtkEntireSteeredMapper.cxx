@@ -285,7 +285,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   const vtkEntire::Hold<vtkVolumeProperty> property(volume ? volume->GetProperty() : nullptr);
   if (!window || !renderer || !property || !mapper)
   {
-    return "the renderer has no window or the volume no property";
+    return "the renderer has no window, or the volume has no property";
   }
   const vtkEntire::Hold<vtkVolumeMapper> source(this->Source());
   vtkDataSet* input = source->GetDataSetInput();

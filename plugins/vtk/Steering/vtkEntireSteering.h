@@ -166,9 +166,9 @@ public:
   ///@{
   /**
    * Quality law of vtkFixedPointVolumeRayCastMapper and of vtkGPUVolumeRayCastMapper: picture error and time as
-   * functions of sample distance and image sample distance. It decides which of the two is coarsened first. The
-   * four numbers are image weight, step exponent, image exponent and ray share, as in
-   * entire_session_set_quality(). With an image weight of 0, the default, the law is the model's, if the model was
+   * functions of sample distance and image sample distance. Of the two, steering coarsens the one that adds less
+   * error for the time that it saves. The four numbers are image weight, step exponent, image exponent and ray share,
+   * as in entire_session_set_quality(). With an image weight of 0, the default, the law is the model's, if the model was
    * calibrated with pictures of this mapper (entire_session_record_picture(); entire.vtk.calibrate() in Python).
    * Otherwise it is a built-in law, measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py).
    */
@@ -275,8 +275,8 @@ public:
   ///@}
 
   /**
-   * Reason for the last frame's settings: a word such as "fits" or "held" for a steered frame, "still", "off", or
-   * "fallback" for a frame that could not be predicted.
+   * Reason for the last frame's settings: "still" for a still frame, "off" if Enabled was false, "fallback" if the
+   * frame could not be predicted, else the reason of the plan, such as "fits", "held" or "finest allowed".
    */
   vtkGetStringMacro(Reason);
 

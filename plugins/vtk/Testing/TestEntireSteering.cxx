@@ -413,7 +413,8 @@ void KeepsState(Kind kind)
     CHECK(steering->LoadState(file));
     scene.Draw();
     prediction = steering->GetPredictedTime();
-    // The changed option made a new session, which the first state is loaded into.
+    // Since the option changed, the first LoadState() makes a new session, which reads the voxels again. The second
+    // one keeps the session.
     CHECK(&prediction == learned || steering->GetNumberOfVolumeReadings() == readings);
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);

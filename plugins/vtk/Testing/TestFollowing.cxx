@@ -233,8 +233,8 @@ void FollowsAssemblies(Kind kind)
   CHECK(small > 0 && small == predicted(false, 0.5) && small != predicted(false, 1.0));
 }
 
-// An assembly that counts how often its paths are built again while it draws volumes. It holds the paths that it
-// iterates over, so that they outlive such a call.
+// An assembly that counts how often its paths are built again while it draws volumes. It keeps the paths that it
+// iterates over alive, even if they are built again meanwhile.
 class CountedAssembly : public vtkAssembly
 {
 public:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Writes timing tables of any renderer in Python, in the format of `entire collect`.
 
-The same seed draws the same frames of a volume as `entire collect` does (camera, image size, ray step, transfer
-function), so that tables of several renderers can be compared frame by frame. `entire train` and `entire evaluate` read
-them. A renderer is a class with `load(volume)` and `prepare(scene)`, which returns a function that draws the scene and
-returns its wall and processor seconds, and with a few attributes; see collect_vtk.py.
+With the same seed, a volume's frames have the same cameras, image sizes and transfer functions as with `entire collect`,
+so that tables of several renderers can be compared frame by frame. The ray step is the same, too, unless the renderer
+replaces it, as yt and ParaView do. `entire train` and `entire evaluate` read the tables. A renderer is an object with
+`load(volume)` and `prepare(scene)`, which returns a function that draws the scene and returns its wall and processor
+seconds, and with a few attributes; see collect_vtk.py.
 """
 import argparse
 import csv
@@ -262,7 +263,9 @@ def arguments(description):
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--min-size", type=int, default=32, help="shortest image side, pixels")
     parser.add_argument("--max-size", type=int, default=1024, help="longest image side, pixels")
-    parser.add_argument("--steps", default="1", help="ray steps to pick from, smallest voxel spacings, comma-separated")
+    parser.add_argument(
+        "--steps", default="1", help="ray steps to pick from, comma-separated, as multiples of the smallest voxel spacing"
+    )
     parser.add_argument("--shade", choices=("none", "local"), default="none")
     parser.add_argument(
         "--proxy", type=int, metavar="EDGE", help="draw every volume resampled to this many voxels along each axis"

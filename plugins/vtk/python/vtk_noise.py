@@ -5,7 +5,7 @@ import numpy as np
 
 
 def noise_volume(n, seed=7):
-    """Returns [z, y, x] bytes: five octaves of value noise, thresholded. Values decrease toward the corners; 60 % of
+    """Returns [z, y, x] bytes: five octaves of value noise, thresholded. Values decrease toward the corners; about 88 % of
     the voxels are not 0."""
     rng = np.random.default_rng(seed)
     total = np.zeros((n, n, n), np.float32)

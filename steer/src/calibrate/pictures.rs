@@ -379,7 +379,11 @@ impl Drawn {
         let Some((wanted, _)) =
             scenes_of.into_iter().max_by_key(|(settings, scenes)| (*scenes, settings.len()))
         else {
-            bail!(InvalidArgument, "no scene was drawn at full quality: step 1, image sample distance 1");
+            bail!(
+                InvalidArgument,
+                "no scene was drawn at full quality; draw each scene also with step 1 and image sample \
+                 distance 1"
+            );
         };
         scenes.retain(|_, settings| settings.keys().eq(&wanted));
         let distinct = |of: fn(&(u32, u32)) -> u32| {

@@ -151,7 +151,11 @@ impl PriorModel {
         }
         for (i, f) in frames.iter().enumerate() {
             if !(f.seconds.is_finite() && f.seconds > 0.0) {
-                bail!(InvalidArgument, "frame {i} took {} seconds; times are finite and positive", f.seconds);
+                bail!(
+                    InvalidArgument,
+                    "frame {i} took {} seconds; times must be finite and positive",
+                    f.seconds
+                );
             }
         }
         let mut prepared: Vec<FitRow> =

@@ -61,14 +61,16 @@ macro_rules! quantities {
 quantities! {
     Pixels, "pixels", "pixels", 1.0, no, no, "pixels of the image";
     Rays, "rays", "rays", 1.0, no, no, "pixels whose ray meets the volume's box";
-    Skips, "skips", "jumps", 1.0, yes, yes, "expected jumps over empty blocks";
+    Skips, "skips", "jumps", 1.0, yes, yes,
+        "expected jumps over empty blocks, those of shadow rays included";
     Samples, "samples", "samples", 1.0, yes, yes, "expected samples of the frame up to early termination";
     LaneSamples, "lane_samples", "samples", 1.0, yes, yes,
         "number of samples if every ray of a tile of 8 x 8 pixels were as long as the tile's longest ray";
     Runs, "runs", "runs", 1.0, no, yes, "expected runs of samples between jumps over empty blocks";
     Segments, "segments", "segments", 1.0, yes, yes,
-        "expected reads of the skip map within runs: each read gives the distance to the nearest empty block, \
-         and the renderer takes the samples within this distance without another read";
+        "expected reads of the skip map within runs, those along shadow rays included: each read gives the \
+         distance to the nearest empty block, and the renderer takes the samples within this distance without \
+         another read";
     LocalSamples, "local_samples", "samples", 1.0, yes, yes,
         "visible samples, if the frame has local lighting; 0 without local lighting";
     ScatterSamples, "scatter_samples", "samples", 1.0, yes, yes,
@@ -135,7 +137,8 @@ quantities! {
     FarLongestSegments, "far_longest_segments", "segments", 1.0, yes, yes,
         "`longest_segments` times the far share";
     FarLongestShadowSamples, "far_longest_shadow_samples", "samples", 1.0, yes, yes,
-        "`longest_shadow_samples` times the share of reads for shading that miss the caches";
+        "`longest_shadow_samples` times the share of reads for shading that miss the caches, times the sine \
+         of the angle between the central ray and the shadow rays";
 }
 
 impl SceneQuantity {

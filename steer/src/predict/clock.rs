@@ -40,7 +40,7 @@ impl FromStr for Clock {
 
     fn from_str(name: &str) -> Result<Self> {
         let Some(clock) = Self::named(name) else {
-            bail!(InvalidArgument, "clock {name:?}; cpu, wall or device is expected")
+            bail!(InvalidArgument, "clock is {name:?}; cpu, wall or device is expected")
         };
         Ok(clock)
     }

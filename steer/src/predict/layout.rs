@@ -233,8 +233,8 @@ impl InputLayout {
                     bail!(
                         MissingInput,
                         "the model takes Gaussian transfer-function parameters and none were supplied; \
-                         describe the transfer function by 1 to {} lobes, or use a model on scene features, \
-                         which takes any transfer function",
+                         describe the transfer function by 1 to {} lobes, or use a model with scene \
+                         features, which accepts any transfer function",
                         size / 3
                     );
                 };

@@ -15,7 +15,7 @@ _TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": tim
 
 
 def timer(clock: str) -> Callable[[], float]:
-    """Function that reads a clock and returns seconds."""
+    """Returns the function that reads a clock, in seconds."""
     if clock not in _TIMERS:
         raise ValueError(f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)")
     return _TIMERS[clock]

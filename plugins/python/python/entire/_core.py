@@ -198,8 +198,9 @@ class Session(_native.Session):
     probe_tolerance : float, optional
         Accepted error of the probe, as a share of the frame's time, 0 to 1, for analytic models. Over 0, plans start
         with a probe of 4 rays along each side and refine it, up to `probe_side`, only if the probe's estimated error is
-        larger and could change the plan. While the view has hardly turned since rays were cast, their result is reused.
-        Default 0: every plan casts all of its rays, as plans of recorded frames (:meth:`record`) always do.
+        larger than `probe_tolerance` and could change the plan. While the view has hardly turned since rays were cast,
+        their result is reused. Default 0: every plan casts all of its rays, as plans of recorded frames
+        (:meth:`record`) always do.
 
     Raises
     ------
@@ -248,9 +249,10 @@ class Session(_native.Session):
     def record(self, frames: int = 1000, *, model: ModelLike | None = None) -> None:
         """Starts recording planned and observed frames for :meth:`calibrate`. Earlier recorded frames are dropped.
 
-        Not recorded are unusual and cancelled observations, the first frame of the session, and the first
-        frame of a volume. To record frames that were timed earlier, turn steering off (:meth:`set_enabled`), plan each
-        frame as it was drawn, and observe its time.
+        Not recorded are unusual and cancelled observations, the first frame of the session and of each volume, the first
+        frame after the learned state was loaded or dropped, and frames announced by ``mark(first=True)``. To record
+        frames that were timed earlier, turn steering off (:meth:`set_enabled`), plan each frame as it was drawn, and
+        observe its time.
 
         Parameters
         ----------

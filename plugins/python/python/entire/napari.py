@@ -17,7 +17,7 @@ from ._core import CannotSteer, ModelLike
 from .vispy import Holder
 from .vispy import hold as _hold
 
-# Time in seconds after the camera's last move, from which on the view counts as still.
+# Time in seconds that must pass after the camera's last move before the view counts as still.
 _REST = 0.25
 
 

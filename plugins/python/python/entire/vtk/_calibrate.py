@@ -159,7 +159,7 @@ class _Calibrator:
                 # Hides the overlay and turns steering off.
                 quiet.enter_context(steering.still())
             # In a renderer that is not at the window's lower left corner, the GPU mapper draws nothing if the image
-            # sample distance is above 1.
+            # sample distance is over about 1.4.
             shrinks = not self.gpu or renderer.GetOrigin() == (0, 0)
             if pictures and not shrinks:
                 log.warning(

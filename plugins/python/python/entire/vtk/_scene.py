@@ -88,7 +88,7 @@ class Grid:
         voxels = values.reshape(dims[2], dims[1], dims[0], components)[..., component]
         spacing = [abs(s) for s in image.GetSpacing()]
         if not all(math.isfinite(s) and s > 0 for s in spacing):
-            raise Unreadable(f"the mapper's input has a spacing of {spacing}")
+            raise Unreadable(f"the mapper's input has a spacing of {spacing}; all three must be finite and not 0")
         low, high = [0, 0, 0], list(dims)
         if mapper.GetCropping() and mapper.GetCroppingRegionFlags() == _SUBVOLUME:
             low, high = _cropped(mapper, image, dims, spacing)

@@ -665,14 +665,14 @@ def hold(
     if volume is None:
         volumes = None
         if not there:
-            raise ValueError("the renderer has no volume; add one with AddVolume() before hold(), or pass it")
+            raise ValueError("the renderer has no volume; add one with AddVolume() before hold()")
     elif isinstance(volume, numbers.Real):
         raise ValueError(f"volume is {volume}; pass a frame time as seconds={volume}")
     else:
         # Removes duplicates.
         volumes = [volume] if hasattr(volume, "IsA") else list(dict.fromkeys(volume))
         if not volumes:
-            raise ValueError("volume is an empty list; pass volumes, or None for all of the renderer")
+            raise ValueError("volume is an empty list; pass volumes, or None for all volumes of the renderer")
     for each in volumes or ():
         if not hasattr(each, "IsA") or not each.IsA("vtkVolume"):
             kind = each.GetClassName() if hasattr(each, "GetClassName") else repr(each)
