@@ -100,16 +100,22 @@ struct App {
     failed: Option<anyhow::Error>,
 }
 
+/// Text of the error that no `what` has a given name; it lists the known names.
+fn unknown(what: &str, name: &str, known: impl IntoIterator<Item = &'static str>) -> String {
+    let known: Vec<&str> = known.into_iter().collect();
+    format!("there is no {what} {name:?}; there are {}", known.join(", "))
+}
+
 /// Opens the window and returns once it is closed.
 ///
 /// # Errors
 /// When there is no display, no device can show pictures on it, or a script fails.
 pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
     let controllers = host.controllers();
-    let controller = controllers.iter().position(|c| c.0 == options.controller).with_context(|| {
-        let names: Vec<&str> = controllers.iter().map(|c| c.0).collect();
-        format!("there is no controller {:?}; there are {}", options.controller, names.join(", "))
-    })?;
+    let controller = controllers
+        .iter()
+        .position(|c| c.0 == options.controller)
+        .with_context(|| unknown("controller", &options.controller, controllers.iter().map(|c| c.0)))?;
     let steer = Steer::new(controllers, controller, options.target);
     let script = options.script.as_deref().map(Script::open).transpose()?;
     if script.is_some() && options.volumes.is_empty() {

@@ -73,7 +73,7 @@ pub(crate) fn spanned(volume: &Volume, range: Option<(f32, f32)>) -> VolumeView<
     }
     let options = VolumeOptions { range, spacing: volume.spacing(), ..VolumeOptions::default() };
     VolumeView::with(volume.data().scalars(), volume.dims(), options)
-        .expect("the same volume was checked with another range")
+        .expect("sizes and spacing were checked when the volume was read, and its own range is valid")
 }
 
 /// Returns the view of a part of a volume, and the part's placement. The view has the value range of the

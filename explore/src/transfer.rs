@@ -143,8 +143,9 @@ impl Curve {
         Ok(TransferTable::new(rgba)?)
     }
 
-    /// Returns the transfer function for recordings: lobes if the curve consists of lobes in the core's color
-    /// ramp, else a point for each entry of the table.
+    /// Returns the transfer function for recordings. If opacity consists of lobes and the colors are those of
+    /// the core's color ramp, the function returns the lobes; else it returns a point for each entry of the
+    /// table.
     pub(crate) fn recorded(&self) -> Result<Transfer> {
         if let (Some(lobes), true) = (self.lobes(), self.has_ramp()) {
             return Ok(Transfer::Lobes(lobes.to_vec()));

@@ -454,7 +454,7 @@ fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {
         });
     }
     for (i, pose) in out.iter().enumerate() {
-        Camera::from_arcball(*pose).with_context(|| format!("cameras: view {i}"))?;
+        Camera::from_arcball(*pose).with_context(|| format!("cameras: view {}", i + 1))?;
     }
     Ok(out)
 }
@@ -473,7 +473,10 @@ fn transfers(entries: &[TransferEntry]) -> Result<Vec<NamedTransfer>> {
                 serde_json::json!({"center": c, "width": w, "height": h})).collect::<Vec<_>>() }),
             (None, Some(points)) => serde_json::json!({ "points": points.iter().map(|[p, r, g, b, o]|
                 serde_json::json!({"position": p, "color": [r, g, b], "opacity": o})).collect::<Vec<_>>() }),
-            _ => bail!("transfer {}: give either lobes or points", entry.name),
+            (found, _) => {
+                let has = if found.is_some() { "both lobes and points" } else { "neither lobes nor points" };
+                bail!("transfer {} has {has}; give either lobes or points", entry.name)
+            }
         };
         let transfer: Transfer = serde_json::from_value(value)?;
         transfer.function().to_table().with_context(|| format!("transfer {}", entry.name))?;

@@ -115,7 +115,7 @@ fn every_mistake_is_named() {
         ("\"16x16\"", "\"32x32\"", "sizes: entry 2 repeats"),
         ("steps = [1.0, 2.0]", "steps = [0.0]", "steps: 0"),
         ("steps = [1.0, 2.0]", "steps = []", "steps is empty"),
-        ("poses = [[1, 2, 3]]", "poses = [[1, 2, -3]]", "cameras: view 13"),
+        ("poses = [[1, 2, 3]]", "poses = [[1, 2, -3]]", "cameras: view 14"),
         ("{volume}", "{volum}", "{volum}"),
         ("name = \"b\"", "name = \"a\"", "two entries have the name a"),
         (

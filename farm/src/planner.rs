@@ -148,7 +148,8 @@ impl Planner {
         }
     }
 
-    /// Records a task that an earlier run has finished, and adds its time to the model.
+    /// Records a task that an earlier run has finished. If [`Setting::learn`] is true, also adds the task's
+    /// time to the model.
     pub fn done_before(&mut self, task: u32, node: usize, seconds: f64) {
         if self.states[task as usize] != State::Done {
             self.states[task as usize] = State::Done;

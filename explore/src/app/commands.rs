@@ -1,6 +1,6 @@
 //! Commands of the user or a script.
 
-use super::{App, Waiting};
+use super::{App, Waiting, unknown};
 use crate::camera::Axis;
 use crate::exchange;
 use crate::loading::Load;
@@ -8,8 +8,8 @@ use crate::recording::Recorder;
 use crate::scene::Crop;
 use crate::script::{Action, Script};
 use crate::state::Command;
-use crate::transfer::{Curve, Opacity};
-use anyhow::{Context, Result, bail};
+use crate::transfer::{Curve, Opacity, PRESETS};
+use anyhow::{Context, Result, bail, ensure};
 use ash::vk;
 use entire_core::GaussianLobe;
 use entire_core::scene::Arcball;
@@ -171,7 +171,9 @@ impl App {
             }
             Action::View(name) => {
                 let axis = Axis::ALL.into_iter().find(|a| a.name() == name);
-                state.view.look_along(axis.with_context(|| format!("there is no view {name:?}"))?);
+                state
+                    .view
+                    .look_along(axis.with_context(|| unknown("view", &name, Axis::ALL.map(Axis::name)))?);
                 state.changed.cut = true;
             }
             Action::Orthographic(on) => {
@@ -187,9 +189,8 @@ impl App {
                 state.changed.camera = true;
             }
             Action::Preset(name) => {
-                if !state.preset(&name) {
-                    bail!("there is no preset {name:?}");
-                }
+                ensure!(PRESETS.contains(&name.as_str()), "{}", unknown("preset", &name, PRESETS));
+                ensure!(state.preset(&name), "there is no volume whose histogram gives the preset {name:?}");
             }
             Action::Lobes(lobes) => {
                 let lobes = lobes.iter().map(|l| GaussianLobe { center: l[0], width: l[1], height: l[2] });
@@ -198,7 +199,9 @@ impl App {
             }
             Action::Controller(name) => {
                 let known = state.steer.controllers.iter().position(|c| c.0 == name);
-                state.steer.controller = known.with_context(|| format!("there is no controller {name:?}"))?;
+                state.steer.controller = known.with_context(|| {
+                    unknown("controller", &name, state.steer.controllers.iter().map(|c| c.0))
+                })?;
                 state.changed.settings = true;
             }
             Action::Steering(on) => {

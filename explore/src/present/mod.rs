@@ -234,7 +234,7 @@ impl Presenter {
             return Ok(presented);
         };
         let device = &self.device;
-        // An update is removed once it is uploaded, since egui sends it only once.
+        // An update stays in `textures.set` until it is uploaded, since egui sends each update only once.
         while let Some(&id) = textures.set.keys().next() {
             for delta in textures.set.get(&id).into_iter().flatten() {
                 device
