@@ -246,8 +246,8 @@ fn law_text(Pictures { error, fitted }: &Pictures) -> String {
         fitted.over_prior.map_or_else(String::new, |over| {
             let kept = if over < 1.0 { "" } else { ", so the built-in law is kept" };
             format!(
-                ". Laws were fitted to some of the scenes, with the built-in law as the prior. On the other \
-                 scenes, their error is {over:.2} times the error of the built-in law{kept}"
+                ". In cross-validation, laws that were fitted with the built-in law as the prior have, at equal \
+                 time, {over:.2} times the picture error of the built-in law on held-out scenes{kept}"
             )
         })
     )

@@ -305,7 +305,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let counted = if protocol.passes > 1 { "frames of all passes" } else { "frames" };
         bail!("interrupted after {} of {} {counted}; {go_on}", outcome.done, outcome.total);
     }
-    // The feature table of earlier frames, which may lie beside a resumed table, does not match it.
+    // A resumed table may have a feature table from an earlier run, which may lack new frames. So this call
+    // does not read the feature table.
     let frames = Table::read_without_features(&options.out, 0)?.frames;
     let mut noise = serde_json::Map::new();
     let mut said = Vec::new();

@@ -144,7 +144,7 @@ pub(crate) fn expect_end(
     let behind = match stream.remaining() {
         Remaining::Exact(left) => left,
         Remaining::AtMost(_) => io::copy(&mut stream.take(expected), &mut io::sink())
-            .with_context(|| format!("{prefix}after the voxels"))?,
+            .with_context(|| format!("{prefix}cannot read the data after the voxels"))?,
     };
     if behind == 0 {
         return Ok(None);

@@ -247,7 +247,7 @@ impl<'a> Stream<'a> {
         let mut found = 0u64;
         loop {
             let prefix = self.prefix();
-            let part = self.peek().with_context(|| format!("{prefix}looking for the end of the data"))?;
+            let part = self.peek().with_context(|| format!("{prefix}cannot read to the end of the data"))?;
             let length = part.len();
             if length == 0 {
                 break;

@@ -22,10 +22,11 @@ type Played = ([Replayable; 3], FittedPredictor);
 
 /// Search for better constants of the controller on recorded paths.
 ///
-/// Every path is replayed with every target that an allowed step meets exactly in at least half of its
-/// frames: once with a predictor fitted to frames of other volumes, and several times without a model, each
-/// time from another frame on. The search accepts a value if it lowers the cost of the paths by more than two
-/// standard errors. The command changes no file but --out: enter the found values in
+/// Every path is replayed with each target of --targets that some allowed step meets exactly in at least half
+/// of the path's frames, and with a series of these targets if there are several. Each replay runs twice with
+/// a predictor that was fitted to frames of other volumes. Short sessions without a model also play parts of
+/// the path, each from another first frame. The search accepts a value only if the value lowers the mean cost
+/// of the paths by more than two standard errors. The command changes no file but --out: enter the found values in
 /// `steer/src/control/constants.rs` and `steer/src/adapt/constants.rs`. The gains of the controller PID are
 /// searched in the same way; enter them in `cli/src/steering/rivals/algorithm1.rs`.
 #[derive(Debug, clap::Args)]

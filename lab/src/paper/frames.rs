@@ -119,11 +119,11 @@ pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>
     Ok(out)
 }
 
-/// Returns the encoder for the parts of the study that do not compare encoders, with its description in
-/// words. If the main split of a data set is tested, `own` is this data set. The encoder is then one that was
-/// trained on the data set: of the main size if it exists, else of another size with as many features. If
-/// there is none, or if `own` is `None`, the encoder is the shipped one, which was trained without the test
-/// members.
+/// Returns the encoder for the parts of the study that do not compare encoders, and its description in words.
+/// If `own` names a data set, the function returns an encoder that was trained on this data set and has as
+/// many features as the main encoder; encoders with the main encoder's input size are preferred. Without
+/// `own`, or if there is no such encoder, the function returns the shipped encoder, which was trained without
+/// the test members.
 pub(super) fn main_encoder(work: &Work<'_>, own: Option<&str>) -> Result<(PathBuf, String)> {
     let (size, features) = work.paper.encoders.main;
     if let Some(set) = own {

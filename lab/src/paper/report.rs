@@ -252,7 +252,8 @@ pub(crate) fn write_book(paper: &Paper, material: &Material, pages: &Path) -> Re
 }
 
 /// Returns the tables and charts of a section as Markdown, and writes the charts into `images`. Their file
-/// names begin with `stem`. `told` has the texts that are on the page; the tables are added to it.
+/// names begin with `stem`. `told` holds the texts that the page already has. Tables in `told` are left out;
+/// the function adds the other tables to `told`.
 fn markdown_of(
     section: &Section,
     title: &str,

@@ -164,8 +164,9 @@ pub(super) fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     s.charts.push((chart, what.into()));
 }
 
-/// Returns a table with a row for every data set and mode that was tested on the split. `split` returns the
-/// split for the data set's rule. Appends each row's ratios to `parts`.
+/// Returns a table with one row for each data set and mode in which the network was tested on the chosen
+/// split. `split` converts the data set's rule to the rule of the chosen split. For each row, the function
+/// appends a text with the row's ratios of errors to `parts`.
 pub(super) fn errors_by_data_set(
     paper: &Paper,
     of: &[&Results],

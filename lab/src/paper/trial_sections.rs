@@ -134,8 +134,8 @@ fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
         "Every network was trained on all three data sets. The test frames are of left-out members: m05 of \
          Nyx and Castro, and m03 of MAESTROeX; the rows `all three` also have m04 of Nyx and Castro. \
          `{AS_IT_IS}` is the paper's recipe on measured frames. `{}` predicts the logarithm of seconds, \
-         trains on every order of the lobes, and takes the weights of the last epochs. `{DISTILLED}` is a \
-         shipped network that was made from 440000 frame times of 44 volumes, one of them for validation and \
+         trains on each frame with every order of its lobes, and takes the weights of the epoch with the \
+         lowest training loss, without validation frames. `{DISTILLED}` is a shipped network that was made from 440000 frame times of 44 volumes, one of them for validation and \
          one for test. Its teacher predicted these times; the teacher was fitted to measured frames of the \
          same volumes. `{LVRP_AS_PAPER}` renders 24³ of 192³ voxels (Nyx, Castro), and 18³ of 128 × 128 × 192 \
          voxels (MAESTROeX: a 539th). In all rows, a linear fit of its own converts its times. In the \

@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 
 /// Frames that determine an upper bound.
 pub(crate) enum Bounds<'a> {
-    /// These frames; the validation frames if there are none.
+    /// The given frames; the validation frames if no frames are given.
     Frames(&'a TimedFrames<'a>),
     Crossed(&'a Crossed<'a>),
 }

@@ -259,8 +259,8 @@ impl Correction {
             self.covariance[i][LOCAL] *= keep;
             self.covariance[LOCAL][i] *= keep;
         }
-        // The logarithm of the scene's own factor is a random walk, except during a load, which stops its
-        // updates.
+        // The logarithm of the scene's own factor is a random walk. Under a load, later frames of a scene do
+        // not update this factor, so the random walk pauses.
         let wander = if self.loaded() { 0.0 } else { keep * self.spread * self.gain() * self.gain() };
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change + wander;
         self.widen(DRIFT, 0.0);

@@ -211,8 +211,9 @@ pub trait Controller {
         SceneMark::default()
     }
 
-    /// Returns the prediction by which settings are chosen: that of [`Controller::correct`], but without a
-    /// load if the controller ignores loads, and with the upper bound by which steps are chosen.
+    /// Returns the prediction by which settings are chosen; by default, that of [`Controller::correct`]. The
+    /// default controller leaves out a load that it ignores, and gives the upper bound by which it chooses
+    /// steps.
     fn judged(&self, terms: &CostTerms, changes: Changes) -> Prediction {
         self.correct(terms, changes)
     }

@@ -42,8 +42,9 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
 /// after it, for the longest ray, are nonzero only for renderers like [`UnitCosts::GPU`].
 pub(crate) const COMMON_COSTS: usize = 21;
 
-/// For each unit cost of the longest ray: index in [`UnitCosts::seconds`] of the unit cost of the same kind
-/// of work (samples, lookups in the skip map, or shadow samples), summed over all rays.
+/// Indices in [`UnitCosts::seconds`], one for each unit cost of the longest ray. Each index selects the unit
+/// cost of the same kind of work, where the work is that of all rays: samples, lookups in the skip map, or
+/// shadow samples.
 const OF_ALL_RAYS: [usize; COSTS - COMMON_COSTS - 1] = [4, 7, 10, 4, 7, 10];
 
 /// Index of [`SceneQuantity::TouchedVoxels`] in [`UnitCosts::seconds`].

@@ -151,8 +151,9 @@ impl AnalyticModel {
     /// Fits a model to measured frames, given as pairs of work ([`FrameFeatures::cost_work`]) and seconds.
     /// The prior is `default`, scaled to the speed of the measured frames. The upper bound is calibrated on
     /// the same frames. Costs of work that no measurement has keep their prior values; costs that are 0 in
-    /// `default` stay 0. The work was counted with `probe_side` rays along each side of the probe, clamped to
-    /// 1 to [`MAX_PROBE_SIDE`]. The fit ignores frames with a time that is not positive or over
+    /// `default` stay 0. `probe_side` is the number of rays along each side of the probe with which the
+    /// caller counted the work; the model stores this number, clamped to the range 1 to [`MAX_PROBE_SIDE`].
+    /// The fit ignores frames with a time that is not positive or over
     /// [`LONGEST_FRAME`](super::LONGEST_FRAME), with work that is negative or not finite, or without work.
     /// Also returns |predicted / measured − 1| of the frames that are not ignored.
     ///

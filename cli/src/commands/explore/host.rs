@@ -24,7 +24,7 @@ use std::sync::Arc;
 /// response curve, since the window measures no such curve.
 const FIXED_SHARE: f32 = 0.1;
 
-/// The window's host: services of this program.
+/// This program as the window's [`Host`]: it reads volumes, makes predictors and lists controllers.
 pub(super) struct ExplorerHost {
     /// The model of `--model`, with the file's name.
     pub(super) model: Option<(String, Model)>,

@@ -18,7 +18,7 @@ pub(crate) trait Rule: Sized {
     /// The rule before the first frame.
     const START: Self;
 
-    /// Returns the step of the next frame, within the limits; `target` is its time in seconds.
+    /// Returns the step of the next frame, within `limits`. `target` is the frame's target time in seconds.
     fn step(&mut self, target: f32, limits: StepLimits) -> f32;
 
     /// Updates the rule by a frame's time.

@@ -24,8 +24,8 @@ impl StepResponse {
         for (i, &(step, time)) in samples.iter().enumerate() {
             ensure!(
                 step.is_finite() && step > 0.0 && time.is_finite() && time > 0.0,
-                "step response sample {i} is ({step}, {time}); step ratio and time ratio must be finite and \
-                 positive"
+                "sample {i} of the response curve G is ({step}, {time}); step ratio and time ratio must be \
+                 finite and positive"
             );
             logs.push((libm::log(f64::from(step)), libm::log(f64::from(time))));
         }
@@ -44,8 +44,7 @@ impl StepResponse {
         }
         ensure!(
             blocks.len() >= 2,
-            "the step response was sampled at one step only; sample at least one step other than the \
-                 reference"
+            "the response curve G has samples at the reference step only; time frames at another ray step, too"
         );
         // Pool adjacent violators: (sum of weighted values, weight, number of points).
         let mut pools: Vec<(f64, f64, usize)> = Vec::new();

@@ -425,7 +425,8 @@ struct Walk {
     next: [f32; 3],
     /// Increment of t between faces.
     delta: [f32; 3],
-    /// Along each axis, t half a cell beyond the last face between cells. A larger `next` becomes infinite.
+    /// Upper limit of finite values in `next`: along each axis, the t that lies half a cell beyond the last
+    /// face between cells. If `next` exceeds this limit, `next` becomes infinite.
     last: [f32; 3],
     stride: [i32; 3],
     index: i32,
