@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 /// Compare methods of load balancing on a render farm of 2 to 64 nodes, by measured times.
 ///
 /// The tasks come from a list (see `entire schedule`) with predicted and measured times, or are the frames of
-/// a recorded path, whose times a model fitted to other volumes predicts.
+/// a recorded path, whose times are predicted by a model that was fitted to other volumes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab farm tasks.csv --report out/farm
