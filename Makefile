@@ -29,8 +29,8 @@ help: ## List the targets
 build: setup ## Build the command, the libraries and the examples (release)
 	$(CARGO) build --release --workspace
 
-# GATE=change adds short forms of the suites of VTK, ParaView, Python, the window, farms and fuzzing, as CI does;
-# GATE=nightly runs these suites in full, and tests that take hours.
+# GATE=change adds short forms of the suites of VTK (also of Debian stable), ParaView, Python, the window, farms and fuzzing,
+# as CI does; GATE=nightly runs these suites in full, and tests that take hours.
 GATE ?= test
 
 .PHONY: test

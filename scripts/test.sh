@@ -3,7 +3,7 @@
 #
 #   scripts/test.sh            `make test` runs this
 #   scripts/test.sh change     `.ci/run` runs this for each change: the above, and short forms of the suites of
-#                              VTK, ParaView, Python, the window, farms and fuzzing
+#                              VTK (also of Debian stable), ParaView, Python, the window, farms and fuzzing
 #   scripts/test.sh nightly    `.ci/nightly` and `make test-all` run this: these suites in full, and tests that take hours
 #
 # Most steps share one build (`profile.dev` of Cargo.toml, the features of the whole workspace) and one installed C library;

@@ -100,7 +100,7 @@ struct App {
     failed: Option<anyhow::Error>,
 }
 
-/// Text of the error that no `what` has a given name; it lists the known names.
+/// Returns the text of an error: no `what` has the name `name`. The text lists the names in `known`.
 fn unknown(what: &str, name: &str, known: impl IntoIterator<Item = &'static str>) -> String {
     let known: Vec<&str> = known.into_iter().collect();
     format!("there is no {what} {name:?}; there are {}", known.join(", "))

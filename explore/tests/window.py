@@ -233,8 +233,8 @@ def screenshots_are_those_of_render(command, display, folder):
         tf = ",".join(str(v) for lobe in LOBES for v in lobe)
         arguments = ["--camera", ",".join(map(str, camera)), "--tf", tf, "--size", "x".join(map(str, size))]
         if parallel:
-            # Half of the height that the window's field of view of 45° shows at this distance. A parallel projection does not
-            # depend on the distance itself, so another distance is passed.
+            # Half of the height that the window's field of view of 45° shows at this distance. A parallel projection
+            # does not depend on the distance itself, so another distance is passed.
             scale = camera[2] * math.tan(math.radians(22.5))
             arguments[1] = "20,35,3.7"
             arguments += ["--parallel-scale", repr(scale)]

@@ -127,7 +127,12 @@ fn every_mistake_is_named() {
         ("--out={out}", "--out={{out}}", "{out}"),
         ("kind = \"command\"", "kind = \"comand\"", "comand"),
         ("lobes = [[0.5, 0.1, 0.2]]", "lobes = [[0.5, -0.1, 0.2]]", "transfer a"),
-        ("lobes = [[0.5, 0.1, 0.2]]", "", "either lobes or points"),
+        ("lobes = [[0.5, 0.1, 0.2]]", "", "has neither lobes nor points"),
+        (
+            "lobes = [[0.5, 0.1, 0.2]]",
+            "lobes = [[0.5, 0.1, 0.2]]\npoints = [[0.0, 1.0, 1.0, 1.0, 0.5]]",
+            "has both lobes and points",
+        ),
         ("views = 5", "views = 5\nvews = 6", "vews"),
         ("kind = \"command\"", "kind = \"command\"\ntimeout_s = -1.0", "timeout_s is -1"),
         ("kind = \"command\"", "kind = \"command\"\ntimeout_s = 1e20", "timeout_s is 1"),

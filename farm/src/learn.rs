@@ -39,15 +39,17 @@ const PRIOR_SDS: (f64, f64) = (0.15, 4.0);
 /// Prior standard deviation of the volume effects when a model or a list is given: nearly twice the largest
 /// value of a shipped model on held-out volumes. The values are 0.00 to 0.04 on the tables local-timestep,
 /// scatter-timestep, none-inside, none-earlier and none-steps-members of `data/timings` (predictions.csv of
-/// `entire evaluate`). With these priors, 86 % of simulated runs of these tables end in their 90 % interval.
+/// `entire evaluate`).
 const VOLUME_SD_WITH_MODEL: f64 = 0.07;
 /// Prior standard deviation of the coefficient of ln(base) when a model or a list is given: the root mean
 /// square of the slopes of ln(measured / base) over ln(base) on the tables of [`VOLUME_SD_WITH_MODEL`]. The
-/// slope of none-earlier, frames of an earlier version of the renderer, is 0.08; the others are −0.004 to 0.012.
+/// slope of none-earlier, frames of an earlier version of the renderer, is 0.08; the others are −0.004 to
+/// 0.012.
 const SLOPE_SD_WITH_MODEL: f64 = 0.04;
 /// Decrease of ln of the residual's standard deviation per unit of ln base, with a model or list: long tasks
-/// scatter less than short ones (0.11 to 0.26 on the tables of [`VOLUME_SD_WITH_MODEL`]; 0 on none-earlier).
-/// The second number is the distance of ln base from its mean up to which the decrease applies.
+/// scatter less than short ones (0 on none-earlier, 0.11 to 0.26 on the other tables of
+/// [`VOLUME_SD_WITH_MODEL`]). The second number is the distance of ln base from its mean up to which the
+/// decrease applies.
 const SCATTER_SLOPE_WITH_MODEL: (f64, f64) = (0.2, 4.0);
 /// Number of standard deviations at which residuals are clipped: one hung task must not affect the others.
 const HUBER: f64 = 4.0;

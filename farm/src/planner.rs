@@ -17,7 +17,7 @@ const EXPLORATION: (f64, u32) = (0.1, 4);
 /// State of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// The task is not queued.
+    /// The task was not queued yet, or is not part of this run.
     Idle,
     /// The task waits to be sent.
     Waits,

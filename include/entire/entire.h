@@ -292,8 +292,9 @@ typedef struct entire_volume_desc {
      * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
      * maximum of the voxels without fill values. There are at most four fill values, found one after another
      * in a sample of the voxels. Each is the least or the greatest of the values that remain without the
-     * previous fill values. At least one sampled voxel in 1024 has the fill value. Its distance from all
-     * other remaining values is at least an eighth of the width of their range.
+     * previous fill values. At least four sampled voxels, and at least one in 1024, have the fill value, and
+     * the sample has at least 16 other distinct values. The distance of the fill value from all other
+     * remaining values is at least an eighth of the width of their range.
      */
     float range[2];
     /**

@@ -47,8 +47,8 @@ pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
 /// Returns the parser of `--clock`.
 pub fn clock_parser() -> impl TypedValueParser<Value = ClockChoice> {
     let auto = PossibleValue::new(AUTO).help(
-        "Device timestamps if all frames have them, else wall time, unless another rule for `auto` is stated \
-         above",
+        "Device timestamps if all frames have them, wall time if none has (mixed frames are refused), unless \
+         another rule for `auto` is stated above",
     );
     PossibleValuesParser::new([auto].into_iter().chain(named_clocks()))
         .try_map(|name| if name == AUTO { Ok(None) } else { name.parse::<Clock>().map(Some) })

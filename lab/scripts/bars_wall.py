@@ -74,8 +74,8 @@ BACK_FRAMES, BACK = 2, 0.9
 # between two stops.
 HALVED_AFTER, HALVED_TURN = 10.0, 0.001
 # A frame is at half the speed if its processor time per wall time is below this share of the median of the path's first
-# AROUND frames. The half speed begins at the first such frame for which the median share of the next AROUND frames is below
-# this limit, too.
+# AROUND frames. The half speed begins at the first such frame for which the median of the AROUND frames from it on is below
+# the same value.
 AT_HALF, AROUND = 0.75, 30
 HELD_FRAMES = 3
 

@@ -248,7 +248,7 @@ def missing_targets(pages):
 
 
 def missing_examples():
-    """Yields the example programs that a script or makefile builds, but no crate has. No test builds them."""
+    """Yields the example programs that a script or makefile builds, but no crate has. Cargo does not notice a missing example."""
     has = {Path(path).stem for path in tracked("*/examples/*.rs")} | {Path(path).parts[-2] for path in tracked("*/examples/*/main.rs")}
     for path in tracked("Makefile", "make/*", "*.sh", "*.py"):
         for name in re.findall(r"--example[\"',\s]+([a-z]\w*)", (ROOT / path).read_text(encoding="utf-8")):

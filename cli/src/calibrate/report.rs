@@ -246,8 +246,9 @@ fn law_text(Pictures { error, fitted }: &Pictures) -> String {
         fitted.over_prior.map_or_else(String::new, |over| {
             let kept = if over < 1.0 { "" } else { ", so the built-in law is kept" };
             format!(
-                ". In cross-validation, laws that were fitted with the built-in law as the prior have, at equal \
-                 time, {over:.2} times the picture error of the built-in law on held-out scenes{kept}"
+                ". In cross-validation on held-out scenes, the settings of laws that were fitted with the \
+                 built-in law as the prior have {over:.2} times the picture error of the built-in law's \
+                 settings at equal time{kept}"
             )
         })
     )

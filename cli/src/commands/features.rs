@@ -23,7 +23,7 @@ use std::path::PathBuf;
   entire features --data frames.csv --root ../volumes \\
       --volumenet models/volumenet-128f2.safetensors")]
 pub struct Options {
-    /// Timing tables, such as those that `entire collect`, another collector or your own program writes.
+    /// Timing tables of `entire collect` or of any program that writes the same format.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
     /// Model files with a VolumeNet, the network that computes volume features; only models with volume

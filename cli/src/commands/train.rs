@@ -42,7 +42,7 @@ Examples:
       --model-kind residual --layers 32
         unit costs times a learned factor")]
 pub(crate) struct Options {
-    /// Timing tables, such as those that `entire collect`, another collector or your own program writes.
+    /// Timing tables of `entire collect` or of any program that writes the same format.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub(crate) data: Vec<PathBuf>,
     /// Model file to write; its model card is written beside it as Markdown.

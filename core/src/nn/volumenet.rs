@@ -32,8 +32,8 @@ pub struct EncodeScratch {
 }
 
 /// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense
-/// layer (paper, section on the volume network). Blocks can have any padding, and any kernel edge and stride
-/// up to the edge of the padded input.
+/// layer (paper, section on the volume network). The kernel edge and the stride are at most the edge of the
+/// padded input. In a model file, the padding is below the kernel edge.
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
 /// [`input`](VolumeNetParts::input)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)

@@ -190,7 +190,7 @@ impl App {
             }
             Action::Preset(name) => {
                 ensure!(PRESETS.contains(&name.as_str()), "{}", unknown("preset", &name, PRESETS));
-                ensure!(state.preset(&name), "there is no volume whose histogram gives the preset {name:?}");
+                ensure!(state.preset(&name), "the preset {name:?} needs a volume; open one first");
             }
             Action::Lobes(lobes) => {
                 let lobes = lobes.iter().map(|l| GaussianLobe { center: l[0], width: l[1], height: l[2] });

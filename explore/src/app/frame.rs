@@ -181,8 +181,8 @@ impl App {
         Ok(())
     }
 
-    /// Sets the shown name of the predictor and the commands of the button "Calibrate …", both for the current
-    /// shading mode.
+    /// Sets the shown name of the predictor and the commands of the button "Calibrate …", both for the
+    /// current shading mode.
     fn name_predictor(&mut self) {
         let Some(scene) = &self.scene else { return };
         let state = &mut self.state;

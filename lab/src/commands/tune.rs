@@ -26,9 +26,9 @@ type Played = ([Replayable; 3], FittedPredictor);
 /// of the path's frames, and with a series of these targets if there are several. Each replay runs twice with
 /// a predictor that was fitted to frames of other volumes. Short sessions without a model also play parts of
 /// the path, each from another first frame. The search accepts a value only if the value lowers the mean cost
-/// of the paths by more than two standard errors. The command changes no file but --out: enter the found values in
-/// `steer/src/control/constants.rs` and `steer/src/adapt/constants.rs`. The gains of the controller PID are
-/// searched in the same way; enter them in `cli/src/steering/rivals/algorithm1.rs`.
+/// of the paths by more than two standard errors. The command changes no file but --out: enter the found
+/// values in `steer/src/control/constants.rs` and `steer/src/adapt/constants.rs`. The gains of the controller
+/// PID are searched in the same way; enter them in `cli/src/steering/rivals/algorithm1.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab tune data/steer/training/*.json.gz \\

@@ -59,6 +59,13 @@ pub(crate) struct Row {
     pub(crate) more: BTreeMap<String, f64>,
 }
 
+impl Row {
+    /// Standard deviation of the RMSE over the runs, seconds; `None` for a single run.
+    pub(super) fn spread(&self) -> Option<f64> {
+        (self.runs > 1).then_some(self.rmse_sd)
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Curve {
     pub(crate) chart: String,

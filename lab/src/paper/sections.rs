@@ -201,7 +201,7 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
                 db("psnr test").into(),
                 row.latency.map(|l| format!("{:.2}", 1e3 * l)).into(),
                 seconds(row.rmse).into(),
-                seconds(row.rmse_sd).into(),
+                row.spread().map(seconds).into(),
                 with_interval(row.over_constant, r.over_constant_interval(row)).into(),
                 row.more.get("epochs").map(|e| format!("{e:.0}")).into(),
             ]);

@@ -76,7 +76,7 @@ fn trials_table(r: &Results, what: &str, name: &str) -> (Table, String) {
         let more = |k: &str| row.more.get(k).map(|v| format!("{v:.0}"));
         let over_first = first.map(|f| row.rmse / f.rmse);
         let interval = first.and_then(|f| interval::of_ratio(&row.by_volume, &f.by_volume));
-        let spread = if row.runs > 1 { seconds(row.rmse_sd) } else { "-".into() };
+        let spread = row.spread().map_or("-".into(), seconds);
         table.row(vec![
             row.name.as_str().into(),
             more("training frames").into(),
@@ -135,11 +135,12 @@ fn by_set(paper: &Paper, of: &[&Results]) -> Option<(Table, String)> {
          Nyx and Castro, and m03 of MAESTROeX; the rows `all three` also have m04 of Nyx and Castro. \
          `{AS_IT_IS}` is the paper's recipe on measured frames. `{}` predicts the logarithm of seconds, \
          trains on each frame with every order of its lobes, and takes the weights of the epoch with the \
-         lowest training loss, without validation frames. `{DISTILLED}` is a shipped network that was made from 440000 frame times of 44 volumes, one of them for validation and \
-         one for test. Its teacher predicted these times; the teacher was fitted to measured frames of the \
-         same volumes. `{LVRP_AS_PAPER}` renders 24³ of 192³ voxels (Nyx, Castro), and 18³ of 128 × 128 × 192 \
-         voxels (MAESTROeX: a 539th). In all rows, a linear fit of its own converts its times. In the \
-         unshaded rows, its frames were timed on another machine than all other frames.",
+         lowest training loss, without validation frames. `{DISTILLED}` is a shipped network that was made \
+         from 440000 frame times of 44 volumes, one of them for validation and one for test. Its teacher \
+         predicted these times; the teacher was fitted to measured frames of the same volumes. \
+         `{LVRP_AS_PAPER}` renders 24³ of 192³ voxels (Nyx, Castro), and 18³ of 128 × 128 × 192 voxels \
+         (MAESTROeX: a 539th). In all rows, a linear fit of its own converts its times. In the unshaded \
+         rows, its frames were timed on another machine than all other frames.",
         paper.trials.changes.last().map_or("", |c| c.name.as_str())
     );
     any.then_some((table, caption))

@@ -176,7 +176,8 @@ pub(crate) fn places(paper: &Paper, selection: &Selection, data: &Path) -> Resul
     }
     ensure!(
         !found.is_empty(),
-        "{} holds none of the data sets; name with --data the folder that holds them or ensembles/",
+        "{} holds none of the data sets; --data must name the folder that holds them, or one that holds \
+         ensembles/",
         data.display()
     );
     Ok(found)

@@ -334,7 +334,7 @@ impl Camera {
     }
 
     /// Returns true if the change from `before` to this camera is abrupt: a component of the view direction
-    /// changed by more than 0.5 (a turn of 30 to 51 degrees, depending on its axis), the distance (for
+    /// changed by more than 0.5 (a turn of 29 to 51 degrees, depending on both directions), the distance (for
     /// parallel cameras, the scale) changed by a factor of 1.5 or more, or the projection changed between
     /// perspective and parallel.
     ///

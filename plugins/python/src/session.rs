@@ -179,9 +179,9 @@ impl Session {
     /// Parameters
     /// ----------
     /// image_weight : float or None
-    ///     Error of an image of half the size along each side, divided by the error of a step twice as
-    ///     coarse, raised to the power above; 1e-3 to 1e3. With None, the initial value, the session uses the
-    ///     model's law, if the model was calibrated with pictures of this renderer, else the law that is
+    ///     The power of the error of an image of half the size along each side, divided by the same power of
+    ///     the error of a step twice as coarse; 1e-3 to 1e3. With None, the initial value, the session uses
+    ///     the model's law, if the model was calibrated with pictures of this renderer, else the law that is
     ///     built in for the renderer.
     /// step_exponent, image_exponent : float, optional
     ///     Exponents of the errors of step and image, 0.05 to 8. Default 1.

@@ -124,7 +124,7 @@ std::string ReadCamera(
   vtkRenderer* renderer, vtkMatrix4x4* placed, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
 
 // True if the camera changed abruptly between two frames: a component of its view direction changed by more than 0.5 (a
-// turn of 30 to 51 degrees, depending on its axis), its distance (with a parallel projection, its scale) changed by a
+// turn of 29 to 51 degrees, depending on both directions), its distance (with a parallel projection, its scale) changed by a
 // factor of 1.5 or more, or its projection changed. Camera.jumps_from() of the Python package has the same rule.
 inline bool Jumps(const entire_frame& before, const entire_frame& now)
 {

@@ -167,10 +167,10 @@ public:
   /**
    * Quality law of vtkFixedPointVolumeRayCastMapper and of vtkGPUVolumeRayCastMapper: picture error and time as
    * functions of sample distance and image sample distance. Of the two, steering coarsens the one that adds less
-   * error for the time that it saves. The four numbers are image weight, step exponent, image exponent and ray share,
-   * as in entire_session_set_quality(). With an image weight of 0, the default, the law is the model's, if the model was
-   * calibrated with pictures of this mapper (entire_session_record_picture(); entire.vtk.calibrate() in Python).
-   * Otherwise it is a built-in law, measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py).
+   * error for the time that it saves. The four numbers are image weight, step exponent, image exponent and ray
+   * share, as in entire_session_set_quality(). With an image weight of 0, the default, the law is the model's, if the
+   * model was calibrated with pictures of this mapper (entire_session_record_picture(); entire.vtk.calibrate() in
+   * Python). Otherwise it is a built-in law, measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py).
    */
   vtkSetVector4Macro(FixedPointQuality, double);
   vtkGetVector4Macro(FixedPointQuality, double);

@@ -35,10 +35,11 @@ pub struct HybridOptions {
     /// 0.07.
     pub miss_rate: f32,
     /// Tolerance: share of the target by which a frame's upper bound may exceed the target; 0.1 by default.
-    /// There are two exceptions. The finest allowed step is chosen, whatever its bound, if its expected time
-    /// meets the target and if the finest step whose bound is within the tolerance is at most exp(`full`)
-    /// times the finest allowed step ([`HybridConstants`]). If no step has a bound within the tolerance, the
-    /// step is chosen by its expected cost ([`Reason::Fits`]).
+    /// Exceptions: The finest allowed step is chosen, whatever its bound, if its expected time meets the
+    /// target and if the finest step whose bound is within the tolerance is at most exp(`full`) times the
+    /// finest allowed step ([`HybridConstants`]). If no step has a bound within the tolerance, the step is
+    /// chosen by its expected cost among the steps that are expected to meet the target ([`Reason::Fits`]).
+    /// If there is none, the coarsest step is chosen ([`Reason::TargetUnreachable`]).
     pub tolerance: f32,
     /// Standard deviation of ln(measured / predicted) of a model that was fitted to times of this machine and
     /// clock. `None` if the machine was never measured, so that even the order of magnitude is unknown.

@@ -69,8 +69,8 @@ quantities! {
     Runs, "runs", "runs", 1.0, no, yes, "expected runs of samples between jumps over empty blocks";
     Segments, "segments", "segments", 1.0, yes, yes,
         "expected reads of the skip map within runs, those along shadow rays included: each read gives the \
-         distance to the nearest empty block, and the renderer takes the samples within this distance without \
-         another read";
+         distance to the nearest empty block, and the renderer takes the samples within this distance \
+         without another read";
     LocalSamples, "local_samples", "samples", 1.0, yes, yes,
         "visible samples, if the frame has local lighting; 0 without local lighting";
     ScatterSamples, "scatter_samples", "samples", 1.0, yes, yes,

@@ -39,11 +39,11 @@ pub(crate) struct Options {
     /// Model files.
     #[arg(long, required = true, num_args = 1.., value_name = "SAFETENSORS")]
     pub(crate) model: Vec<PathBuf>,
-    /// Timing tables, such as those that `entire collect`, another collector or your own program writes.
+    /// Timing tables of `entire collect` or of any program that writes the same format.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub(crate) data: Vec<PathBuf>,
     /// Clock of the measured seconds; `auto`: the clock that the models state, else the device's timestamps
-    /// if all frames have them, else wall time. A model that states another clock is refused.
+    /// if all frames have them, or wall time if none has. A model that states another clock is refused.
     #[arg(long, value_parser = clock_parser(), default_value = "auto")]
     pub(crate) clock: ClockChoice,
     /// Only frames with this shading: none, local, scatter or local-scatter.

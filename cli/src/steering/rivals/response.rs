@@ -44,7 +44,8 @@ impl StepResponse {
         }
         ensure!(
             blocks.len() >= 2,
-            "the response curve G has samples at the reference step only; time frames at another ray step, too"
+            "the response curve G needs scenes that were timed at the reference step and at another ray \
+             step; add such frames"
         );
         // Pool adjacent violators: (sum of weighted values, weight, number of points).
         let mut pools: Vec<(f64, f64, usize)> = Vec::new();

@@ -115,8 +115,8 @@ pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
     }
 }
 
-/// Dequantizes integer sums to W·x + b = scale·(s·sum − zero·w) + bias, where s is the scale and w the sum of
-/// an output's weights.
+/// Dequantizes integer sums to W·x + b = scale·(s·sum − zero·w) + bias. `scale` and `zero` are those of the
+/// row's inputs (`range`), s is the scale and w the sum of an output's weights.
 ///
 /// # Safety
 /// `panel` must be a packed int8 panel of `n` outputs, `o` + LANES ≤ `n`.

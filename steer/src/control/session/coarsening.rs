@@ -324,7 +324,8 @@ mod tests {
     fn what_costs_the_picture_less_is_coarsened_first() {
         // A smaller image has almost no error, so the step must stay fine while the image can become smaller.
         let mut images = judged(Quality { image_weight: 0.002, ..EVEN });
-        // The next distance is used only if the step then exceeds the finest step by [`DISTANCE_HYSTERESIS`].
+        // The next distance is used only if the step is then at least `DISTANCE_HYSTERESIS` times the finest
+        // step.
         for (c, distance) in [(1.8f32, 1.2f32), (2.5, 1.44), (4.5, 1.728), (9.0, 2.48832)] {
             let (step, chosen) = images.take(c);
             assert!((chosen - distance).abs() < 1e-5 && step < 1.51, "{c}: {step} {chosen}");

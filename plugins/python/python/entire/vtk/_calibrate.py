@@ -62,7 +62,7 @@ def calibrate(
         Default: the renderer's first volume. Its mapper must be the GPU or the fixed-point mapper; :func:`hold`
         exchanges a smart mapper for a GPU mapper.
     frames : int, optional
-        Number of frames to draw, at least 10. Default 60.
+        Number of frames to draw, 10 to 65536. Default 60.
     seed : int, optional
         Seed of the random frames. Default 0.
     coarsest : float, optional
@@ -90,8 +90,8 @@ def calibrate(
     """
     if pictures and pictures < 3:
         raise ValueError(f"pictures is {pictures}; at least 3 scenes are needed for a quality law, or 0 for none")
-    if frames < 10:
-        raise ValueError(f"frames is {frames}; at least 10 are needed to fit the unit costs; 60 are enough")
+    if not 10 <= frames <= 65536:
+        raise ValueError(f"frames is {frames}; 10 to 65536 are accepted; 60 are enough to fit the unit costs")
     _check_renderer(renderer)
     if renderer.GetRenderWindow() is None:
         raise ValueError("the renderer has no window; add it to one with AddRenderer()")
