@@ -102,7 +102,7 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     print("Slurm", "", engines, &version_of("sbatch", &["--version"], "apt-get install slurm-wlm"));
     // The farm runs HyperQueue by its Python package, not by its command `hq`.
     let version = ["-c", "from importlib.metadata import version; print(version('hyperqueue'))"];
-    let remedy = "install hyperqueue with pip, for the Python that --python names (default: python3)";
+    let remedy = "run `pip install hyperqueue` with the Python that --python names (default: python3)";
     print("HyperQueue", "", engines, &version_of(&options.python, &version, remedy));
     Ok(())
 }
@@ -246,7 +246,7 @@ fn python_package(
         (None, Some(version)) => Ok(format!("{version}, only in {SYSTEM_PYTHON}")),
         (None, None) if package == "entire" => Err("make wheel, then pip install out/wheels/entire-*.whl"),
         (None, None) => {
-            Err("install the package with pip, for the Python that --python names (default: python3)")
+            Err("run `pip install` with the Python that --python names (default: python3)")
         }
     }
 }
