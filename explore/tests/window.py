@@ -403,7 +403,9 @@ def what_is_wrong_is_said(command, display, folder):
     for volume, line, says in (
         (folder / "none.nrrd", at(0, quit=True), "no such file"),
         (BANANA, '{"frame": 0, "dance": true}', "line 1"),
-        (BANANA, at(0, preset="nothing"), "no preset"),
+        (BANANA, at(0, preset="nothing"), 'no preset "nothing"; there are ramp'),
+        (BANANA, at(0, view="sideways"), 'no view "sideways"; there are front'),
+        (BANANA, at(0, controller="nobody"), 'no controller "nobody"; there are '),
     ):
         try:
             tools.run_script(command, display, [line], folder, [volume, "--size", "640x480"])

@@ -245,9 +245,7 @@ fn python_package(
         (Some(version), _) => Ok(version.clone()),
         (None, Some(version)) => Ok(format!("{version}, only in {SYSTEM_PYTHON}")),
         (None, None) if package == "entire" => Err("make wheel, then pip install out/wheels/entire-*.whl"),
-        (None, None) => {
-            Err("run `pip install` with the Python that --python names (default: python3)")
-        }
+        (None, None) => Err("run `pip install` with the Python that --python names (default: python3)"),
     }
 }
 
