@@ -91,7 +91,7 @@ def calibrate(
     if pictures and pictures < 3:
         raise ValueError(f"pictures is {pictures}; at least 3 scenes are needed for a quality law, or 0 for none")
     if not 10 <= frames <= 65536:
-        raise ValueError(f"frames is {frames}; 10 to 65536 are accepted; 60 are enough to fit the unit costs")
+        raise ValueError(f"frames is {frames}; at least 10 and at most 65536 are accepted; 60 are enough")
     _check_renderer(renderer)
     if renderer.GetRenderWindow() is None:
         raise ValueError("the renderer has no window; add it to one with AddRenderer()")
