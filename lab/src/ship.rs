@@ -15,6 +15,7 @@ use entire_report::{Card, CardFigures};
 use entire_steer::predict::AnalyticModel;
 use entire_train::bound;
 use entire_train::fit::{DtypeChoice, FitContext, predict};
+use entire_train::inputs::prednet_of;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -83,7 +84,7 @@ pub(crate) fn ship(
 /// Changes the storage format of the network's weights.
 fn store_as(file: &mut ModelFile, dtype: DtypeChoice) -> Result<()> {
     let model = file.to_model()?;
-    let mut parts = model.prednet.as_ref().context("the model file holds no PredNet")?.clone();
+    let mut parts = prednet_of(&model)?.clone();
     for layer in &mut parts.layers {
         layer.dtype = dtype.storage();
     }

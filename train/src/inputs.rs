@@ -4,7 +4,7 @@
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::kernels::Executor;
 use entire_core::model::Model;
-use entire_core::nn::{VolumeNet, VolumeNetParts};
+use entire_core::nn::{PredNetParts, VolumeNet, VolumeNetParts};
 use entire_core::scene::VolumeView;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Manifest, Scene, Table, TimedFrame};
@@ -18,6 +18,24 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Deref;
+use std::path::Path;
+
+/// The network of a model that predicts.
+///
+/// # Errors
+/// When the model holds no PredNet.
+pub fn prednet_of(model: &Model) -> Result<&PredNetParts> {
+    model.prednet.as_ref().context("the model file holds no PredNet; give a model that predicts")
+}
+
+/// The encoder of the model that was read from `path`.
+///
+/// # Errors
+/// When the model holds no VolumeNet.
+pub fn volumenet_of<'a>(model: &'a Model, path: &Path) -> Result<&'a VolumeNetParts> {
+    let none = || format!("{} holds no VolumeNet; give a model that encodes volumes", path.display());
+    model.volumenet.as_ref().with_context(none)
+}
 
 /// A VolumeNet, and the name by which feature tables identify its weights.
 #[derive(Debug)]
@@ -73,7 +91,7 @@ impl Layout {
     /// When the file contains no PredNet, an input group is unknown, or volume features are needed and the
     /// file has no VolumeNet.
     pub fn of_model(model: &Model) -> Result<Self> {
-        ensure!(model.prednet.is_some(), "the model file holds no PredNet; give a model that predicts");
+        prednet_of(model)?;
         let layout = InputLayout::of_model(model)?;
         let encoder = model.volumenet.as_ref().map(Encoder::new).transpose()?;
         ensure!(

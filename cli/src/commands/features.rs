@@ -1,7 +1,7 @@
 //! `entire features`: scene features of the frames of timing tables, stored beside them.
 
 use crate::program::print_line;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use entire_core::nn::VolumeNet;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Table, TimedFrame};
@@ -9,7 +9,7 @@ use entire_io::files::open_model;
 use entire_io::options::thread_pool;
 use entire_io::progress::{INPUTS_BAR, templated_bar};
 use entire_steer::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneQuantity};
-use entire_train::inputs::measure;
+use entire_train::inputs::{measure, volumenet_of};
 use std::path::PathBuf;
 
 /// Compute the scene features of collected frames and keep them beside the tables.
@@ -62,9 +62,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut encoders = Vec::new();
     for path in &options.volumenet {
         let model = open_model(path)?;
-        let parts = model.volumenet.as_ref().with_context(|| {
-            format!("{} holds no VolumeNet; give a model that encodes volumes", path.display())
-        })?;
+        let parts = volumenet_of(&model, path)?;
         encoders.push((encoder_id(parts), VolumeNet::new(parts)?));
     }
     for path in &options.data {

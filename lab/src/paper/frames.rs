@@ -7,13 +7,14 @@ use super::description::{DataSet, Panel, Paper};
 use super::encode::{ALL, Encoder};
 use super::volumes::{Parts, Place, places};
 use crate::study::{Low, twins};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use entire_cli::commands::features;
 use entire_io::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use entire_io::dataset::{Clock, Table};
 use entire_io::files::{fnv1a_text, open_model, read_bytes};
 use entire_steer::features::{PROBE_SIDE, SceneQuantity};
 use entire_train::fit::Recipe;
+use entire_train::inputs::volumenet_of;
 use entire_train::split::TimedFrames;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -158,8 +159,7 @@ fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
         sides.iter().map(|&s| quantity_column(SceneQuantity::SamplesPerPixel, s)).collect();
     for encoder in &encoders {
         let model = open_model(encoder)?;
-        let parts =
-            model.volumenet.as_ref().with_context(|| format!("{} holds no VolumeNet", encoder.display()))?;
+        let parts = volumenet_of(&model, encoder)?;
         wanted.push(code_column(&encoder_id(parts), 0));
     }
     if there.is_some_and(|t| wanted.iter().all(|w| t.column(w).is_some())) {

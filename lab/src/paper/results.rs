@@ -14,6 +14,7 @@ use entire_io::files::{
     write_whole,
 };
 use entire_io::metrics::percentile;
+use entire_train::inputs::volumenet_of;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -261,7 +262,7 @@ pub(crate) fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result
 /// Reads the training record in the file of a shipped encoder; `None` if there is none.
 fn shipped(path: &Path) -> Result<Option<Reconstruction>> {
     let (file, model) = read_model_file(path)?;
-    let net = model.volumenet.as_ref().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+    let net = volumenet_of(&model, path)?;
     let Some(text) = file.metadata.get(Key::Provenance.name()) else { return Ok(None) };
     let provenance: Provenance = serde_json::from_str(text)
         .with_context(|| format!("{}: the training record in the metadata cannot be read", path.display()))?;

@@ -17,8 +17,8 @@ pub use analytic::{counts, expected_costs, typical_costs, typical_costs_of};
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice};
 
 use crate::gradient::EpochRecord;
-use crate::inputs::Layout;
-use anyhow::{Context as _, Result};
+use crate::inputs::{Layout, prednet_of};
+use anyhow::Result;
 use entire_core::kernels::{Level, Storage};
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::PredNet;
@@ -67,8 +67,7 @@ pub fn predict_rows(
     rows: &[f32],
     storage: Option<Storage>,
 ) -> Result<Vec<f64>> {
-    let parts =
-        model.prednet.as_ref().context("the model file holds no PredNet; give a model that predicts")?;
+    let parts = prednet_of(model)?;
     let net = match storage {
         Some(storage) => PredNet::with(parts, Level::detect(), storage)?,
         None => PredNet::new(parts)?,

@@ -5,7 +5,7 @@ use super::compose::{carry_past, side_by_side};
 use super::training::{NOTHING_LEARNED, run_training};
 use super::{FitContext, FittedModel};
 use crate::gradient::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
-use crate::inputs::{Encoder, Layout};
+use crate::inputs::{Encoder, Layout, prednet_of, volumenet_of};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::{Args as _, FromArgMatches as _};
 use entire_core::model::{GroupKind, Key, ModelFile};
@@ -354,10 +354,7 @@ impl Recipe {
                 // All entries except these two describe the file's own predictor, which is replaced.
                 let taken = [Key::Format.name(), Key::VolumeNet.name()];
                 file.metadata.retain(|key, _| taken.contains(&key.as_str()));
-                let parts = model.volumenet.as_ref().with_context(|| {
-                    format!("{} holds no VolumeNet; give a model that encodes volumes", path.display())
-                })?;
-                (file, Some(Encoder::new(parts)?))
+                (file, Some(Encoder::new(volumenet_of(&model, path)?)?))
             }
             None => (ModelFile::default(), None),
         };
@@ -526,8 +523,7 @@ impl Recipe {
             path.display()
         );
         let mut layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
-        let net =
-            model.prednet.as_ref().context("the model file holds no PredNet; give a model that predicts")?;
+        let net = prednet_of(&model)?;
         let settings = Settings { target: net.target, ..self.settings()? };
         let inputs = rows(&layout, context, parts)?;
         ensure!(!(context.stop)(), NOTHING_LEARNED);
