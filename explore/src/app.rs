@@ -106,16 +106,19 @@ fn unknown(what: &str, name: &str, known: impl IntoIterator<Item = &'static str>
     format!("there is no {what} {name:?}; there are {}", known.join(", "))
 }
 
+/// Returns the index of the controller of a given name.
+fn controller_of(controllers: &[(&'static str, &'static str)], name: &str) -> Result<usize> {
+    let found = controllers.iter().position(|c| c.0 == name);
+    found.with_context(|| unknown("controller", name, controllers.iter().map(|c| c.0)))
+}
+
 /// Opens the window and returns once it is closed.
 ///
 /// # Errors
 /// When there is no display, no device can show pictures on it, or a script fails.
 pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
     let controllers = host.controllers();
-    let controller = controllers
-        .iter()
-        .position(|c| c.0 == options.controller)
-        .with_context(|| unknown("controller", &options.controller, controllers.iter().map(|c| c.0)))?;
+    let controller = controller_of(&controllers, &options.controller)?;
     let steer = Steer::new(controllers, controller, options.target);
     let script = options.script.as_deref().map(Script::open).transpose()?;
     if script.is_some() && options.volumes.is_empty() {

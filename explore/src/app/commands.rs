@@ -1,6 +1,6 @@
 //! Commands of the user or a script.
 
-use super::{App, Waiting, unknown};
+use super::{App, Waiting, controller_of, unknown};
 use crate::camera::Axis;
 use crate::exchange;
 use crate::loading::Load;
@@ -198,10 +198,7 @@ impl App {
                 state.replace(Curve { opacity: Opacity::Lobes(lobes.collect()), colors });
             }
             Action::Controller(name) => {
-                let known = state.steer.controllers.iter().position(|c| c.0 == name);
-                state.steer.controller = known.with_context(|| {
-                    unknown("controller", &name, state.steer.controllers.iter().map(|c| c.0))
-                })?;
+                state.steer.controller = controller_of(&state.steer.controllers, &name)?;
                 state.changed.settings = true;
             }
             Action::Steering(on) => {
