@@ -248,8 +248,10 @@ def missing_targets(pages):
 
 
 def missing_examples():
-    """Yields the example programs that a script or makefile builds, but no crate has. Cargo does not notice a missing example."""
-    has = {Path(path).stem for path in tracked("*/examples/*.rs")} | {Path(path).parts[-2] for path in tracked("*/examples/*/main.rs")}
+    """Yields the example programs that a script or makefile builds, but no crate has. Cargo does not notice a missing
+    example."""
+    has = {Path(path).stem for path in tracked("*/examples/*.rs")}
+    has |= {Path(path).parts[-2] for path in tracked("*/examples/*/main.rs")}
     for path in tracked("Makefile", "make/*", "*.sh", "*.py"):
         for name in re.findall(r"--example[\"',\s]+([a-z]\w*)", (ROOT / path).read_text(encoding="utf-8")):
             if name not in has:
@@ -454,9 +456,9 @@ def main():
 
 def asked(options):
     """Limits of the bars by name."""
-    counts = ["broken-links", "missing-paths", "missing-c-names", "missing-make-targets", "missing-examples", "documents-of-other-versions",
-              "readme-figures-apart-from-results", "code-blocks-that-do-not-compile", "other-addresses", "circles-without-reason",
-              "definitions-that-begin-with-what-whether-how"]
+    counts = ["broken-links", "missing-paths", "missing-c-names", "missing-make-targets", "missing-examples",
+              "documents-of-other-versions", "readme-figures-apart-from-results", "code-blocks-that-do-not-compile",
+              "other-addresses", "circles-without-reason", "definitions-that-begin-with-what-whether-how"]
     if options.bin_dir or not options.quick:
         counts += ["missing-commands", "options-in-no-document"]
     if not options.quick:

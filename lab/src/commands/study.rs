@@ -62,8 +62,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     write(&options.out, &study, &found)?;
     if let Some(folder) = &options.ship {
-        let named = !study.ship.is_empty();
-        ensure!(named, "--ship: {} names no predictor under the key `ship`", options.study.display());
+        ensure!(
+            !study.ship.is_empty(),
+            "--ship: {} names no predictor under the key `ship`",
+            options.study.display()
+        );
         for path in ship(folder, &study, &found, &runner)? {
             println!("wrote {}", path.display());
         }

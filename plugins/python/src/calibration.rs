@@ -3,23 +3,21 @@
 use crate::detach::detached;
 use crate::errors::raise;
 use entire_core::Error;
-use entire_steer::calibrate::Calibrated;
+use entire_steer::Session;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 /// A model file's bytes, and its calibration's report.
 pub(crate) type Fitted<'py> = (Bound<'py, PyBytes>, Bound<'py, PyDict>);
 
-/// Runs a fit with the interpreter lock released, and returns its result for Python.
-pub(crate) fn fitted<'py>(
-    py: Python<'py>,
-    fit: impl FnOnce() -> Result<Calibrated, Error> + Send,
-) -> PyResult<Fitted<'py>> {
-    let made = detached(py, || {
-        let fitted = fit()?;
-        Ok((fitted.file.to_bytes()?, fitted))
-    });
-    let (bytes, fitted): (Vec<u8>, Calibrated) = made.map_err(raise)?;
+/// Fits a model to a session's recorded frames with the interpreter lock released, and returns the result for
+/// Python. Access to the session is exclusive, since predictors are not `Sync`.
+pub(crate) fn fitted<'py>(py: Python<'py>, session: &mut Session) -> PyResult<Fitted<'py>> {
+    let (bytes, fitted) = detached(py, move || {
+        let fitted = session.calibrate()?;
+        Ok::<_, Error>((fitted.file.to_bytes()?, fitted))
+    })
+    .map_err(raise)?;
     let report = PyDict::new(py);
     report.set_item("frames", fitted.frames)?;
     report.set_item("held_out", fitted.held_out.to_string())?;

@@ -595,10 +595,7 @@ impl Session {
 
     /// Fits a model to the recorded frames; returns the bytes of its file, and its report.
     fn calibrate_bytes<'py>(&self, py: Python<'py>) -> PyResult<Fitted<'py>> {
-        let mut state = self.state(py)?;
-        // Exclusive access, since predictors are not `Sync`.
-        let core = &mut state.core;
-        fitted(py, move || core.calibrate())
+        fitted(py, &mut self.state(py)?.core)
     }
 
     /// :meth:`entire.Session.set_model` with an opened `model`.
