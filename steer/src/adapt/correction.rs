@@ -63,14 +63,16 @@ fn standard_deviation(variance: f64) -> f64 {
 ///
 /// Times have a heavy tail on the slow side: other programs slow frames down, mostly several in a row, and
 /// such times carry no information about the scene. A single frame that is too slow by more than three
-/// standard deviations is a stall, and its error is clipped to three standard deviations. The error of a
-/// frame that is too fast is clipped at `clip_below`. Two successive frames that are both too slow, or both
-/// too fast, by more than three standard deviations begin a *load*: a factor on the times of all scenes. The
-/// load ends with the first frame whose time is more likely without the load than with it. During a load,
-/// later frames of the present scene do not update θ and b; its first frame does. If a load lasts longer than
-/// [`ESTABLISHED_FRAMES`] frames, it is added to θ: from then on, the changed speed counts as the machine's
-/// normal speed. A scene of at most [`ESTABLISHED_FRAMES`] frames may have begun under an undetected load: if
-/// its frames become faster, b is changed instead of the load. All state is bounded.
+/// standard deviations is a stall, and its error is clipped to three standard deviations. If the time of the
+/// next frame is closer to the expected time without the stall, the stall's increase of b is taken back. The
+/// error of a frame that is too fast is clipped at `clip_below`. Two successive frames that are both too
+/// slow, or both too fast, by more than three standard deviations begin a *load*: a factor on the times of
+/// all scenes; a stall's increase of b is then taken back, too. The load ends with the first frame whose time
+/// is more likely without the load than with it. During a load, later frames of the present scene do not
+/// update θ and b; its first frame does. If a load lasts longer than [`ESTABLISHED_FRAMES`] frames, it is
+/// added to θ: from then on, the changed speed counts as the machine's normal speed. A scene of at most
+/// [`ESTABLISHED_FRAMES`] frames may have begun under an undetected load: if its frames become faster, b is
+/// changed instead of the load. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// Estimates of the filter: the logarithm θ_i of each term's factor, then the logarithm b of the scene's
@@ -91,6 +93,9 @@ pub(crate) struct Correction {
     /// Number of the last consecutive frames whose errors exceed [`CLIP`]: positive if they were too slow,
     /// negative if they were too fast.
     off: i64,
+    /// Increase of b by the last observation if that was a stall, else 0. The next observation may take this
+    /// increase back.
+    stall: f64,
     /// True if the last observation began or ended a load, or was so fast that its error was applied without
     /// clipping. Earlier frames then do not predict the next one.
     pub(crate) jumped: bool,
@@ -197,6 +202,7 @@ impl Correction {
             load: 0.0,
             loaded: 0,
             off: 0,
+            stall: 0.0,
             jumped: false,
             observations: 0,
             age: 0,
@@ -255,6 +261,7 @@ impl Correction {
         let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
         let keep = 1.0 - novelty;
         self.state[LOCAL] *= keep;
+        self.stall *= keep;
         for i in 0..STATES {
             self.covariance[i][LOCAL] *= keep;
             self.covariance[LOCAL][i] *= keep;
@@ -294,7 +301,7 @@ impl Correction {
         if !(seconds.is_finite() && seconds > 0.0 && predicted.is_finite() && predicted > 0.0) {
             return f64::NAN;
         }
-        let free = libm::log(seconds / predicted);
+        let mut free = libm::log(seconds / predicted);
         let others = if this_scene { 0.0 } else { self.change };
         let weakened = |noise: f64| noise / trust.clamp(LEAST_TRUST, 1.0) + others;
         let noise = weakened(self.noise());
@@ -308,7 +315,15 @@ impl Correction {
         }
         let loaded = self.loaded();
         self.jumped = false;
-        let whole = this_scene && trust >= 1.0 && self.judge(free, sd);
+        let judged = this_scene && trust >= 1.0;
+        let mut whole = false;
+        if judged {
+            if libm::fabs(free + self.stall) < libm::fabs(free) {
+                free = self.take_back(free);
+            }
+            whole = self.judge(&mut free, sd);
+            self.stall = 0.0;
+        }
         if whole {
             self.covariance[LOCAL][LOCAL] += free * free;
             self.tidy();
@@ -337,6 +352,7 @@ impl Correction {
             self.spread = self.follow(self.spread, squared);
         }
         // Kalman update.
+        let local = self.state[LOCAL];
         let variance = model + noise;
         let mut ps = [0.0f64; STATES];
         for i in 0..STATES {
@@ -348,6 +364,9 @@ impl Correction {
             for j in 0..STATES {
                 self.covariance[i][j] -= gain * ps[j];
             }
+        }
+        if judged && self.off > 0 {
+            self.stall = (self.state[LOCAL] - local).max(0.0);
         }
         self.tidy();
         self.observations = self.observations.saturating_add(1);
@@ -362,12 +381,13 @@ impl Correction {
     }
 
     /// Begins, changes or ends the load. `free` is ln(observed / expected without a load), `sd` its standard
-    /// deviation. Returns true if the scene's own factor must be changed instead of the load: the frames
-    /// of a new scene have become faster.
-    fn judge(&mut self, free: f64, sd: f64) -> bool {
-        let with = free - self.load;
+    /// deviation. If a load begins, the stall before it was its first frame, so the stall's increase of b is
+    /// taken back, and `free` is computed anew. Returns true if the scene's own factor must be changed
+    /// instead of the load: the frames of a new scene have become faster.
+    fn judge(&mut self, free: &mut f64, sd: f64) -> bool {
+        let with = *free - self.load;
         // After n frames of a load, the odds that it continues are n to 1 (Laplace's rule of succession).
-        if self.loaded() && with * with - free * free > 2.0 * sd * sd * libm::log(self.loaded as f64) {
+        if self.loaded() && with * with - *free * *free > 2.0 * sd * sd * libm::log(self.loaded as f64) {
             self.pace(0.0);
             return false;
         }
@@ -381,6 +401,7 @@ impl Correction {
                 (self.off, self.jumped) = (0, true);
                 return true;
             }
+            *free = self.take_back(*free);
             self.pace(free.clamp(-STATE_LIMIT, STATE_LIMIT));
             return false;
         }
@@ -401,6 +422,13 @@ impl Correction {
             }
         }
         false
+    }
+
+    /// Takes back the stall's increase of b. Returns ln(observed / expected without a load), which was `free`
+    /// before.
+    fn take_back(&mut self, free: f64) -> f64 {
+        self.state[LOCAL] -= self.stall;
+        free + core::mem::take(&mut self.stall)
     }
 
     /// Begins a load whose first frame is the last observed frame; a `load` of 0 ends the present load.
@@ -480,7 +508,7 @@ impl Correction {
 
     /// Forgets all observations if a value is not finite: no observation would repair such a filter.
     fn recover(&mut self) {
-        let rest = [self.spread, self.spread_of_all, self.change, self.load];
+        let rest = [self.spread, self.spread_of_all, self.change, self.load, self.stall];
         let mut numbers = self.state.iter().chain(self.covariance.iter().flatten()).chain(&rest);
         if !numbers.all(|v| v.is_finite()) {
             self.reset();
@@ -524,7 +552,7 @@ impl Correction {
         r.f64(-STATE_LIMIT, STATE_LIMIT)?;
         r.u64()?;
         r.f64(-LOAD_START_FRAMES as f64, LOAD_START_FRAMES as f64)?;
-        (self.load, self.loaded, self.off) = (0.0, 0, 0);
+        (self.load, self.loaded, self.off, self.stall) = (0.0, 0, 0, 0.0);
         self.observations = r.u64()?;
         self.age = r.u64()?;
         self.tidy();

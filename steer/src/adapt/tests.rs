@@ -79,6 +79,49 @@ fn single_spikes_barely_move_it() {
     }
 }
 
+/// Expected times of frames of a still scene, divided by the first of them. Before these frames, 40 noisy
+/// frames are observed. Then frame i takes `factors[i]` times the first expected time.
+fn expected_after(factors: &[f64]) -> Vec<f64> {
+    let mut noise = Noise(5);
+    let mut correction = Correction::new(Prior::Fitted { log_sd: 0.1 }, CorrectionConstants::default());
+    let terms = CostTerms::whole(0.01, 0.0, Source::Analytic);
+    for i in 0..40 {
+        correction.advance(if i == 0 { 1.0 } else { 0.0 });
+        let standing = if i == 0 { Standing::First } else { Standing::Same };
+        correction.observe(&terms, 0.01 * (1.0 + 0.2 * (noise.uniform() - 0.5)), standing, 1.0);
+    }
+    let usual = correction.apply(&terms).seconds;
+    let mut expected = Vec::new();
+    for factor in factors {
+        correction.advance(0.0);
+        expected.push(correction.apply(&terms).seconds / usual);
+        correction.observe(&terms, usual * factor, Standing::Same, 1.0);
+    }
+    expected
+}
+
+#[test]
+fn a_stall_leaves_no_trace_after_one_usual_frame() {
+    let expected = expected_after(&[2.0, 1.0, 1.0, 1.0]);
+    assert!(expected[1] > 1.03, "{expected:?}");
+    assert!(expected[2..].iter().all(|t| (t - 1.0).abs() < 1.0e-3), "{expected:?}");
+}
+
+#[test]
+fn a_load_leaves_no_trace_after_its_end() {
+    let expected = expected_after(&[2.5, 2.5, 2.5, 2.5, 1.0, 1.0, 1.0]);
+    assert!(expected[2..5].iter().all(|t| (t - 2.5).abs() < 1.0e-3), "{expected:?}");
+    assert!(expected[5..].iter().all(|t| (t - 1.0).abs() < 1.0e-3), "{expected:?}");
+}
+
+#[test]
+fn a_change_of_the_scene_that_begins_like_a_stall_is_kept() {
+    // The first changed frame is a stall; the others are closer to it than to the frames before the change.
+    let expected = expected_after(&[1.3; 12]);
+    assert!(expected[1] > 1.03 && expected.is_sorted(), "{expected:?}");
+    assert!((expected[11] - 1.3).abs() < 0.02, "{expected:?}");
+}
+
 #[test]
 fn values_that_are_no_times_change_nothing() {
     let mut correction = Correction::new(Prior::Unknown, CorrectionConstants::default());
