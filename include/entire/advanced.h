@@ -876,6 +876,16 @@ entire_result entire_session_quality(const entire_session *session,
 entire_result entire_session_set_enabled(entire_session *session, uint32_t enabled);
 
 /**
+ * States the processor seconds of the renderer's process, over all of its threads, in the frame that is
+ * observed next, for a renderer that runs on the processor and is observed by wall time. If other programs
+ * take processors away, this time falls relative to the wall time, and the session follows after one slow
+ * frame instead of two. A value that is not finite and positive counts as unknown.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_processor_seconds(entire_session *session, float seconds);
+
+/**
  * Announces that the next frame differs abruptly from the previous one in a way that the session cannot
  * detect: flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are detected
  * without this call.

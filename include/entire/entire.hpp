@@ -481,6 +481,9 @@ public:
             return failure::last(code);
         return out;
     }
+    status set_processor_seconds(float seconds) {
+        return detail::done(entire_session_set_processor_seconds(get(), seconds));
+    }
     plain_result<entire_verdict> observe(std::uint64_t plan_id, float seconds, std::uint32_t flags = 0) {
         entire_verdict verdict = ENTIRE_VERDICT_LEARNED;
         if (auto code = entire_session_observe(get(), plan_id, seconds, flags, &verdict)) return failure::last(code);

@@ -346,6 +346,7 @@ static void call(void) {
         break;
     case 21:
         note(entire_session_set_enabled(session, (uint32_t)below(3)));
+        note(entire_session_set_processor_seconds(session, number(-0.01f, 0.2f)));
         break;
     case 22:
         note(entire_session_mark(session, (uint32_t)below(70)));

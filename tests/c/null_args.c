@@ -110,6 +110,7 @@ int main(int argc, char **argv) {
     NONE(entire_session_set_max_image_sample_distance(NULL, 2, 1));
     NONE(entire_session_set_quality(NULL, 1, 1, 1, 0));
     NONE(entire_session_set_enabled(NULL, 1));
+    NONE(entire_session_set_processor_seconds(NULL, 1));
     NONE(entire_session_mark(NULL, 0));
     NONE(entire_session_predict(NULL, &frame, &prediction));
     NONE(entire_session_predict(p, NULL, &prediction));

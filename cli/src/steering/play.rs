@@ -4,8 +4,8 @@ use super::metrics::{Metrics, Played};
 use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{Frame, VolumeView};
-use entire_io::dataset::Timing;
-use entire_io::options::DrawSettings;
+use entire_io::dataset::{Clock, Timing};
+use entire_io::options::{DrawSettings, is_software};
 use entire_io::path::FlightPath;
 use entire_io::progress::progress_bar;
 use entire_steer::control::{ObserveFlags, Quality, Reason, Session, StepLimits};
@@ -247,6 +247,8 @@ pub(crate) fn play(
     let bar = progress_bar("play");
     bar.set_length(task.path.frames.len() as u64);
     bar.reset_eta();
+    // On a graphics device, processor time says nothing of other programs.
+    let on_processors = draw.clock == Clock::Wall && is_software(renderer);
     for (index, at) in task.path.frames.iter().enumerate() {
         let place = || format!("frame {index} of the path");
         let volume = &task.volumes[volume_of(index)];
@@ -304,6 +306,9 @@ pub(crate) fn play(
                 resized(&rendered.image, frame.width, frame.height).context("an image without pixels")?;
             let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
+            if let Some(seconds) = measured.cpu.filter(|_| on_processors) {
+                session.set_processor_seconds(seconds as f32);
+            }
             // A coarse clock may count no time for a short frame.
             session.observe(plan.id, (seconds as f32).max(1e-9), ObserveFlags::default())?;
             playback.records[c].push(Record {
@@ -334,7 +339,6 @@ mod tests {
     use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
     use entire_core::scene::{GaussianLobe, Scalars, Shading, Skipping, TransferFunction};
-    use entire_io::dataset::Clock;
     use entire_io::path::{CameraPose, Keyframe, PATH_FORMAT, PathFile, Transfer};
     use entire_steer::predict::{Inputs, Prediction, Predictor, Source};
 

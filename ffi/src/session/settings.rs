@@ -218,6 +218,23 @@ pub unsafe extern "C" fn entire_session_set_enabled(
     }))
 }
 
+/// States the processor seconds of the renderer's process, over all of its threads, in the frame that is
+/// observed next, for a renderer that runs on the processor and is observed by wall time. If other programs
+/// take processors away, this time falls relative to the wall time, and the session follows after one slow
+/// frame instead of two. A value that is not finite and positive counts as unknown.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_processor_seconds(
+    session: *mut entire_session,
+    seconds: f32,
+) -> entire_result {
+    entry!(changing(session, |state| {
+        state.session.set_processor_seconds(seconds);
+        Ok(())
+    }))
+}
+
 /// Announces that the next frame differs abruptly from the previous one in a way that the session cannot
 /// detect: flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are detected
 /// without this call.

@@ -155,6 +155,7 @@ fn play_script(
         waiting.extend(heard.map(|(due, seconds)| {
             let observed = Observed {
                 seconds: seconds as f32,
+                processor_seconds: f32::NAN,
                 step: decision.step,
                 target: shot.target as f32,
                 changes,

@@ -9,7 +9,7 @@ use crate::held::Held;
 use crate::lock::Guarded;
 use crate::model::{Loaded, Model};
 use crate::plan::{Plan, Prediction};
-use crate::state::{Observed, State};
+use crate::state::{State, columns};
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::scene::Frame;
@@ -19,8 +19,7 @@ use entire_steer::features::{Changes, PROBE_SIDE, Setting};
 use entire_steer::predict::{AnalyticModel, Predictor};
 use numpy::PyArray1;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyList, PyTuple};
-use std::collections::VecDeque;
+use pyo3::types::{PyBytes, PyDict, PyTuple};
 use std::sync::{Arc, MutexGuard};
 
 /// The native part of `entire.Session`.
@@ -335,7 +334,7 @@ impl Session {
     /// ValueError
     ///     As :meth:`plan` and :meth:`Camera.scene`.
     #[pyo3(signature = (held, to_eye, fov, parallel_scale, size, target, step = None, enabled = true,
-        due = None, seconds = f64::NAN, cancelled = false))]
+        due = None, seconds = f64::NAN, processor_seconds = f64::NAN, cancelled = false))]
     fn steer(
         &self,
         py: Python<'_>,
@@ -349,12 +348,14 @@ impl Session {
         enabled: bool,
         due: Option<&Plan>,
         seconds: f64,
+        processor_seconds: f64,
         cancelled: bool,
     ) -> PyResult<(Plan, f32, f32)> {
         let mut state = self.state(py)?;
         if let Some(due) = due {
             // Rejected times are documented to have no effect.
-            let _ = state.observe(due, seconds as f32, ObserveFlags { unusual: false, cancelled });
+            let seconds = [seconds, processor_seconds];
+            let _ = state.observe(due, seconds, ObserveFlags { unusual: false, cancelled });
         }
         let frame = held.frame(to_eye, fov, parallel_scale, size.into(), step)?;
         state.follow(frame.camera);
@@ -432,6 +433,10 @@ impl Session {
     ///     True if the time includes work that is not the frame's (a compilation, an upload, a stall).
     /// cancelled : bool, optional
     ///     True if the frame was abandoned; its time is then only a lower bound.
+    /// processor_seconds : float, optional
+    ///     Processor time of this process in the frame, over all threads, if the renderer runs on the processor
+    ///     and ``seconds`` is wall time. If other programs take processors away, this time falls relative to the
+    ///     wall time, and the session follows after one slow frame instead of two.
     ///
     /// Returns
     /// -------
@@ -445,7 +450,7 @@ impl Session {
     /// RejectedObservationError
     ///     For a plan that is of another session, forgotten or observed before, and for a time that is not
     ///     finite, not positive or over 10,000 s. Nothing is learned then.
-    #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false))]
+    #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false, processor_seconds = f64::NAN))]
     fn observe(
         &self,
         py: Python<'_>,
@@ -453,9 +458,10 @@ impl Session {
         seconds: f64,
         unusual: bool,
         cancelled: bool,
+        processor_seconds: f64,
     ) -> PyResult<&'static str> {
         let flags = ObserveFlags { unusual, cancelled };
-        Ok(self.state(py)?.observe(plan, seconds as f32, flags)?.into())
+        Ok(self.state(py)?.observe(plan, [seconds, processor_seconds], flags)?.into())
     }
 
     /// Predicts a frame's seconds at its own step, with the correction learned from observed frames. The call
@@ -675,23 +681,7 @@ impl Session {
     ///     (seconds), ``step`` (reference steps) and ``image_sample_distance`` (pixels); lists ``reason`` and
     ///     ``verdict``.
     fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let frames: VecDeque<Observed> = self.state(py)?.history.clone();
-        let dict = PyDict::new(py);
-        dict.set_item("plan", PyArray1::from_iter(py, frames.iter().map(|f| f.plan.id)))?;
-        type Number = (&'static str, fn(&Observed) -> f32);
-        let numbers: [Number; 6] = [
-            ("target", |f| f.plan.target),
-            ("predicted", |f| f.plan.seconds),
-            ("upper", |f| f.plan.upper),
-            ("measured", |f| f.measured),
-            ("step", |f| f.plan.step),
-            ("image_sample_distance", |f| f.plan.image_sample_distance),
-        ];
-        for (name, number) in numbers {
-            dict.set_item(name, PyArray1::from_iter(py, frames.iter().map(number)))?;
-        }
-        dict.set_item("reason", PyList::new(py, frames.iter().map(|f| f.plan.reason))?)?;
-        dict.set_item("verdict", PyList::new(py, frames.iter().map(|f| <&str>::from(f.verdict)))?)?;
-        Ok(dict)
+        let frames = self.state(py)?.history.clone();
+        columns(py, &frames)
     }
 }

@@ -7,7 +7,9 @@ use crate::volume::Data;
 use entire_core::scene::{Camera as CoreCamera, Frame};
 use entire_steer::control::{ObserveFlags, Session as Core, Verdict};
 use entire_steer::features::Changes;
+use numpy::PyArray1;
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -98,9 +100,13 @@ impl State {
     }
 
     /// Observes the time of a planned frame, and stores it in the history.
-    pub(crate) fn observe(&mut self, plan: &Plan, seconds: f32, flags: ObserveFlags) -> PyResult<Verdict> {
+    ///
+    /// The times are measured seconds and processor seconds; the latter are NaN if they are unknown.
+    pub(crate) fn observe(&mut self, plan: &Plan, times: [f64; 2], flags: ObserveFlags) -> PyResult<Verdict> {
+        let [seconds, processor_seconds] = times.map(|seconds| seconds as f32);
         // No plan has the number 0. So plans of other sessions are rejected like forgotten ones.
         let id = if Arc::ptr_eq(&plan.session, &self.identity) { plan.id } else { 0 };
+        self.core.set_processor_seconds(processor_seconds);
         let verdict = self.core.observe(id, seconds, flags).map_err(raise)?;
         if self.history.len() == MAX_OBSERVED_FRAMES {
             self.history.pop_front();
@@ -108,4 +114,25 @@ impl State {
         self.history.push_back(Observed { plan: plan.clone(), measured: seconds, verdict });
         Ok(verdict)
     }
+}
+
+/// Observed frames as columns: arrays of numbers and lists of words.
+pub(crate) fn columns<'py>(py: Python<'py>, frames: &VecDeque<Observed>) -> PyResult<Bound<'py, PyDict>> {
+    let dict = PyDict::new(py);
+    dict.set_item("plan", PyArray1::from_iter(py, frames.iter().map(|f| f.plan.id)))?;
+    type Number = (&'static str, fn(&Observed) -> f32);
+    let numbers: [Number; 6] = [
+        ("target", |f| f.plan.target),
+        ("predicted", |f| f.plan.seconds),
+        ("upper", |f| f.plan.upper),
+        ("measured", |f| f.measured),
+        ("step", |f| f.plan.step),
+        ("image_sample_distance", |f| f.plan.image_sample_distance),
+    ];
+    for (name, number) in numbers {
+        dict.set_item(name, PyArray1::from_iter(py, frames.iter().map(number)))?;
+    }
+    dict.set_item("reason", PyList::new(py, frames.iter().map(|f| f.plan.reason))?)?;
+    dict.set_item("verdict", PyList::new(py, frames.iter().map(|f| <&str>::from(f.verdict)))?)?;
+    Ok(dict)
 }

@@ -572,6 +572,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
   }
   this->DrainQueue();
   this->StartTime = this->Internals->Now();
+  this->StartTicks = this->Gpu ? 0 : std::clock();
 }
 
 //------------------------------------------------------------------------------
@@ -666,6 +667,11 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
   {
     vtkRenderWindow* window = this->Internals->Window;
     const bool aborted = window && window->GetAbortRender();
+    if (!this->Gpu)
+    {
+      const double ticks = static_cast<double>(std::clock() - this->StartTicks);
+      static_cast<void>(this->Session->set_processor_seconds(static_cast<float>(ticks / CLOCKS_PER_SEC)));
+    }
     // A time that the library refuses has no effect.
     static_cast<void>(this->Session->observe(
       this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));

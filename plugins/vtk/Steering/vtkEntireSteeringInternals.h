@@ -25,6 +25,7 @@
 #include <array>
 #include <chrono>
 #include <cstdint>
+#include <ctime>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -288,6 +289,8 @@ public:
     // True if the frame could not be predicted.
     bool FellBack = false;
     double StartTime = 0;
+    // Processor time of the process at that time, in clock ticks; used only if the mapper draws on the processor.
+    std::clock_t StartTicks = 0;
     // State of this mapper in the window's frame budget, and the mapper's estimated time at full quality divided by its
     // time at the planned settings.
     entire::pass Pass;

@@ -155,7 +155,7 @@ const DRIFT: f64 = 1.0e-5;
 const LOAD_FRAMES: f64 = 8.0;
 /// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
 /// longest burst of load by other programs in the recordings.
-const ESTABLISHED_FRAMES: u64 = 32;
+pub(super) const ESTABLISHED_FRAMES: u64 = 32;
 /// Variance added to ln of the unit costs' common factor when an established load becomes a part of that
 /// factor, as a share of the variance of the scenes' own factors ([`Correction::change`]). The share is a
 /// guess, since few scenes were observed under the load.
@@ -294,7 +294,14 @@ impl Correction {
     /// [`Correction::advance`] was called. A `trust` below 1 weakens an observation that may include work
     /// that most frames do not include. Returns the error before the update, ln(observed / corrected
     /// prediction), in standard deviations; NaN if the time or the prediction is invalid.
-    pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
+    pub(crate) fn observe(
+        &mut self,
+        terms: &CostTerms,
+        seconds: f64,
+        standing: Standing,
+        trust: f64,
+        disturbed: bool,
+    ) -> f64 {
         let c = self.constants;
         let this_scene = standing != Standing::Past;
         let (predicted, shares) = self.shares(terms, this_scene);
@@ -321,7 +328,7 @@ impl Correction {
             if libm::fabs(free + self.stall) < libm::fabs(free) {
                 free = self.take_back(free);
             }
-            whole = self.judge(&mut free, sd);
+            whole = self.judge(&mut free, sd, disturbed);
             self.stall = 0.0;
         }
         if whole {
@@ -384,7 +391,7 @@ impl Correction {
     /// deviation. If a load begins, the stall before it was its first frame, so the stall's increase of b is
     /// taken back, and `free` is computed anew. Returns true if the scene's own factor must be changed
     /// instead of the load: the frames of a new scene have become faster.
-    fn judge(&mut self, free: &mut f64, sd: f64) -> bool {
+    fn judge(&mut self, free: &mut f64, sd: f64, disturbed: bool) -> bool {
         let with = *free - self.load;
         // After n frames of a load, the odds that it continues are n to 1 (Laplace's rule of succession).
         if self.loaded() && with * with - *free * *free > 2.0 * sd * sd * libm::log(self.loaded as f64) {
@@ -394,7 +401,7 @@ impl Correction {
         if libm::fabs(with) > CLIP * sd {
             let side = if with > 0.0 { 1 } else { -1 };
             self.off = if self.off.signum() == side { self.off + side } else { side };
-            if self.off.abs() < LOAD_START_FRAMES {
+            if self.off.abs() < LOAD_START_FRAMES && !(disturbed && side > 0) {
                 return false;
             }
             if side < 0 && !self.loaded() && self.age <= ESTABLISHED_FRAMES {
@@ -620,7 +627,7 @@ mod tests {
                     poison(&mut correction, value);
                     for frame in 0..60 {
                         correction.advance(0.0);
-                        correction.observe(&terms(frame), 0.02, Standing::Same, 1.0);
+                        correction.observe(&terms(frame), 0.02, Standing::Same, 1.0, false);
                     }
                     let Corrected { seconds, sd, .. } = correction.apply(&terms(7));
                     assert!(seconds > 0.0 && seconds.is_finite() && sd.is_finite(), "{prior:?} {i} {value}");
@@ -640,7 +647,7 @@ mod tests {
                 let standing = if frame % 5 == 4 { Standing::First } else { Standing::Same };
                 // The terms stay the same for 1000 frames, so that the filter becomes certain of only one
                 // combination of its states.
-                correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
+                correction.observe(&terms(frame / 1000), seconds, standing, 1.0, false);
                 let bytes = saved(&correction);
                 let mut other = Correction::new(prior, CorrectionConstants::default());
                 other.load(&mut Reader(&bytes)).unwrap();

@@ -1,6 +1,7 @@
 //! Learning from observed frame times: correction of each term of the cost, margin of the upper bound, and
 //! rejection of invalid times.
 
+mod busy;
 mod constants;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod correction;
@@ -10,6 +11,7 @@ pub(crate) mod state;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use busy::Busy;
 pub use constants::CorrectionConstants;
 pub(crate) use constants::constants;
 pub(crate) use correction::{CLIP, Correction, NOVELTY_LIMIT, PACE, Prior, Standing};

@@ -152,6 +152,8 @@ impl Decision {
 pub struct Observed {
     /// Measured seconds.
     pub seconds: f32,
+    /// Processor seconds of the renderer's process in the frame; NaN if they are unknown.
+    pub processor_seconds: f32,
     /// Step of the frame, as in [`Decision::step`].
     pub step: f32,
     /// Target of the frame's plan.

@@ -98,6 +98,8 @@ pub struct Session {
     last_termination: f32,
     pending: Box<[Option<Pending>; PENDING_PLANS]>,
     next_id: u64,
+    /// Processor seconds of the frame that is observed next; NaN if they are unknown.
+    processor_seconds: f32,
     /// Id of the newest plan, and the state before it, for [`Session::withdraw`]; `None` after a withdrawal.
     newest: Option<(u64, Before)>,
     /// Names of the renderer and the clock of observed times; empty if they are unknown.
@@ -154,6 +156,7 @@ impl Session {
             last_termination: f32::NAN,
             pending: Box::new([None; PENDING_PLANS]),
             next_id: 1,
+            processor_seconds: f32::NAN,
             newest: None,
             timing: [String::new(), String::new()],
             converted: false,
@@ -406,6 +409,14 @@ impl Session {
         }
     }
 
+    /// States the processor seconds of the renderer's process, over all of its threads, in the frame that is
+    /// observed next. If other programs take processors away, this time falls relative to the wall time, and
+    /// a load is detected after one frame instead of two. Only for observations by wall time; a value that is
+    /// not positive and finite counts as unknown.
+    pub fn set_processor_seconds(&mut self, seconds: f32) {
+        self.processor_seconds = seconds;
+    }
+
     /// Reports the measured seconds of a planned frame. Returns their effect on the learned correction.
     ///
     /// # Errors
@@ -438,7 +449,8 @@ impl Session {
             // expected, or if no time was expected.
             return Ok(Verdict::Ignored);
         }
-        let observed = Observed { seconds, unusual: flags.unusual, ..pending.frame };
+        let processor_seconds = core::mem::replace(&mut self.processor_seconds, f32::NAN);
+        let observed = Observed { seconds, processor_seconds, unusual: flags.unusual, ..pending.frame };
         Ok(self.controller.observe(&observed))
     }
 
@@ -538,7 +550,16 @@ impl Session {
         let id = self.next_id;
         self.next_id += 1;
         let (scene, Decision { step: chosen, seconds, .. }) = (self.controller.scene(), decision);
-        let planned = Observed { seconds, step: chosen, target, changes, terms, scene, unusual: false };
+        let planned = Observed {
+            seconds,
+            processor_seconds: f32::NAN,
+            step: chosen,
+            target,
+            changes,
+            terms,
+            scene,
+            unusual: false,
+        };
         self.pending[(id % PENDING_PLANS as u64) as usize] =
             Some(Pending { id, frame: planned, observed: false });
         let before =

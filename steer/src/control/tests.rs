@@ -35,7 +35,19 @@ pub(super) fn planned(
     let plan = hybrid.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
     let (step, terms, scene) = (plan.step, cost(plan.step), hybrid.scene());
     let seconds = terms.seconds();
-    (plan, Observed { seconds, step, target, changes, terms, scene, unusual: false })
+    (
+        plan,
+        Observed {
+            seconds,
+            processor_seconds: f32::NAN,
+            step,
+            target,
+            changes,
+            terms,
+            scene,
+            unusual: false,
+        },
+    )
 }
 
 fn sphere(n: usize) -> Vec<u8> {

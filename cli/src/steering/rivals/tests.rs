@@ -43,6 +43,7 @@ fn every_controller_survives_any_observation() {
             let terms = cost(decision.step);
             controller.observe(&Observed {
                 seconds,
+                processor_seconds: f32::NAN,
                 step: decision.step,
                 target,
                 changes,
@@ -65,7 +66,16 @@ fn after(kind: ControllerKind, coarsest: f32, times: &[f32]) -> f32 {
     for &seconds in times {
         let step = rule.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost }).step;
         let (terms, scene) = (cost(step), rule.scene());
-        rule.observe(&Observed { seconds, step, target, changes, terms, scene, unusual: false });
+        rule.observe(&Observed {
+            seconds,
+            processor_seconds: f32::NAN,
+            step,
+            target,
+            changes,
+            terms,
+            scene,
+            unusual: false,
+        });
     }
     rule.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost }).step
 }
@@ -133,6 +143,7 @@ fn what_the_last_frames_say_is_their_mean_the_last_or_the_larger_of_two() {
             let seconds = 1e-3 * t;
             controller.observe(&Observed {
                 seconds,
+                processor_seconds: f32::NAN,
                 step: 1.0,
                 target: 0.01,
                 changes,

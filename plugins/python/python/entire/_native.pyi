@@ -266,6 +266,7 @@ class Session:
         enabled: bool = True,
         due: Plan | None = None,
         seconds: float = ...,
+        processor_seconds: float = ...,
         cancelled: bool = False,
     ) -> tuple[Plan, float, float]: ...
     def choose(
@@ -281,7 +282,13 @@ class Session:
         termination: float = 0.99,
     ) -> tuple[int, Plan]: ...
     def observe(
-        self, plan: Plan, seconds: float, *, unusual: bool = False, cancelled: bool = False
+        self,
+        plan: Plan,
+        seconds: float,
+        *,
+        unusual: bool = False,
+        cancelled: bool = False,
+        processor_seconds: float = ...,
     ) -> str: ...
     def predict(
         self,

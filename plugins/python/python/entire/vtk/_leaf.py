@@ -7,7 +7,7 @@ import logging
 import math
 import weakref
 from collections.abc import Callable, Iterable
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any, Literal
 
 from vtkmodules.vtkCommonCore import vtkWeakReference
@@ -27,7 +27,7 @@ _NAN = math.nan
 _FULL_QUALITY_RATE = 0.01
 # Attribute in which a volume keeps Python's wrapper of its mapper.
 _KEPT = "_entire_mapper"
-_NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
+_NONE_DUE: tuple[Plan | None, float, float, bool] = (None, _NAN, _NAN, False)
 # Leaves that observe their volume's mapper.
 _observing: weakref.WeakSet[Leaf] = weakref.WeakSet()
 
@@ -68,7 +68,7 @@ class Leaf:
         "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
         "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
         "_coarsening", "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_pass", "_pixels", "_plain", "_plan",
-        "_ready", "_reason", "_refused", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started",
+        "_processor_seconds", "_ready", "_reason", "_refused", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started",
         "_steered", "_steering", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_wrote",
         "address", "image_sample_distance", "measured", "sample_distance", "share_time", "status", "volume_time",
         "__weakref__",
@@ -118,8 +118,9 @@ class Leaf:
         self._held: Any = None
         self._plan: Plan | None = None
         self._explained: Plan | None = None
-        # The last frame's plan, measured seconds and abort flag, which the session observes with the next frame.
-        self._due: tuple[Plan, float, bool] | None = None
+        # The last frame's plan, measured seconds, processor seconds and abort flag, which the session observes with the
+        # next frame.
+        self._due: tuple[Plan, float, float, bool] | None = None
         self._own: Any = None
         # The first of several volumes that one mapper draws; None if the mapper draws a single volume.
         self._shown: Callable[[], Any] | None = None
@@ -133,6 +134,8 @@ class Leaf:
         self._wrote = (_NAN, _NAN)
         self._steered = self._ready = self._drawing = self._ended = False
         self._started = 0.0
+        # Processor seconds of the process in the frame; NaN if the mapper draws on a graphics device.
+        self._processor_seconds = _NAN
         # References to VTK objects, kept only while a frame is drawn.
         self._frame_mapper: Any = None
         self._frame_volume: Any = None
@@ -153,9 +156,9 @@ class Leaf:
         """Makes the session observe the last frame's time, if it has not done so yet."""
         due, self._due = self._due, None
         if due is not None:
-            plan, seconds, cancelled = due
+            plan, seconds, processor_seconds, cancelled = due
             try:
-                self._session.observe(plan, seconds, cancelled=cancelled)
+                self._session.observe(plan, seconds, cancelled=cancelled, processor_seconds=processor_seconds)
             except ValueError:
                 pass  # A rejected time has no effect.
 
@@ -301,6 +304,7 @@ class Leaf:
             steering.fallback_frames += 1
         self._drawing = True
         self._started = steering._now()
+        self._processor_seconds = _NAN if self._gpu else -process_time()
 
     def _end(self, _mapper: Any, _event: str) -> None:
         # Only measures the time; _finish() restores the settings and reports the time at the renderer's end.
@@ -309,6 +313,8 @@ class Leaf:
                 # Waits for the device to finish the mapper's work.
                 self._steering._frame_window.WaitForCompletion()
             self.measured = self._steering._now() - self._started
+            if not self._gpu:
+                self._processor_seconds += process_time()
             self._drawing = False
             self._ended = True
 
@@ -326,7 +332,8 @@ class Leaf:
         steering, seconds = self._steering, self.measured
         if plan is not None:
             # The session observes this time with the next frame's plan, or when `session` is accessed.
-            self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
+            aborted = steering._frame_window.GetAbortRender() != 0
+            self._due = (plan, seconds, self._processor_seconds, aborted)
         if steered and steering._shared.drawing:
             # The time of a volume that is not steered counts as time outside of the passes, which reduces the shares of
             # the steered volumes.
@@ -512,7 +519,7 @@ class Leaf:
         # Keeps Python's wrappers of the camera and the matrix for the next frame.
         steering._camera = camera, matrix
         due, self._due = self._due, None
-        before, seconds, cancelled = _NONE_DUE if due is None else due
+        before, seconds, processor_seconds, cancelled = _NONE_DUE if due is None else due
         target = self.share_time = steering._shared.budget.share(self._pass, steering._target)
         plan, coarse, image_distance = self._session.steer(
             self._held,
@@ -525,6 +532,7 @@ class Leaf:
             steered,
             before,
             seconds,
+            processor_seconds,
             cancelled,
         )
         self._plan = plan
