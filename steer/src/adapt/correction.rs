@@ -1,5 +1,6 @@
 //! Corrects each term of the cost from observed frame times.
 
+use super::busy::Busy;
 use super::constants::CorrectionConstants;
 use super::state::{Reader, Writer};
 use crate::numeric::cholesky;
@@ -67,12 +68,13 @@ fn standard_deviation(variance: f64) -> f64 {
 /// next frame is closer to the expected time without the stall, the stall's increase of b is taken back. The
 /// error of a frame that is too fast is clipped at `clip_below`. Two successive frames that are both too
 /// slow, or both too fast, by more than three standard deviations begin a *load*: a factor on the times of
-/// all scenes; a stall's increase of b is then taken back, too. The load ends with the first frame whose time
-/// is more likely without the load than with it. During a load, later frames of the present scene do not
-/// update θ and b; its first frame does. If a load lasts longer than [`ESTABLISHED_FRAMES`] frames, it is
-/// added to θ: from then on, the changed speed counts as the machine's normal speed. A scene of at most
-/// [`ESTABLISHED_FRAMES`] frames may have begun under an undetected load: if its frames become faster, b is
-/// changed instead of the load. All state is bounded.
+/// all scenes; a stall's increase of b is then taken back, too. A single stall begins a load if its processor
+/// time is unusually low ([`Busy`]). The load ends with the first frame whose time is more likely without the
+/// load than with it. During a load, later frames of the present scene do not update θ and b; its first frame
+/// does. If a load lasts longer than [`ESTABLISHED_FRAMES`] frames, it is added to θ: from then on, the
+/// changed speed counts as the machine's normal speed. A scene of at most [`ESTABLISHED_FRAMES`] frames may
+/// have begun under an undetected load: if its frames become faster, b is changed instead of the load. All
+/// state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// Estimates of the filter: the logarithm θ_i of each term's factor, then the logarithm b of the scene's
@@ -96,6 +98,8 @@ pub(crate) struct Correction {
     /// Increase of b by the last observation if that was a stall, else 0. The next observation may take this
     /// increase back.
     stall: f64,
+    /// Usual processor time per wall time.
+    busy: Busy,
     /// True if the last observation began or ended a load, or was so fast that its error was applied without
     /// clipping. Earlier frames then do not predict the next one.
     pub(crate) jumped: bool,
@@ -203,6 +207,7 @@ impl Correction {
             loaded: 0,
             off: 0,
             stall: 0.0,
+            busy: Busy::UNKNOWN,
             jumped: false,
             observations: 0,
             age: 0,
@@ -292,7 +297,8 @@ impl Correction {
 
     /// Updates the filter by the observed time (finite and positive) of a frame for which
     /// [`Correction::advance`] was called. A `trust` below 1 weakens an observation that may include work
-    /// that most frames do not include. Returns the error before the update, ln(observed / corrected
+    /// that most frames do not include. `ratio` is ln(processor time / wall time), NaN if the processor time
+    /// is unknown. Returns the error before the update, ln(observed / corrected
     /// prediction), in standard deviations; NaN if the time or the prediction is invalid.
     pub(crate) fn observe(
         &mut self,
@@ -300,7 +306,7 @@ impl Correction {
         seconds: f64,
         standing: Standing,
         trust: f64,
-        disturbed: bool,
+        ratio: f64,
     ) -> f64 {
         let c = self.constants;
         let this_scene = standing != Standing::Past;
@@ -322,6 +328,7 @@ impl Correction {
         }
         let loaded = self.loaded();
         self.jumped = false;
+        let disturbed = trust >= 1.0 && self.busy.observe(ratio);
         let judged = this_scene && trust >= 1.0;
         let mut whole = false;
         if judged {
@@ -389,7 +396,8 @@ impl Correction {
 
     /// Begins, changes or ends the load. `free` is ln(observed / expected without a load), `sd` its standard
     /// deviation. If a load begins, the stall before it was its first frame, so the stall's increase of b is
-    /// taken back, and `free` is computed anew. Returns true if the scene's own factor must be changed
+    /// taken back, and `free` is computed anew. In a `disturbed` frame, other programs took processors away;
+    /// a single such frame begins a load if it is too slow. Returns true if the scene's own factor must be changed
     /// instead of the load: the frames of a new scene have become faster.
     fn judge(&mut self, free: &mut f64, sd: f64, disturbed: bool) -> bool {
         let with = *free - self.load;
@@ -627,7 +635,7 @@ mod tests {
                     poison(&mut correction, value);
                     for frame in 0..60 {
                         correction.advance(0.0);
-                        correction.observe(&terms(frame), 0.02, Standing::Same, 1.0, false);
+                        correction.observe(&terms(frame), 0.02, Standing::Same, 1.0, f64::NAN);
                     }
                     let Corrected { seconds, sd, .. } = correction.apply(&terms(7));
                     assert!(seconds > 0.0 && seconds.is_finite() && sd.is_finite(), "{prior:?} {i} {value}");
@@ -647,7 +655,7 @@ mod tests {
                 let standing = if frame % 5 == 4 { Standing::First } else { Standing::Same };
                 // The terms stay the same for 1000 frames, so that the filter becomes certain of only one
                 // combination of its states.
-                correction.observe(&terms(frame / 1000), seconds, standing, 1.0, false);
+                correction.observe(&terms(frame / 1000), seconds, standing, 1.0, f64::NAN);
                 let bytes = saved(&correction);
                 let mut other = Correction::new(prior, CorrectionConstants::default());
                 other.load(&mut Reader(&bytes)).unwrap();

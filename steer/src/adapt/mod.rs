@@ -11,7 +11,6 @@ pub(crate) mod state;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use busy::Busy;
 pub use constants::CorrectionConstants;
 pub(crate) use constants::constants;
 pub(crate) use correction::{CLIP, Correction, NOVELTY_LIMIT, PACE, Prior, Standing};

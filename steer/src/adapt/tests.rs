@@ -36,7 +36,7 @@ fn sixty_frames_bring_an_unknown_machine_within_ten_percent() {
                 errors.push((predicted / clean - 1.0).abs());
             }
             let seconds = clean * (0.05 * (noise.uniform() + noise.uniform() - 1.0)).exp();
-            correction.observe(&terms(&parts), seconds, Standing::First, 1.0, false);
+            correction.observe(&terms(&parts), seconds, Standing::First, 1.0, f64::NAN);
         }
         errors.sort_by(f64::total_cmp);
         assert!(errors[errors.len() / 2] < 0.1, "seed {seed}: {}", errors[errors.len() / 2]);
@@ -58,7 +58,7 @@ fn a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways() {
                 assert!(error.abs() < 0.15, "block {block} frame {i}: {error}");
             }
             let seconds = clean * (1.0 + 0.05 * (noise.uniform() - 0.5));
-            correction.observe(&terms(&parts), seconds, Standing::Same, 1.0, false);
+            correction.observe(&terms(&parts), seconds, Standing::Same, 1.0, f64::NAN);
         }
     }
 }
@@ -75,7 +75,7 @@ fn single_spikes_barely_move_it() {
         assert!(i < 20 || error.abs() < 0.12, "frame {i}: {error}");
         let spike = if i % 25 == 24 { 50.0 } else { 1.0 };
         let seconds = clean * spike * (1.0 + 0.04 * (noise.uniform() - 0.5));
-        correction.observe(&terms(&parts), seconds, Standing::Same, 1.0, false);
+        correction.observe(&terms(&parts), seconds, Standing::Same, 1.0, f64::NAN);
     }
 }
 
@@ -88,14 +88,14 @@ fn expected_after(factors: &[f64]) -> Vec<f64> {
     for i in 0..40 {
         correction.advance(if i == 0 { 1.0 } else { 0.0 });
         let standing = if i == 0 { Standing::First } else { Standing::Same };
-        correction.observe(&terms, 0.01 * (1.0 + 0.2 * (noise.uniform() - 0.5)), standing, 1.0, false);
+        correction.observe(&terms, 0.01 * (1.0 + 0.2 * (noise.uniform() - 0.5)), standing, 1.0, f64::NAN);
     }
     let usual = correction.apply(&terms).seconds;
     let mut expected = Vec::new();
     for factor in factors {
         correction.advance(0.0);
         expected.push(correction.apply(&terms).seconds / usual);
-        correction.observe(&terms, usual * factor, Standing::Same, 1.0, false);
+        correction.observe(&terms, usual * factor, Standing::Same, 1.0, f64::NAN);
     }
     expected
 }
@@ -128,12 +128,12 @@ fn values_that_are_no_times_change_nothing() {
     let before = correction.clone();
     let good = CostTerms::whole(0.01, 0.0, Source::Analytic);
     for seconds in [f64::NAN, f64::INFINITY, 0.0, -1.0] {
-        assert!(correction.observe(&good, seconds, Standing::Same, 1.0, false).is_nan());
+        assert!(correction.observe(&good, seconds, Standing::Same, 1.0, f64::NAN).is_nan());
     }
     let nan = CostTerms { parts: [f32::NAN; TERMS], ..good };
     let none = CostTerms { parts: [0.0; TERMS], ..good };
     for terms in [nan, none] {
-        assert!(correction.observe(&terms, 0.01, Standing::Same, 1.0, false).is_nan());
+        assert!(correction.observe(&terms, 0.01, Standing::Same, 1.0, f64::NAN).is_nan());
     }
     assert_eq!(correction, before);
     assert!(check_seconds(f32::MIN_POSITIVE).is_ok());
@@ -156,7 +156,7 @@ fn extreme_times_keep_the_state_in_bounds() {
             seconds,
             [Standing::First, Standing::Same, Standing::Past][i % 3],
             if i % 5 == 0 { 0.01 } else { 1.0 },
-            false,
+            f64::NAN,
         );
         let Corrected { seconds: t, sd, .. } = correction.apply(&terms(&parts));
         assert!(t.is_finite() && t > 0.0 && sd.is_finite() && sd > 0.0, "{i}: {t} {sd}");

@@ -6,8 +6,8 @@ use super::history::History;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::adapt::state::{Reader, Writer};
 use crate::adapt::{
-    Busy, CLIP, Correction, CorrectionConstants, Margin, NOVELTY_LIMIT, PACE, Prior, Standing, Verdict,
-    exceeded, normal_quantile,
+    CLIP, Correction, CorrectionConstants, Margin, NOVELTY_LIMIT, PACE, Prior, Standing, Verdict, exceeded,
+    normal_quantile,
 };
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
@@ -136,7 +136,6 @@ pub(super) struct Hybrid {
     options: HybridOptions,
     prior: Prior,
     pub(super) correction: Correction,
-    busy: Busy,
     calm: Margin,
     changed: Margin,
     history: History,
@@ -215,7 +214,6 @@ impl Hybrid {
             options,
             prior,
             correction: Correction::new(prior, options.correction),
-            busy: Busy::UNKNOWN,
             calm,
             changed,
             history: History::new(),
@@ -535,17 +533,16 @@ impl Controller for Hybrid {
         let seconds = f64::from(observed.seconds);
         let trust = if observed.changes.first { FIRST_TRUST } else { 1.0 };
         let ratio = libm::log(f64::from(observed.processor_seconds) / seconds);
-        let disturbed = !observed.changes.first && self.busy.observe(ratio);
         if let Some(before) = &mut self.before {
             // The state before the last begun frame learns too: this frame's plan may be withdrawn after an
             // earlier frame was observed.
             let standing = standing(observed.scene, before.scene);
-            before.correction.observe(&observed.terms, seconds, standing, trust, disturbed);
+            before.correction.observe(&observed.terms, seconds, standing, trust, ratio);
         }
         let standing = standing(observed.scene, self.scene);
         let corrected = self.correction.apply(&observed.terms).seconds;
         let loaded = self.correction.loaded();
-        let error = self.correction.observe(&observed.terms, seconds, standing, trust, disturbed);
+        let error = self.correction.observe(&observed.terms, seconds, standing, trust, ratio);
         let changed = observed.changes.any() && observed.scene.first;
         if !observed.changes.first && standing != Standing::Past {
             let own = libm::fabs(libm::log(seconds / corrected));
@@ -572,7 +569,6 @@ impl Controller for Hybrid {
 
     fn reset(&mut self) {
         self.correction.reset();
-        self.busy = Busy::UNKNOWN;
         (self.calm, self.changed) = margins(&self.options);
         self.history = History::new();
         (self.last, self.learned) = (None, None);
