@@ -1,6 +1,6 @@
 //! Processor time per wall time of frames.
 
-use super::correction::{CLIP, ESTABLISHED_FRAMES, PACE};
+use super::constants::{CLIP, ESTABLISHED_FRAMES, PACE};
 
 /// Usual ratio of a frame's processor time to its wall time. The ratio falls as soon as other programs take
 /// processors away from the renderer.

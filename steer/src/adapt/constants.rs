@@ -1,4 +1,4 @@
-//! Constants of the correction, tuned on recorded paths.
+//! Constants of the correction: those tuned on recorded paths, and those that several files use.
 
 /// Defines a struct of named constants with default values; a search can enumerate the constants.
 macro_rules! constants {
@@ -42,3 +42,14 @@ constants! {
         clip_below = 1.42,
     }
 }
+
+/// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
+/// longest burst of load by other programs in the recordings.
+pub(crate) const ESTABLISHED_FRAMES: u64 = 32;
+/// Learning rate of statistics of errors: the margins, the variance of calm frames' errors (at least this
+/// rate), and the variance, over scenes, of ln of a scene's own factor. At this rate, a statistic is an
+/// average over about twenty errors.
+pub(crate) const PACE: f64 = 0.05;
+/// Limit beyond which an error is an outlier (a stall, a load, or a change of the machine's speed), in
+/// standard deviations: only 0.3 % of normal errors are larger.
+pub(crate) const CLIP: f64 = 3.0;

@@ -1,7 +1,7 @@
 //! Corrects each term of the cost from observed frame times.
 
 use super::busy::Busy;
-use super::constants::CorrectionConstants;
+use super::constants::{CLIP, CorrectionConstants, ESTABLISHED_FRAMES, PACE};
 use super::state::{Reader, Writer};
 use crate::numeric::cholesky;
 use crate::predict::{CostTerms, TERMS};
@@ -123,10 +123,6 @@ const SPREAD_RANGE: (f64, f64) = (1.0e-5, 0.25);
 /// Range of `gain`. At 0 the scene's factor would never change; at 1 every error, noise included, would be
 /// added to it completely.
 const GAIN: (f64, f64) = (0.1, 0.8);
-/// Learning rate of statistics of errors: the margins, the variance of calm frames' errors (at least this
-/// rate), and the variance, over scenes, of ln of a scene's own factor. At this rate, a statistic is an
-/// average over about twenty errors.
-pub(crate) const PACE: f64 = 0.05;
 /// Prior variance of ln of each unit cost of a fitted model, and of their common factor, as a share of the
 /// variance of the model's errors. At 0, the loss on the training paths is the same.
 const FITTED_SHARE: f64 = 0.1;
@@ -157,9 +153,6 @@ const LOAD_START_FRAMES: i64 = 2;
 const DRIFT: f64 = 1.0e-5;
 /// Largest number of frames over which the load is averaged; more frames would hide a change of the load.
 const LOAD_FRAMES: f64 = 8.0;
-/// Number of frames after which a scene or a load is established: half a second at 60 frames per second, the
-/// longest burst of load by other programs in the recordings.
-pub(super) const ESTABLISHED_FRAMES: u64 = 32;
 /// Variance added to ln of the unit costs' common factor when an established load becomes a part of that
 /// factor, as a share of the variance of the scenes' own factors ([`Correction::change`]). The share is a
 /// guess, since few scenes were observed under the load.
@@ -174,9 +167,6 @@ const LEAST_TRUST: f64 = 1.0e-3;
 /// Novelty at or above which a frame begins a scene, on a scale from 0 (same scene) to 1 (unrelated): one
 /// half by definition.
 pub(crate) const NOVELTY_LIMIT: f64 = 0.5;
-/// Limit beyond which an error is an outlier (a stall, a load, or a change of the machine's speed), in
-/// standard deviations: only 0.3 % of normal errors are larger.
-pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {
     /// Returns a correction without observations.

@@ -12,8 +12,8 @@ pub(crate) mod state;
 mod tests;
 
 pub use constants::CorrectionConstants;
-pub(crate) use constants::constants;
-pub(crate) use correction::{CLIP, Correction, NOVELTY_LIMIT, PACE, Prior, Standing};
+pub(crate) use constants::{CLIP, PACE, constants};
+pub(crate) use correction::{Correction, NOVELTY_LIMIT, Prior, Standing};
 pub(crate) use gate::check_seconds;
 pub use gate::{ObserveFlags, Verdict};
 pub(crate) use margin::{Margin, exceeded, normal_quantile};
