@@ -76,6 +76,33 @@ static void loads(void) {
     entire_session_free(truth);
 }
 
+/* A slow frame with little processor time begins a load: the next plan is coarser than without this time. */
+static void processor_time(void) {
+    entire_session *truth = toy_session(NULL);
+    float steps[2] = {0, 0};
+    for (int reported = 0; reported < 2; ++reported) {
+        entire_session *session = toy_session(NULL);
+        entire_frame frame = toy_frame();
+        entire_prediction drawn = {.struct_size = sizeof drawn};
+        OK(entire_session_predict(truth, &frame, &drawn));
+        const float target = 50 * drawn.seconds;
+        for (int i = 0; i < 52; ++i) {
+            frame.step = 1;
+            const entire_plan plan = plan_of(session, &frame, target);
+            steps[reported] = frame.step = plan.step;
+            OK(entire_session_predict(truth, &frame, &drawn));
+            const float usual = 40 * drawn.seconds;
+            if (reported) {
+                OK(entire_session_set_processor_seconds(session, 1.9f * usual));
+            }
+            OK(entire_session_observe(session, plan.id, i < 50 ? usual : 2 * usual, 0, NULL));
+        }
+        entire_session_free(session);
+    }
+    CHECK(steps[1] > 1.3f * steps[0]);
+    entire_session_free(truth);
+}
+
 static void observations(void) {
     entire_session *session = toy_session(NULL);
     entire_frame frame = toy_frame();
@@ -629,6 +656,7 @@ int main(int argc, char **argv) {
     CHECK(argc == 2);
     loop(NULL);
     loads();
+    processor_time();
     observations();
     order_of_calls();
     frames();

@@ -319,6 +319,7 @@ impl Session {
     ///     The plan of the previous frame, if its time was not observed yet.
     /// seconds : float, optional
     ///     Measured time of that frame. A rejected time has no effect.
+    /// processor_seconds : float, optional
     /// cancelled : bool, optional
     ///     As in :meth:`observe`, for that frame.
     ///

@@ -56,6 +56,25 @@ def test_a_load_is_followed_or_ignored(voxels, ignored):
     assert 0.8 < change < 1.25 if ignored else change > 1.3
 
 
+def test_little_processor_time_begins_a_load_at_once(voxels):
+    tf = entire.TransferFunction.points([(0, 0.01), (1, 0.05)])
+    volume = entire.Volume(voxels)
+    truth = entire.Session(volume)
+    target = 40 * truth.predict(CAMERA, tf, (640, 480), step=2.0).seconds
+    steps = {}
+    for reported in (False, True):
+        session = entire.Session(volume)
+        for i in range(52):
+            plan = session.plan(CAMERA, tf, (640, 480), target=target)
+            steps[i, reported] = plan.step
+            usual = 40 * truth.predict(CAMERA, tf, (640, 480), step=plan.step).seconds
+            seconds = usual if i < 50 else 2 * usual
+            session.observe(plan, seconds, processor_seconds=1.9 * usual if reported else math.nan)
+    # Frame 50 is the first slow one, so the plan of frame 51 knows it.
+    assert steps[50, True] == steps[50, False]
+    assert steps[51, True] > 1.5 * steps[51, False]
+
+
 def test_the_image_shrinks_where_it_may(voxels, tf):
     session = entire.Session(entire.Volume(voxels))
     session.set_limits(1, 2)

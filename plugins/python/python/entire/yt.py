@@ -161,14 +161,15 @@ class Holder:
         self.predicted, self._plan = plan.seconds, plan
         camera = self.scene.camera
         self.source.num_samples, camera.resolution = self.samples, self.resolution
-        before = time.perf_counter()
+        before, processor_seconds = time.perf_counter(), -time.process_time()
         try:
             picture = self.scene.render()
         finally:
             self.measured = time.perf_counter() - before
+            processor_seconds += time.process_time()
             self.source.num_samples, camera.resolution = self.most, self.full
         with contextlib.suppress(ValueError):  # A rejected time has no effect.
-            self.session.observe(plan, self.measured)
+            self.session.observe(plan, self.measured, processor_seconds=processor_seconds)
         return picture
 
     def full_quality(self) -> Any:
