@@ -70,11 +70,11 @@ fn standard_deviation(variance: f64) -> f64 {
 /// slow, or both too fast, by more than three standard deviations begin a *load*: a factor on the times of
 /// all scenes; a stall's increase of b is then taken back, too. A single stall begins a load if its processor
 /// time is unusually low ([`Busy`]). The load ends with the first frame whose time is more likely without the
-/// load than with it. During a load, later frames of the present scene do not update θ and b; its first frame
-/// does. If a load lasts longer than [`ESTABLISHED_FRAMES`] frames, it is added to θ: from then on, the
-/// changed speed counts as the machine's normal speed. A scene of at most [`ESTABLISHED_FRAMES`] frames may
-/// have begun under an undetected load: if its frames become faster, b is changed instead of the load. All
-/// state is bounded.
+/// load than with it, and whose processor time is not unusually low. During a load, later frames of the
+/// present scene do not update θ and b; its first frame does. If a load lasts longer than
+/// [`ESTABLISHED_FRAMES`] frames, it is added to θ: from then on, the changed speed counts as the machine's
+/// normal speed. A scene of at most [`ESTABLISHED_FRAMES`] frames may have begun under an undetected load: if
+/// its frames become faster, b is changed instead of the load. All state is bounded.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// Estimates of the filter: the logarithm θ_i of each term's factor, then the logarithm b of the scene's
@@ -387,12 +387,15 @@ impl Correction {
     /// Begins, changes or ends the load. `free` is ln(observed / expected without a load), `sd` its standard
     /// deviation. If a load begins, the stall before it was its first frame, so the stall's increase of b is
     /// taken back, and `free` is computed anew. In a `disturbed` frame, other programs took processors away;
-    /// a single such frame begins a load if it is too slow. Returns true if the scene's own factor must be changed
-    /// instead of the load: the frames of a new scene have become faster.
+    /// a single such frame begins a load if it is too slow, and it ends no load. Returns true if the scene's
+    /// own factor must be changed instead of the load: the frames of a new scene have become faster.
     fn judge(&mut self, free: &mut f64, sd: f64, disturbed: bool) -> bool {
         let with = *free - self.load;
         // After n frames of a load, the odds that it continues are n to 1 (Laplace's rule of succession).
-        if self.loaded() && with * with - *free * *free > 2.0 * sd * sd * libm::log(self.loaded as f64) {
+        if self.loaded()
+            && !disturbed
+            && with * with - *free * *free > 2.0 * sd * sd * libm::log(self.loaded as f64)
+        {
             self.pace(0.0);
             return false;
         }
