@@ -20,17 +20,36 @@ fn played_with(
     changes: impl Fn(usize) -> Changes,
     slowed: impl Fn(usize) -> f32,
 ) -> Vec<Decision> {
+    played_on_processors(options, frames, changes, slowed, |_| f32::NAN)
+}
+
+/// Plays frames as [`played_with`] does, with their processor times: frame i has `share(i)` times its wall
+/// time.
+fn played_on_processors(
+    options: HybridOptions,
+    frames: usize,
+    changes: impl Fn(usize) -> Changes,
+    slowed: impl Fn(usize) -> f32,
+    share: impl Fn(usize) -> f32,
+) -> Vec<Decision> {
     let mut hybrid = Hybrid::new(HybridOptions { log_sd: Some(0.15), ..options });
-    let mut noise = Noise(17);
+    let (mut noise, mut noise_of_share) = (Noise(17), Noise(19));
     let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
     let play = |i: usize| {
         let changes = Changes { first: i == 0, ..changes(i) };
         let (plan, seen) = planned(&mut hybrid, (0.02, 32.0), changes, cost);
         let seconds = slowed(i) * seen.seconds * (0.02 * noise.normal()).exp() as f32;
-        hybrid.observe(&Observed { seconds, ..seen });
+        let processor_seconds = share(i) * seconds * (0.02 * noise_of_share.normal()).exp() as f32;
+        hybrid.observe(&Observed { seconds, processor_seconds, ..seen });
         plan
     };
     (0..frames).map(play).collect()
+}
+
+/// Returns the steps of a calm scene of 80 frames, whose frames have these times and processor times.
+fn calm_steps(slowed: impl Fn(usize) -> f32, share: impl Fn(usize) -> f32) -> Vec<f32> {
+    let plans = played_on_processors(HybridOptions::default(), 80, |_| Changes::default(), slowed, share);
+    plans.iter().map(|d| d.step).collect()
 }
 
 #[test]
@@ -48,43 +67,35 @@ fn one_slow_frame_changes_nothing_and_a_burst_is_followed_and_forgotten() {
     assert!(burst[81..].iter().all(|s| *s < 1.1 * burst[59]), "{:?}", &burst[80..90]);
 }
 
-/// Plays frames as [`played`] does, with their processor times: frame i has `share(i)` times its wall time.
-fn played_on_processors(slowed: impl Fn(usize) -> f32, share: impl Fn(usize) -> f32) -> Vec<Decision> {
-    let mut hybrid = Hybrid::new(HybridOptions { log_sd: Some(0.15), ..HybridOptions::default() });
-    let mut noise = Noise(17);
-    let cost = |step: f32| CostTerms::whole(0.06 / step, 0.0, Source::Analytic);
-    let play = |i: usize| {
-        let (plan, seen) = planned(&mut hybrid, (0.02, 32.0), starts(i == 0), cost);
-        let seconds = slowed(i) * seen.seconds * (0.02 * noise.normal()).exp() as f32;
-        let processor_seconds = share(i) * seconds * (0.02 * noise.normal()).exp() as f32;
-        hybrid.observe(&Observed { seconds, processor_seconds, ..seen });
-        plan
-    };
-    (0..80).map(play).collect()
-}
-
 #[test]
 fn a_slow_frame_with_little_processor_time_begins_a_load_at_once() {
     let slowed = |i: usize| if (60..70).contains(&i) { 2.0 } else { 1.0 };
-    let share = |i: usize| 1.9 / slowed(i);
-    let steps: Vec<f32> = played_on_processors(slowed, share).iter().map(|d| d.step).collect();
+    let steps = calm_steps(slowed, |i| 1.9 / slowed(i));
     // Only the first slow frame exceeds the target.
     assert!(steps[61..70].iter().all(|s| (1.6..2.6).contains(&(s / steps[59]))), "{:?}", &steps[58..70]);
     assert!(steps[71..].iter().all(|s| *s < 1.1 * steps[59]), "{:?}", &steps[70..]);
 }
 
 #[test]
+fn a_load_does_not_end_in_a_frame_with_little_processor_time() {
+    // Frame 64 is fast by chance.
+    let slowed = |i: usize| if (60..70).contains(&i) && i != 64 { 2.0 } else { 1.0 };
+    let steps = calm_steps(slowed, |i| if (60..70).contains(&i) { 0.95 } else { 1.9 });
+    assert!(steps[61..70].iter().all(|s| (1.6..2.6).contains(&(s / steps[59]))), "{:?}", &steps[58..70]);
+    assert!(steps[71..].iter().all(|s| *s < 1.1 * steps[59]), "{:?}", &steps[70..]);
+}
+
+#[test]
 fn a_slow_frame_with_all_of_its_processor_time_is_a_stall() {
-    let steps: Vec<f32> =
-        played_on_processors(|i| if i == 60 { 2.0 } else { 1.0 }, |_| 1.9).iter().map(|d| d.step).collect();
+    let steps = calm_steps(|i| if i == 60 { 2.0 } else { 1.0 }, |_| 1.9);
     assert!(steps[61..].iter().all(|s| *s < 1.1 * steps[60]), "{:?}", &steps[60..66]);
 }
 
 #[test]
 fn little_processor_time_alone_changes_nothing() {
     // A frame's time is as expected, although the process got fewer processors.
-    let usual = played_on_processors(|_| 1.0, |_| 1.9);
-    let fewer = played_on_processors(|_| 1.0, |i| if i >= 60 { 0.9 } else { 1.9 });
+    let usual = calm_steps(|_| 1.0, |_| 1.9);
+    let fewer = calm_steps(|_| 1.0, |i| if i >= 60 { 0.9 } else { 1.9 });
     assert_eq!(usual, fewer);
 }
 
