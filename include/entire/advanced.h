@@ -876,10 +876,10 @@ entire_result entire_session_quality(const entire_session *session,
 entire_result entire_session_set_enabled(entire_session *session, uint32_t enabled);
 
 /**
- * States the processor seconds of the renderer's process, over all of its threads, in the frame that is
- * observed next, for a renderer that runs on the processor and is observed by wall time. If other programs
- * take processors away, this time falls relative to the wall time, and the session follows after one slow
- * frame instead of two. A value that is not finite and positive counts as unknown.
+ * States the processor seconds of the renderer's process, over all of its threads, in the frame of the next
+ * call of entire_session_observe, for a renderer that runs on the processor and is observed by wall time. If
+ * other programs take processors away, this time falls relative to the wall time, and the session follows
+ * after one slow frame instead of two. A value that is not finite and positive counts as unknown.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */

@@ -218,10 +218,10 @@ pub unsafe extern "C" fn entire_session_set_enabled(
     }))
 }
 
-/// States the processor seconds of the renderer's process, over all of its threads, in the frame that is
-/// observed next, for a renderer that runs on the processor and is observed by wall time. If other programs
-/// take processors away, this time falls relative to the wall time, and the session follows after one slow
-/// frame instead of two. A value that is not finite and positive counts as unknown.
+/// States the processor seconds of the renderer's process, over all of its threads, in the frame of the next
+/// call of entire_session_observe, for a renderer that runs on the processor and is observed by wall time. If
+/// other programs take processors away, this time falls relative to the wall time, and the session follows
+/// after one slow frame instead of two. A value that is not finite and positive counts as unknown.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

@@ -219,6 +219,32 @@ fn a_cancelled_frame_says_something_only_when_it_took_longer_than_expected() {
 }
 
 #[test]
+fn no_later_frame_gets_the_processor_time_of_a_cancelled_one() {
+    let f = frame(20.0, 30.0, 2.0);
+    let mut truth = ready_session();
+    let mut predicted = |step: f32| truth.predict(&Frame { step, ..f }).unwrap().seconds;
+    let target = 50.0 * predicted(1.0);
+    let mut last_step = |stated: f32| {
+        let mut session = ready_session();
+        for _ in 0..30 {
+            let plan = session.plan(&f, target).unwrap();
+            let seconds = 40.0 * predicted(plan.step);
+            session.set_processor_seconds(1.9 * seconds);
+            session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+        }
+        let plan = session.plan(&f, target).unwrap();
+        session.set_processor_seconds(stated);
+        let cancelled = ObserveFlags { cancelled: true, ..ObserveFlags::default() };
+        assert_eq!(session.observe(plan.id, 0.1 * plan.seconds, cancelled).unwrap(), Verdict::Ignored);
+        // A slow frame whose processor time is not stated.
+        let plan = session.plan(&f, target).unwrap();
+        session.observe(plan.id, 80.0 * predicted(plan.step), ObserveFlags::default()).unwrap();
+        session.plan(&f, target).unwrap().step
+    };
+    assert_eq!(last_step(0.1 * target), last_step(f32::NAN));
+}
+
+#[test]
 fn settings_to_choose_from_are_held_to_the_limits_of_frames() {
     let f = frame(0.0, 0.0, 2.0);
     let mut session = ready_session();

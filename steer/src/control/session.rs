@@ -98,7 +98,7 @@ pub struct Session {
     last_termination: f32,
     pending: Box<[Option<Pending>; PENDING_PLANS]>,
     next_id: u64,
-    /// Processor seconds of the frame that is observed next; NaN if they are unknown.
+    /// Processor seconds of the frame of the next observation; NaN if they are unknown.
     processor_seconds: f32,
     /// Id of the newest plan, and the state before it, for [`Session::withdraw`]; `None` after a withdrawal.
     newest: Option<(u64, Before)>,
@@ -409,8 +409,8 @@ impl Session {
         }
     }
 
-    /// States the processor seconds of the renderer's process, over all of its threads, in the frame that is
-    /// observed next. If other programs take processors away, this time falls relative to the wall time, and
+    /// States the processor seconds of the renderer's process, over all of its threads, in the frame of the
+    /// next call of [`Session::observe`]. If other programs take processors away, this time falls relative to the wall time, and
     /// a load is detected after one frame instead of two. Only for observations by wall time; a value that is
     /// not positive and finite counts as unknown.
     pub fn set_processor_seconds(&mut self, seconds: f32) {
@@ -424,6 +424,8 @@ impl Session {
     /// and for a time that is not finite, not positive or over [`crate::predict::LONGEST_FRAME`]. A rejected
     /// observation has no effect.
     pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Result<Verdict> {
+        // Taken from every observation, also a refused one, so that no later frame gets this time.
+        let processor_seconds = core::mem::replace(&mut self.processor_seconds, f32::NAN);
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         let Some(pending) = slot.as_mut().filter(|p| p.id == id) else {
             return Err(Error::new(
@@ -449,7 +451,6 @@ impl Session {
             // expected, or if no time was expected.
             return Ok(Verdict::Ignored);
         }
-        let processor_seconds = core::mem::replace(&mut self.processor_seconds, f32::NAN);
         let observed = Observed { seconds, processor_seconds, unusual: flags.unusual, ..pending.frame };
         Ok(self.controller.observe(&observed))
     }
