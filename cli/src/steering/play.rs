@@ -306,8 +306,8 @@ pub(crate) fn play(
                 resized(&rendered.image, frame.width, frame.height).context("an image without pixels")?;
             let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
-            if let Some(seconds) = measured.cpu.filter(|_| on_processors) {
-                session.set_processor_seconds(seconds as f32);
+            if let Some(cpu) = measured.cpu.filter(|_| on_processors) {
+                session.set_processor_seconds(cpu as f32);
             }
             // A coarse clock may count no time for a short frame.
             session.observe(plan.id, (seconds as f32).max(1e-9), ObserveFlags::default())?;

@@ -649,6 +649,7 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
   }
   this->DrainQueue();
   const double seconds = this->Internals->Now() - this->StartTime;
+  const std::clock_t ticks = this->Gpu ? 0 : std::clock() - this->StartTicks;
   const bool steered = this->Steered;
   this->Drawing = false;
   if (!this->SetEarly())
@@ -669,8 +670,8 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
     const bool aborted = window && window->GetAbortRender();
     if (!this->Gpu)
     {
-      const double ticks = static_cast<double>(std::clock() - this->StartTicks);
-      static_cast<void>(this->Session->set_processor_seconds(static_cast<float>(ticks / CLOCKS_PER_SEC)));
+      const double processorSeconds = static_cast<double>(ticks) / CLOCKS_PER_SEC;
+      static_cast<void>(this->Session->set_processor_seconds(static_cast<float>(processorSeconds)));
     }
     // A time that the library refuses has no effect.
     static_cast<void>(this->Session->observe(
