@@ -233,10 +233,20 @@ impl Steer {
         Ok(Planned { plan, frame: drawn, other })
     }
 
-    /// Gives the session the seconds of ray casting, `cast`.
-    pub(crate) fn observe(&mut self, planned: &Planned, shading: Shading, cast: f64) -> Result<()> {
+    /// Gives the session the seconds of ray casting, `cast`, and the processor seconds of a software renderer.
+    pub(crate) fn observe(
+        &mut self,
+        planned: &Planned,
+        shading: Shading,
+        cast: f64,
+        processor: Option<f64>,
+    ) -> Result<()> {
+        let session = self.session(shading)?;
+        if let Some(processor) = processor {
+            session.set_processor_seconds(processor as f32);
+        }
         // An impossible time (of a suspended machine) is refused and has no effect.
-        let _ = self.session(shading)?.observe(planned.plan.id, cast as f32, ObserveFlags::default());
+        let _ = session.observe(planned.plan.id, cast as f32, ObserveFlags::default());
         Ok(())
     }
 
@@ -378,7 +388,7 @@ mod tests {
             let planned = steer.plan(&frame, before).unwrap();
             let cast = cost(&planned.frame);
             last = before + cast + after;
-            steer.observe(&planned, frame.shading, cast).unwrap();
+            steer.observe(&planned, frame.shading, cast, None).unwrap();
             steer.remember(FrameRecord { number, seconds: last, cast, ..RECORD }, after);
         }
         assert!((last / steer.target - 1.0).abs() < 0.1, "{last}");
@@ -417,7 +427,7 @@ mod tests {
     fn controllers_learn_for_themselves_and_every_reason_has_words() {
         let (mut steer, frame) = steer();
         let first = steer.plan(&frame, 0.0).unwrap();
-        steer.observe(&first, frame.shading, 0.5).unwrap();
+        steer.observe(&first, frame.shading, 0.5, None).unwrap();
         let learned = steer.plan(&frame, 0.0).unwrap();
         steer.controller = 1;
         let other = steer.plan(&frame, 0.0).unwrap();

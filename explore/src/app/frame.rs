@@ -256,8 +256,11 @@ impl App {
         let before = begin.elapsed().as_secs_f64();
         let planned = state.steer.plan(&frame, before)?;
         let whole = Region::whole(&planned.frame);
-        let cast = scene.raycaster.render_to(&planned.frame, whole, &mut pictures.steered)?.wall;
-        state.steer.observe(&planned, frame.shading, cast)?;
+        let time = scene.raycaster.render_to(&planned.frame, whole, &mut pictures.steered)?;
+        let cast = time.wall;
+        // On a graphics device, processor time says nothing of other programs.
+        let processor = time.cpu.filter(|_| scene.raycaster.is_software());
+        state.steer.observe(&planned, frame.shading, cast, processor)?;
         pictures.used = [whole.width, whole.height];
         state.picture = Some(Shown { steered: STEERED_TEXTURE, full: None });
         state.probe = state.steer.probe(state.shading);
