@@ -340,7 +340,7 @@ fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> R
 pub(crate) const STUDY_KEY: &str = "entire.study_key";
 
 /// Version of the fits: raised whenever the same recipe gives another model for the same frames.
-const MADE_AS: u32 = 3;
+const MADE_AS: u32 = 5;
 
 /// Identity of a model: a hash of everything on which the model depends. The hash covers the program's
 /// version, [`MADE_AS`], the recipe, and the bytes of the model files that the recipe names. For each frame

@@ -77,8 +77,8 @@ impl UnitCosts {
     /// first observed frames of a session set the scale of the costs; from then on, only the ratios of the
     /// costs matter.
     pub const SOFTWARE: Self = Self::new([
-        2.5e-4, 8.0e-8, 7.7e-9, 6.2e-9, 1.9e-9, 8.0e-9, 1.2e-8, 1.5e-8, 1.0e-9, 2.8e-10, 2.0e-9, 4.7e-9,
-        8.3e-8, 6.5e-9, 1.0e-10, 5.8e-8, 6.7e-8, 2.0e-8, 2.9e-9, 8.2e-9, 3.2e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
+        3.2e-4, 9.4e-8, 6.3e-9, 7.5e-9, 1.4e-9, 1.5e-8, 1.3e-8, 1.5e-8, 5.1e-10, 2.3e-10, 1.6e-9, 7.1e-9,
+        1.0e-7, 5.7e-9, 1.0e-10, 3.9e-8, 3.6e-8, 1.5e-8, 2.5e-9, 8.0e-9, 3.3e-8, 0.0, 0.0, 0.0, 0.0, 0.0,
         0.0, 0.0,
     ]);
 
@@ -111,7 +111,7 @@ impl UnitCosts {
     /// measured with each shading mode on an NVIDIA H100; `lab/scripts/typical_costs.py` prints such means.
     pub const GPU: Self = Self::new([
         5.1e-6, 9.6e-12, 4.5e-13, 6.2e-12, 1.1e-12, 2.4e-13, 1.2e-12, 2.9e-13, 1.5e-11, 5.7e-13, 7.1e-13,
-        3.6e-12, 1.4e-10, 1.4e-12, 6.8e-14, 4.0e-12, 3.4e-12, 2.2e-10, 2.0e-12, 3.1e-12, 4.4e-12, 0.0,
+        3.6e-12, 1.4e-10, 1.4e-12, 6.8e-14, 4.0e-12, 3.4e-12, 1.5e-10, 2.0e-12, 3.1e-12, 4.4e-12, 0.0,
         7.3e-7, 1.5e-6, 3.8e-8, 4.5e-7, 8.5e-6, 4.4e-7,
     ]);
 

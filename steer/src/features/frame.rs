@@ -160,6 +160,14 @@ pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 /// Ray spacing at which half of the reads of shading are shared with no other ray, in reference steps.
 pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
+/// Reads of a sample that the preceding sample of its ray does not share, divided by these reads of samples
+/// one reference step apart; `distance` is that of the samples, in reference steps. The share of reads that
+/// the preceding sample does not share is d / (d + [`UNSHARED_SPACING`]) at distance d.
+fn new_reads(distance: f32) -> f64 {
+    let distance = f64::from(distance);
+    (1.0 + UNSHARED_SPACING) * distance / (distance + UNSHARED_SPACING)
+}
+
 /// Factor on the number of shadow samples for which rays far apart wait because their own sample is
 /// transparent. With a factor of 1, the number would be that of a volume whose visible voxels are spread
 /// evenly over each cell. The factor exceeds 1 because visible voxels lie close together. Fitted to training
@@ -391,6 +399,7 @@ impl FrameFeatures {
         let per_pixel = |v: f64| v / work.pixels.max(1.0);
         let only = |counts: bool, v: f64| if counts { v } else { 0.0 };
         let far = |spacing: f64| work.unshared(spacing) * work.uncached;
+        let far_new = |spacing: f64| new_reads(setting.step) * far(spacing);
         match quantity {
             Q::Pixels => work.pixels,
             Q::Rays => work.rays,
@@ -404,14 +413,16 @@ impl FrameFeatures {
             Q::ShadowSamples => work.shadow_samples,
             Q::LaneShadowSamples => work.lane_shadow_samples,
             Q::FarSkips => work.skips * far(UNSHARED_SPACING),
-            Q::FarSamples => work.lane_samples * far(UNSHARED_SPACING),
+            Q::FarSamples => work.lane_samples * far_new(UNSHARED_SPACING),
             Q::TouchedVoxels => work.touched,
             Q::FarSegments => work.segments * far(UNSHARED_SPACING),
-            Q::FarLocalSamples => only(setting.shading.is_lit(), work.shaded) * far(UNSHARED_SHADING),
-            Q::FarShadowSamples => work.parted_shadow_samples * far(UNSHARED_SHADING),
-            Q::FarX => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.x),
-            Q::FarY => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.y),
-            Q::FarZ => work.samples * far(UNSHARED_SPACING) * f64::from(self.along.z),
+            Q::FarLocalSamples => only(setting.shading.is_lit(), work.shaded) * far_new(UNSHARED_SHADING),
+            Q::FarShadowSamples => {
+                work.parted_shadow_samples * new_reads(SHADOW_STEP * setting.step) * far(UNSHARED_SHADING)
+            }
+            Q::FarX => work.samples * far_new(UNSHARED_SPACING) * f64::from(self.along.x),
+            Q::FarY => work.samples * far_new(UNSHARED_SPACING) * f64::from(self.along.y),
+            Q::FarZ => work.samples * far_new(UNSHARED_SPACING) * f64::from(self.along.z),
             Q::RemappedSamples => f64::from(u8::from(self.remapped)) * work.samples,
             Q::EstimatedSeconds => UnitCosts::SOFTWARE.time(&self.cost_work(setting)),
             Q::SamplesPerPixel => per_pixel(work.samples),

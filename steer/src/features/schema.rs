@@ -84,21 +84,24 @@ quantities! {
         "jumps whose reads miss the caches: `skips` times the far share, which is the share of reads that \
          miss the caches";
     FarSamples, "far_samples", "samples", 1.0, yes, yes,
-        "samples whose reads miss the caches: `lane_samples` times the far share";
+        "samples whose reads miss the caches: `lane_samples` times the far share, times 3 d / (d + 2) for samples d \
+         reference steps apart (a sample that is close to the preceding one reads the same voxels)";
     TouchedVoxels, "touched_voxels", "voxels", 1.0, yes, yes,
         "voxels that the frame brings into the caches at least once: 1 / (1 / n + 1 / (64 r)) for n voxels of the \
          volume and r reads that no neighboring ray shares";
     FarSegments, "far_segments", "segments", 1.0, yes, yes,
         "reads of the skip map that miss the caches: `segments` times the far share";
     FarLocalSamples, "far_local_samples", "samples", 1.0, yes, yes,
-        "`local_samples` times the share of reads for shading that miss the caches";
+        "`local_samples` times the share of reads for shading that miss the caches, times 3 d / (d + 2) as for \
+         far_samples";
     FarShadowSamples, "far_shadow_samples", "samples", 1.0, yes, yes,
         "`lane_shadow_samples`, computed as if neighboring rays were eight reference steps apart, times the \
-         share of reads for shading that miss the caches, times the sine of the angle between the central ray \
-         and the shadow rays";
+         share of reads for shading that miss the caches, times 3 d / (d + 2) as for far_samples, times the sine \
+         of the angle between the central ray and the shadow rays";
     FarX, "far_x", "samples", 1.0, yes, yes,
-        "`samples` times the far share, times the share of crossed voxel borders that are normal to x; rays \
-         along an axis read slowly if adjacent voxels of this axis are far apart in memory";
+        "`samples` times the far share, times 3 d / (d + 2) as for far_samples, times the share of crossed voxel \
+         borders that are normal to x; rays along an axis read slowly if adjacent voxels of this axis are far \
+         apart in memory";
     FarY, "far_y", "samples", 1.0, yes, yes, "as far_x, for borders normal to y";
     FarZ, "far_z", "samples", 1.0, yes, yes, "as far_x, for borders normal to z";
     RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,

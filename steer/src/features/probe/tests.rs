@@ -297,16 +297,22 @@ fn rays_far_apart_wait_while_any_of_eight_shades() {
             let waiting = 1.0 + 4.0 * (independent - 1.0) * work.ray_spacing / (work.ray_spacing + 8.0);
             assert!((lanes / work.shadow_samples - waiting).abs() < 1e-5 * waiting, "{size}: {waiting}");
             assert!(size < 1 << 20 || (waiting - 1.0).abs() < 0.02, "{waiting}");
+            // Samples along a shadow ray are two steps of the primary ray apart.
+            let apart = 2.0 * f64::from(setting.step);
+            let new = 3.0 * apart / (apart + 2.0);
             let parted = work.shadow_samples * (1.0 + 4.0 * (independent - 1.0) * 0.5);
-            let far = aside(&frame) * parted * work.uncached * square / (square + 64.0);
+            let far = new * aside(&frame) * parted * work.uncached * square / (square + 64.0);
             assert!((spread - far).abs() < 1e-5 * far, "{size}: {spread} of {far}");
             assert_eq!(value(SceneQuantity::FarLocalSamples), 0.0);
         }
-        let local = Setting { shading: Shading::Local, ..Setting::from(&frame) };
-        let work = features.work(&local);
-        let square = work.ray_spacing * work.ray_spacing;
-        let spread = features.quantity_of(SceneQuantity::FarLocalSamples, &local, &work);
-        assert!((spread / work.shaded - work.uncached * square / (square + 64.0)).abs() < 1e-6, "{spread}");
+        for (step, new) in [(0.5f32, 0.6), (1.0, 1.0), (4.0, 2.0)] {
+            let local = Setting { shading: Shading::Local, step, ..Setting::from(&frame) };
+            let work = features.work(&local);
+            let square = work.ray_spacing * work.ray_spacing;
+            let spread = features.quantity_of(SceneQuantity::FarLocalSamples, &local, &work);
+            let far = new * work.uncached * square / (square + 64.0);
+            assert!((spread / work.shaded - far).abs() < 1e-6, "{step}: {spread}");
+        }
     }
 }
 
@@ -367,6 +373,7 @@ fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
             let work = features.work(&setting);
             let value = |q| features.quantity_of(q, &setting, &work);
             let square = work.ray_spacing * work.ray_spacing;
+            let new = 3.0 * f64::from(step) / (f64::from(step) + 2.0);
             let near = square / (square + 4.0);
             let shading =
                 (value(SceneQuantity::LocalSamples) + work.parted_shadow_samples) * square / (square + 64.0);
@@ -374,7 +381,7 @@ fn a_frame_that_touches_more_voxels_waits_for_more_reads() {
             let expected = touched * touched / (touched * touched + 4.0e6 * 4.0e6);
             assert!((work.uncached - expected).abs() < 1e-9 * expected, "{} of {expected}", work.uncached);
             let far = value(SceneQuantity::FarSamples);
-            assert!((far - work.lane_samples * near * expected).abs() < 1e-6 * far, "{far}");
+            assert!((far - new * work.lane_samples * near * expected).abs() < 1e-6 * far, "{far}");
             work.uncached
         };
         let most = (n * n) as f64 / ((n * n) as f64 + 4.0e6 * 4.0e6);
