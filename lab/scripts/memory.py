@@ -29,7 +29,7 @@ CACHED, READ = 4.0e6, 64.0  # CACHED_VOXELS and VOXELS_PER_READ of steer/src/fea
 
 
 def new_reads(d):
-    """Reads of a sample that the preceding sample of its ray, d reference steps away, does not share, relative to d = 1."""
+    """Reads of a sample that the preceding sample of its ray, d reference steps away, does not share; 1 at d = 1."""
     return 3 * d / (d + 2)
 
 
@@ -165,8 +165,8 @@ def main():
             if part
         ]
         print(f"{name:36}  " + "  ".join(f"{100 * m:5.2f} %, RMSE/SD {r:.4f}" for m, r in means), flush=True)
-    read_all = lambda name: [read(f"data/timings/{name}-{part}.csv.gz", by_volume=False) for part in ("train", "steps")]
-    tables = [joined(read_all(name)) for name in STEPS]
+    parts = [[f"data/timings/{name}-{part}.csv.gz" for part in ("train", "steps")] for name in STEPS]
+    tables = [joined([read(path, by_volume=False) for path in paths]) for paths in parts]
     print(f"\n{'reads that no preceding sample shares':36}  ray step 1             other ray steps")
     for name, new in NEW.items():
         found = []
