@@ -66,9 +66,12 @@ def work(f, law, new=new_reads):
     that wait for memory, and the number of voxels that cost time (None: no voxels do). If `law` is None, no read waits.
     If `law` is a number of pixels, the formula of the shipped models is used, and a further unit cost is that of the
     share of pixels that do not fit in a cache of this number of pixels. `new` replaces the formula `new_reads`."""
-    between = {name: f["step"] for name in FAR} | {"far_shadow_samples": 2 * f["step"]}
-    before = {name: new_reads(d) for name, d in between.items()} | {"far_skips": 1.0, "far_segments": 1.0}
-    after = {name: new(d) for name, d in between.items()} | {"far_skips": 1.0, "far_segments": 1.0}
+
+    def by_distance(formula):
+        """The formula at the distance of the samples; 1 for work that the distance does not change."""
+        shadow = {"far_shadow_samples": formula(2 * f["step"])}
+        return {name: formula(f["step"]) for name in FAR} | shadow | {"far_skips": 1.0, "far_segments": 1.0}
+
     columns = [np.ones_like(f["pixels"]), *(f[name] for name in NEAR)]
     if isinstance(law, float):
         columns.append(f["pixels"] ** 2 / (f["pixels"] + law))
@@ -76,6 +79,7 @@ def work(f, law, new=new_reads):
     if law:
         square = f["ray_spacing"] ** 2
         near = square / (square + 4.0)
+        before, after = by_distance(new_reads), by_distance(new)
         far = {name: f[name] / before[name] for name in FAR}
         share = np.clip(far["far_samples"] / np.maximum(f["lane_samples"] * near, 1e-9), 1e-12, 0.999)
         reads = f["samples"] * near + (far["far_shadow_samples"] + far["far_local_samples"]) / share
