@@ -410,9 +410,9 @@ impl Session {
     }
 
     /// States the processor seconds of the renderer's process, over all of its threads, in the frame of the
-    /// next call of [`Session::observe`]. If other programs take processors away, this time falls relative to the wall time, and
-    /// a load is detected after one frame instead of two. Only for observations by wall time; a value that is
-    /// not positive and finite counts as unknown.
+    /// next call of [`Session::observe`]. If other programs take processors away, this time falls relative to
+    /// the wall time, and a load is detected after one frame instead of two. Only for observations by wall
+    /// time; a value that is not positive and finite counts as unknown.
     pub fn set_processor_seconds(&mut self, seconds: f32) {
         self.processor_seconds = seconds;
     }
