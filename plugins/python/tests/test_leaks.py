@@ -65,3 +65,38 @@ def test_attaching(voxels, kind):
         entire.vtk.hold(view.renderer, volume, 0.01, overlay=True).detach()
 
     assert growth(cycle, 200, 1000) < 1 << 20
+
+
+def test_a_weak_reference_yields_no_object_that_is_deleted_meanwhile():
+    """The collections that an allocation starts in Python up to 3.11 may delete an object that only garbage owns."""
+    pytest.importorskip("vtkmodules")
+    from entire.vtk._weak import weak
+    from vtkmodules.vtkRenderingCore import vtkRenderer, vtkVolume
+
+    before, deleted = gc.get_threshold(), []
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(20):
+            volume, garbage = vtkVolume(), [vtkRenderer()]
+            volume.AddObserver("DeleteEvent", lambda *_: deleted.append(1))
+            # Only the renderer owns the volume, and only a cycle of Python owns the renderer.
+            garbage[0].AddVolume(volume)
+            garbage.append(garbage)
+            reference = weak(volume)
+            del volume, garbage
+            gc.set_threshold(1)
+            gc.enable()
+            held = reference()
+            gc.disable()
+            gc.set_threshold(*before)
+            count = len(deleted)
+            if held is not None:
+                assert held.GetReferenceCount() == 2
+            del held
+            gc.collect()
+            assert reference() is None
+            assert len(deleted) == count + 1
+    finally:
+        gc.set_threshold(*before)
+        gc.enable()

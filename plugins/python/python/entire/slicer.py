@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from .vtk import Steering
-from .vtk._leaf import weak
+from .vtk._weak import weak
 
 _MANAGER = "vtkMRMLVolumeRenderingDisplayableManager"
 # VolumeRenderingQuality "Maximum" of vtkMRMLViewNode: full quality, however long a frame takes.

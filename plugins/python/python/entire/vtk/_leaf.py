@@ -10,11 +10,10 @@ from collections.abc import Callable, Iterable
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any, Literal
 
-from vtkmodules.vtkCommonCore import vtkWeakReference
-
 from .._core import CannotSteer, Session, explain
 from .._native import Held, PassShare, Plan
 from . import _mappers, _scene
+from ._weak import weak
 
 if TYPE_CHECKING:
     from ._steering import Steering
@@ -30,15 +29,6 @@ _KEPT = "_entire_mapper"
 _NONE_DUE: tuple[Plan | None, float, float, bool] = (None, _NAN, _NAN, False)
 # Leaves that observe their volume's mapper.
 _observing: weakref.WeakSet[Leaf] = weakref.WeakSet()
-
-
-def weak(target: Any = None) -> Callable[[], Any]:
-    """Weak reference to a VTK object: a function that returns the object, or None once it is deleted."""
-    reference = vtkWeakReference()
-    if target is not None:
-        reference.Set(target)
-    get: Callable[[], Any] = reference.Get
-    return get
 
 
 class Leaf:

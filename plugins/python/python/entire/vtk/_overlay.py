@@ -7,8 +7,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import vtkmodules.vtkRenderingFreeType  # noqa: F401  (draws text)
-from vtkmodules.vtkCommonCore import vtkWeakReference
 from vtkmodules.vtkRenderingCore import vtkTextActor
+
+from ._weak import weak
 
 if TYPE_CHECKING:
     from ._steering import Steering
@@ -18,8 +19,7 @@ class Overlay:
     """Text with the expected and measured time, step and reason of the last frame; hidden in still frames."""
 
     def __init__(self, renderer: Any) -> None:
-        self._renderer = vtkWeakReference()
-        self._renderer.Set(renderer)
+        self._renderer = weak(renderer)
         self._actor = vtkTextActor()
         self._actor.SetVisibility(0)
         self._actor.SetPickable(0)
@@ -44,6 +44,6 @@ class Overlay:
             )
 
     def remove(self) -> None:
-        renderer: Any = self._renderer.Get()
+        renderer: Any = self._renderer()
         if renderer is not None:
             renderer.RemoveViewProp(self._actor)

@@ -22,8 +22,9 @@ from .._core import PROBE_SIDE, PROBE_TOLERANCE, CannotSteer, ModelLike, Session
 from .._history import History
 from .._native import ModelError, write_whole
 from . import _mappers
-from ._leaf import Leaf, refusal, weak
+from ._leaf import Leaf, refusal
 from ._overlay import Overlay
+from ._weak import weak
 from ._window import frame_of, is_picking
 
 log = logging.getLogger("entire.vtk")

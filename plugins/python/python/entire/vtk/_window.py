@@ -6,9 +6,8 @@ from __future__ import annotations
 import weakref
 from typing import Any
 
-from vtkmodules.vtkCommonCore import vtkWeakReference
-
 from .._native import FrameBudget
+from ._weak import weak
 
 # Frames by the address of their window and their clock. Only steerings keep them alive.
 _frames: weakref.WeakValueDictionary[tuple[str, str], WindowFrame] = weakref.WeakValueDictionary()
@@ -35,8 +34,7 @@ class WindowFrame:
 
     def __init__(self, window: Any) -> None:
         # frame_of() compares this window with the given one, since a new window may have the address of a deleted one.
-        self.window = vtkWeakReference()
-        self.window.Set(window)
+        self.window = weak(window)
         self.budget = FrameBudget()
         self.drawing = False
         self.start = 0.0
@@ -71,6 +69,6 @@ def frame_of(window: Any, clock: str) -> WindowFrame:
         return WindowFrame(None)
     key = (window.__this__, clock)
     frame = _frames.get(key)
-    if frame is None or frame.window.Get() is not window:
+    if frame is None or frame.window() is not window:
         frame = _frames[key] = WindowFrame(window)
     return frame
