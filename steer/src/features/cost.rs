@@ -89,12 +89,12 @@ impl UnitCosts {
         costs
     };
 
-    /// Two sets of typical unit costs for a renderer of unknown kind. Both have the unit costs
-    /// [`UnitCosts::SOFTWARE`], and a cost for the conversion of stored values, as renderers have that look
-    /// stored values up in tables, such as VTK's fixed-point mapper and yt. The second set, for a GPU, also
-    /// has unit costs for the samples, the lookups in the skip map and the shadow samples of the longest ray.
-    /// Each is 10⁴ times the unit cost of the same work summed over all rays. This ratio is below 10⁴ on a
-    /// processor with two cores, and above 10⁴ on a large GPU.
+    /// Two sets of typical unit costs for a renderer of unknown kind. Both contain [`UnitCosts::SOFTWARE`], and
+    /// a cost per converted voxel value: some renderers, such as VTK's fixed-point mapper and yt, look each
+    /// stored value up in a table. The second set is for a GPU. It also has unit costs for the samples, the
+    /// lookups in the skip map and the shadow samples of the longest ray. Each of them is set to 10⁴ times the
+    /// unit cost of the same work of all rays. Measured ratios are lower on a processor with two cores, and
+    /// higher on a large GPU.
     pub const OF_UNKNOWN: [Self; 2] = {
         let mut costs = Self::CONVERSION;
         let mut longest = COMMON_COSTS + 1;

@@ -140,15 +140,21 @@ pub(crate) struct Work {
     /// with [`UnitCosts::CACHED_VOXELS`]. A model file may have another number of cached voxels
     /// ([`UnitCosts::cached_voxels`]).
     pub(crate) uncached: f64,
+    /// Share of a ray's reads that no neighboring ray shares, 0…1; half at [`UNSHARED_SPACING`].
+    pub(crate) unshared: f64,
+    /// This share for the reads of shading; half at [`UNSHARED_SHADING`].
+    pub(crate) unshared_shading: f64,
+    /// [`new_reads`] of the samples along primary rays.
+    pub(crate) new_reads: f64,
+    /// [`new_reads`] of the samples along shadow rays.
+    pub(crate) new_shadow_reads: f64,
 }
 
-impl Work {
-    /// Share of a ray's reads that no neighboring ray shares, 0…1: s²/(s² + d²) at ray spacing s, where d =
-    /// `half` is the spacing at which the share is one half.
-    pub(crate) fn unshared(&self, half: f64) -> f64 {
-        let square = self.ray_spacing * self.ray_spacing;
-        square / (square + half * half)
-    }
+/// Share of a ray's reads that no neighboring ray shares, 0…1: s²/(s² + d²) at `ray_spacing` s, where d =
+/// `half` is the spacing at which the share is one half.
+fn unshared(ray_spacing: f64, half: f64) -> f64 {
+    let square = ray_spacing * ray_spacing;
+    square / (square + half * half)
 }
 
 /// Number of voxels that an unshared read brings into the cache: four cache lines of 16 packed voxels.
@@ -297,7 +303,7 @@ impl FrameFeatures {
 
     /// Estimated work of the frame at a setting. Counts are monotonic: never smaller for a finer step, nor
     /// for a larger image of the same aspect ratio. The share of reads that no neighboring ray shares
-    /// ([`Work::unshared`]) is smaller in a larger image.
+    /// ([`unshared`]) is smaller in a larger image.
     pub(crate) fn work(&self, setting: &Setting) -> Work {
         let p = &self.probe;
         let pixels = f64::from(setting.width) * f64::from(setting.height);
@@ -361,10 +367,14 @@ impl FrameFeatures {
             ray_spacing,
             touched: 0.0,
             uncached: 0.0,
+            unshared: unshared(ray_spacing, UNSHARED_SPACING),
+            unshared_shading: unshared(ray_spacing, UNSHARED_SHADING),
+            new_reads: new_reads(setting.step),
+            new_shadow_reads: new_reads(SHADOW_STEP * setting.step),
         };
         let local = if setting.shading.is_lit() { work.shaded } else { 0.0 };
-        let reads = work.samples * work.unshared(UNSHARED_SPACING)
-            + (local + work.parted_shadow_samples) * work.unshared(UNSHARED_SHADING);
+        let reads =
+            work.samples * work.unshared + (local + work.parted_shadow_samples) * work.unshared_shading;
         let (read, voxels) = (VOXELS_PER_READ * reads, f64::from(self.voxels));
         work.touched = if read > 0.0 { read * voxels / (read + voxels) } else { 0.0 };
         work.uncached = uncached_share(work.touched, UnitCosts::CACHED_VOXELS);
@@ -398,8 +408,7 @@ impl FrameFeatures {
         let p = &self.probe;
         let per_pixel = |v: f64| v / work.pixels.max(1.0);
         let only = |counts: bool, v: f64| if counts { v } else { 0.0 };
-        let far = |spacing: f64| work.unshared(spacing) * work.uncached;
-        let far_new = |spacing: f64| new_reads(setting.step) * far(spacing);
+        let (far, far_shading) = (work.unshared * work.uncached, work.unshared_shading * work.uncached);
         match quantity {
             Q::Pixels => work.pixels,
             Q::Rays => work.rays,
@@ -412,17 +421,17 @@ impl FrameFeatures {
             Q::ScatterSamples => only(setting.shading.scatters(), work.shaded),
             Q::ShadowSamples => work.shadow_samples,
             Q::LaneShadowSamples => work.lane_shadow_samples,
-            Q::FarSkips => work.skips * far(UNSHARED_SPACING),
-            Q::FarSamples => work.lane_samples * far_new(UNSHARED_SPACING),
+            Q::FarSkips => work.skips * far,
+            Q::FarSamples => work.lane_samples * (work.new_reads * far),
             Q::TouchedVoxels => work.touched,
-            Q::FarSegments => work.segments * far(UNSHARED_SPACING),
-            Q::FarLocalSamples => only(setting.shading.is_lit(), work.shaded) * far_new(UNSHARED_SHADING),
-            Q::FarShadowSamples => {
-                work.parted_shadow_samples * new_reads(SHADOW_STEP * setting.step) * far(UNSHARED_SHADING)
+            Q::FarSegments => work.segments * far,
+            Q::FarLocalSamples => {
+                only(setting.shading.is_lit(), work.shaded) * (work.new_reads * far_shading)
             }
-            Q::FarX => work.samples * far_new(UNSHARED_SPACING) * f64::from(self.along.x),
-            Q::FarY => work.samples * far_new(UNSHARED_SPACING) * f64::from(self.along.y),
-            Q::FarZ => work.samples * far_new(UNSHARED_SPACING) * f64::from(self.along.z),
+            Q::FarShadowSamples => work.parted_shadow_samples * work.new_shadow_reads * far_shading,
+            Q::FarX => work.samples * (work.new_reads * far) * f64::from(self.along.x),
+            Q::FarY => work.samples * (work.new_reads * far) * f64::from(self.along.y),
+            Q::FarZ => work.samples * (work.new_reads * far) * f64::from(self.along.z),
             Q::RemappedSamples => f64::from(u8::from(self.remapped)) * work.samples,
             Q::EstimatedSeconds => UnitCosts::SOFTWARE.time(&self.cost_work(setting)),
             Q::SamplesPerPixel => per_pixel(work.samples),
@@ -447,11 +456,9 @@ impl FrameFeatures {
             Q::LongestSamples => work.longest_samples,
             Q::LongestSegments => work.longest_segments,
             Q::LongestShadowSamples => work.longest_shadow_samples,
-            Q::FarLongestSamples => work.longest_samples * far(UNSHARED_SPACING),
-            Q::FarLongestSegments => work.longest_segments * far(UNSHARED_SPACING),
-            Q::FarLongestShadowSamples => {
-                f64::from(self.aside) * work.longest_shadow_samples * far(UNSHARED_SHADING)
-            }
+            Q::FarLongestSamples => work.longest_samples * far,
+            Q::FarLongestSegments => work.longest_segments * far,
+            Q::FarLongestShadowSamples => f64::from(self.aside) * work.longest_shadow_samples * far_shading,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Compares the summaries with plain loops, and checks the probe's invariants.
 
-use super::frame::{UNSHARED_SHADING, Work};
+use super::frame::Work;
 use super::*;
 use entire_core::ErrorKind;
 use entire_core::kernels::Executor;
@@ -376,7 +376,7 @@ proptest! {
         let tf = TransferFunction::Gaussian(std::vec![GaussianLobe { center, width, height }]).to_table().unwrap();
         let f = Frame { shading: Shading::ALL[shading], skipping: Skipping::ALL[skipping], ..frame(rx, ry, dz, 100) };
         let features = measured(&s, &tf, &f);
-        let counts = |w: Work| [w.pixels, w.rays, w.samples, w.skips, w.lane_samples, w.shaded, w.shadow_samples, w.lane_shadow_samples, w.parted_shadow_samples * w.unshared(UNSHARED_SHADING)];
+        let counts = |w: Work| [w.pixels, w.rays, w.samples, w.skips, w.lane_samples, w.shaded, w.shadow_samples, w.lane_shadow_samples, w.parted_shadow_samples * w.unshared_shading];
         let mut last: Option<[f64; 9]> = None;
         for i in 0..40 {
             let step = 0.25 * 1.15f32.powi(i);
