@@ -1,5 +1,5 @@
-//! Arbitrary bytes in place of volumes, models, tables, paths and task lists: the committed corpus and
-//! mutations of it. Readers never panic and never allocate more memory than the input justifies.
+//! Arbitrary bytes in place of volumes, models, tables, paths, task lists and farm jobs: the committed corpus
+//! and mutations of it. Readers never panic and never allocate more memory than the input justifies.
 
 // These modules contain the checks that the fuzz targets run.
 #[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
@@ -27,12 +27,13 @@ const CASES: u32 = 3_000;
 
 type Check = fn(&[u8]);
 
-const TARGETS: [(&str, Check); 12] = [
+const TARGETS: [(&str, Check); 13] = [
     ("table", records::check_table),
     ("features", records::check_features),
     ("manifest", records::check_manifest),
     ("path", records::check_path),
     ("tasks", records::check_tasks),
+    ("job", records::check_job),
     ("nrrd", |input| checks::check_volume(read_any(Format::Nrrd, input))),
     ("metaimage", |input| checks::check_volume(read_any(Format::MetaImage, input))),
     ("vti", |input| checks::check_volume(read_any(Format::VtkImage, input))),

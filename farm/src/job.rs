@@ -103,10 +103,7 @@ impl Job {
     pub fn open(path: &Path) -> Result<Self> {
         let text = read_text(path, MAX_JOB_BYTES)
             .with_context(|| format!("cannot read the job file {}", path.display()))?;
-        let file: JobFile = toml::from_str(&text).map_err(|e| {
-            let at = e.span().map_or(0, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
-            anyhow::anyhow!("{}, line {at}: {}", path.display(), e.message())
-        })?;
+        let file = JobFile::parse(&text).map_err(|e| anyhow::anyhow!("{}, {e}", path.display()))?;
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let folder = std::fs::canonicalize(folder)
             .with_context(|| format!("cannot find the folder {}", folder.display()))?;
@@ -418,40 +415,44 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
     Ok(out)
 }
 
-/// Returns views at each of the distances. `angles`: rotation about x and y of a view, degrees.
-fn at_each(distances: &[f32], views: u32, angles: impl Fn(u32) -> [f32; 2]) -> Result<Vec<Arcball>> {
-    let count = (views as usize).saturating_mul(distances.len());
+/// Adds views at each of the distances. `angles`: rotation about x and y of a view, degrees.
+fn add_views(
+    out: &mut Vec<Arcball>,
+    distances: &[f32],
+    views: u32,
+    angles: impl Fn(u32) -> [f32; 2],
+) -> Result<()> {
+    let count = (views as usize).saturating_mul(distances.len()).saturating_add(out.len());
     ensure!(
         count <= MAX_TASKS,
         "cameras: {count} views are more than a job's maximum of {MAX_TASKS} tasks; split the job"
     );
-    let mut out = Vec::with_capacity(count);
     for &dz in distances {
         out.extend((0..views).map(&angles).map(|[rx, ry]| Arcball { rx, ry, dz }));
     }
-    Ok(out)
+    Ok(())
 }
 
 fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {
     let mut out: Vec<Arcball> = Vec::new();
     for entry in entries {
-        out.extend(match entry {
+        match entry {
             CamerasEntry::Orbit { views, elevation_deg, distances_radii, from_deg, to_deg } => {
-                at_each(distances_radii, *views, |i| {
+                add_views(&mut out, distances_radii, *views, |i| {
                     [*elevation_deg, from_deg + (to_deg - from_deg) * i as f32 / *views as f32]
-                })?
+                })?;
             }
             CamerasEntry::SemiSphere { views, distances_radii } => {
                 let golden = 180.0 * (3.0 - 5.0f64.sqrt());
-                at_each(distances_radii, *views, |i| {
+                add_views(&mut out, distances_radii, *views, |i| {
                     let height = (f64::from(i) + 0.5) / f64::from(*views);
                     [height.asin().to_degrees() as f32, (f64::from(i) * golden).rem_euclid(360.0) as f32]
-                })?
+                })?;
             }
             CamerasEntry::List { poses } => {
-                poses.iter().map(|&[rx, ry, dz]| Arcball { rx, ry, dz }).collect()
+                out.extend(poses.iter().map(|&[rx, ry, dz]| Arcball { rx, ry, dz }));
             }
-        });
+        }
     }
     for (i, pose) in out.iter().enumerate() {
         Camera::from_arcball(*pose).with_context(|| format!("cameras: view {}", i + 1))?;

@@ -56,6 +56,19 @@ pub struct JobFile {
     pub retry: Retry,
 }
 
+impl JobFile {
+    /// Reads the text of a job file (TOML).
+    ///
+    /// # Errors
+    /// When the text is no job file. The message names the line.
+    pub fn parse(text: &str) -> Result<Self> {
+        toml::from_str(text).map_err(|e| {
+            let at = e.span().map_or(0, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
+            anyhow!("line {at}: {}", e.message())
+        })
+    }
+}
+
 /// One or several volume files: separate volumes, or the time steps of one volume.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]

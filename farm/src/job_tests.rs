@@ -136,7 +136,8 @@ fn every_mistake_is_named() {
         ("views = 5", "views = 5\nvews = 6", "vews"),
         ("kind = \"command\"", "kind = \"command\"\ntimeout_s = -1.0", "timeout_s is -1"),
         ("kind = \"command\"", "kind = \"command\"\ntimeout_s = 1e20", "timeout_s is 1"),
-        ("views = 5", "views = 4294967295", "4294967295 views are more"),
+        ("views = 5", "views = 4294967295", "4294967303 views are more"),
+        ("views = 4", "views = 9999998", "20000001 views are more"),
         ("[renderer]", "[predict]\nprobe_side = 0\n[renderer]", "probe_side is 0"),
         ("[renderer]", "[predict]\nprobe_side = 25\n[renderer]", "probe_side is 25"),
     ] {

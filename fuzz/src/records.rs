@@ -1,9 +1,12 @@
-//! Invariants of tables, manifests, paths and task lists.
+//! Invariants of tables, manifests, paths, task lists and farm jobs.
 
 use crate::dataset::{Clock, Manifest, feature_table::FeatureTable, noise_floor, parse_table};
+use crate::farm::job::{CamerasEntry, Job, JobFile, Renderer};
 use crate::farm::{By, Method, parse_tasks, plan, play, times};
 use crate::path::{MAX_FRAMES, PathFile};
+use std::collections::HashSet;
 use std::fmt::Display;
+use std::path::Path;
 
 /// Number of frames above which a path is not resolved into frames: a million frames would take a second.
 const MOST_PATH_FRAMES: u32 = 4096;
@@ -89,5 +92,39 @@ pub fn check_tasks(input: &[u8]) {
             assert_eq!(done, (0..tasks.len()).collect::<Vec<_>>());
             assert!(timeline.makespan >= 0.0);
         }
+    }
+}
+
+/// Number of views of an entry above which a job is only parsed. A job may have twenty million views, which
+/// take a second and a gigabyte.
+const MOST_VIEWS: u32 = 100;
+
+/// Checks that the tasks of an accepted job have different ids and lie within the job's dimensions. A job
+/// that could name a file outside of its folder is only parsed.
+pub fn check_job(input: &[u8]) {
+    let Ok(text) = std::str::from_utf8(input) else { return };
+    let Some(file) = accepted(JobFile::parse(text)) else { return };
+    let outside = |path: &str| path.contains(['/', '\\', '*', '?', '[']);
+    let many = |entry: &CamerasEntry| match entry {
+        CamerasEntry::Orbit { views, .. } | CamerasEntry::SemiSphere { views, .. } => *views > MOST_VIEWS,
+        CamerasEntry::List { .. } => false,
+    };
+    if file.volumes.iter().flat_map(|entry| &entry.files).any(|path| outside(path))
+        || file.cameras.iter().any(many)
+        || matches!(file.renderer, Renderer::Pvbatch { .. })
+    {
+        return;
+    }
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus/raw");
+    let Some(job) = accepted(Job::new(file, &folder)) else { return };
+    let lengths =
+        [job.volumes.len(), job.cameras.len(), job.transfers.len(), job.sizes.len(), job.steps.len()];
+    assert_eq!(job.len(), lengths.iter().product::<usize>());
+    let mut ids = HashSet::new();
+    for task in 0..job.len().min(1000) {
+        let at = job.place(task);
+        let indices = [at.volume, at.camera, at.transfer, at.size, at.step];
+        assert!(indices.iter().zip(lengths).all(|(&index, length)| index < length));
+        assert!(ids.insert(job.id(task)), "two tasks have the same id");
     }
 }
