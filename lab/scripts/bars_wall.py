@@ -73,9 +73,9 @@ BACK_FRAMES, BACK = 2, 0.9
 # Seconds from the start of a run until its speed is halved; shortest time, in seconds, for which the process then runs
 # between two stops.
 HALVED_AFTER, HALVED_TURN = 10.0, 0.001
-# A frame is at half the speed if its processor time per wall time is below this share of the median of the path's first
-# AROUND frames. The half speed begins at the first such frame for which the median of the AROUND frames from it on is below
-# the same value.
+# A frame is at half the speed if its processor time per wall time is below this share of the full speed's: the largest
+# median of AROUND consecutive frames. The half speed begins at the first such frame for which the median of the AROUND
+# frames from it on is below the same value.
 AT_HALF, AROUND = 0.75, 30
 HELD_FRAMES = 3
 
@@ -148,10 +148,10 @@ def frames_until_held(rows):
     """Returns the number of frames at half the speed before two in a row that are not late; None if the speed is not
     halved, or is halved too close to an end of the path."""
     shares = [busy(r) for r in rows]
-    slow = AT_HALF * statistics.median(shares[:AROUND])
     last = len(rows) - AROUND
-    halved = lambda i: shares[i] < slow and statistics.median(shares[i : i + AROUND]) < slow
-    at = next(filter(halved, range(AROUND, last)), last)
+    medians = [statistics.median(shares[i : i + AROUND]) for i in range(last)]
+    slow = AT_HALF * max(medians)
+    at = next((i for i in range(medians.index(max(medians)), last) if max(shares[i], medians[i]) < slow), last)
     if at == last:
         return None
     late = [over(r) > LATE for r in rows[at:]]
