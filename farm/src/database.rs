@@ -68,7 +68,8 @@ impl<'a> Database<'a> {
                     begun = true;
                     ensure!(
                         format == JOURNAL_FORMAT,
-                        "its format is {format:?}; this version reads {JOURNAL_FORMAT:?}"
+                        "its format is {format:?}, but this version reads {JOURNAL_FORMAT:?}; continue with \
+                         the version that began it, or choose another output folder"
                     );
                 }
                 Entry::Inputs { files } => inputs = files,

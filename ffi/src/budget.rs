@@ -33,7 +33,7 @@ const _: () = {
     assert!(size_of::<PassShare>() == size_of::<entire_pass>());
 };
 
-/// Views the caller's words as the type `T` of `entire-steer`.
+/// Returns the caller's struct `C` as the type `T` of `entire-steer`, which has the same 32-bit words.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads and writes of a `C`.
@@ -44,7 +44,7 @@ unsafe fn value<'a, C, T: bytemuck::Pod>(at: *mut C, what: &str) -> Result<&'a m
     Ok(bytemuck::from_bytes_mut(bytemuck::cast_slice_mut(words)))
 }
 
-/// Copies the caller's words into the type `T` of `entire-steer`.
+/// Returns a copy of the caller's struct `C` as the type `T` of `entire-steer`.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads of a `C`.

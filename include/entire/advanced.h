@@ -426,13 +426,13 @@ typedef struct entire_pass {
 #define ENTIRE_HELD_OUT_NOTHING 0
 
 /**
- * Volumes: the error is that on volumes without training frames.
+ * Volumes: the error is measured on volumes that no training frame shows.
  */
 #define ENTIRE_HELD_OUT_VOLUMES 1
 
 /**
- * Transfer functions: the error is that of the training volumes under transfer functions without training
- * frames.
+ * Transfer functions: the error is measured on the training volumes, with transfer functions that no training
+ * frame has.
  */
 #define ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS 2
 

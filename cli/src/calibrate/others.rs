@@ -112,7 +112,8 @@ impl BackgroundLoad {
     pub(crate) fn text(&self, frames: usize) -> String {
         match self.mean {
             Some(_) => format!(
-                "disturbed {:.0} % of the measured time; {} of {frames} frames have only disturbed repeats",
+                "other programs disturbed {:.0} % of the measured time; {} of {frames} frames have only \
+                 disturbed repeats",
                 100.0 * self.disturbed / self.seconds.max(1e-9),
                 self.frames
             ),

@@ -91,7 +91,8 @@ pub(crate) fn run(options: &Options) -> anyhow::Result<()> {
     let slicer = "steering of its views by entire.slicer.hold, if its Python has the package entire";
     let remedy = "https://download.slicer.org";
     print("3D Slicer", "", slicer, &version_of("Slicer", &["--version"], remedy));
-    let plugin = "the plugin of entire, built for exactly this version (`make test-paraview`)";
+    let plugin = "steering by entire's plugin, built for exactly this version of ParaView (`make \
+                  test-paraview` builds it)";
     print("ParaView", "ParaView", plugin, &version_of("pvbatch", &["--version"], "apt-get install paraview"));
     print("VTK for C++", "VTK", "the class vtkEntireSteering (`make test-vtk`)", &vtk_for_cxx());
     let library = version_of("pkg-config", &["--modversion", "entire"], "make install PREFIX=…");

@@ -14,16 +14,16 @@ use entire_steer::predict::Predictor;
 pub enum ControllerKind {
     /// Always the same step.
     Fixed,
-    /// Mean of the last three frame times, converted to the reference step by G, the curve of frame time over
-    /// step.
+    /// Mean of the last three frame times, converted to the reference step by the measured curve of frame time
+    /// over step.
     Olp,
-    /// The last frame time, converted to the reference step by G.
+    /// The last frame time, converted to the reference step by this curve.
     Last,
-    /// The longer of the last two frame times, converted to the reference step by G.
+    /// The longer of the last two frame times, converted to the reference step by this curve.
     LargerOfTwo,
     /// PID: proportional, integral and derivative feedback on the step.
     Pid,
-    /// The paper's Algorithm 1: prediction at the reference step, converted to other steps by G.
+    /// The paper's Algorithm 1: prediction at the reference step, converted to other steps by this curve.
     Algorithm1,
     /// entire's controller: a prediction for every step, corrected by observed frames, with a safety margin.
     Hybrid,

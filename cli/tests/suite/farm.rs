@@ -337,7 +337,8 @@ fn plans_cost_nothing_and_mistakes_are_named() {
     std::fs::write(dir.path().join("long.csv"), list).unwrap();
     let long = words("schedule long.csv --nodes 1 --method queue --out a.csv");
     refuses(dir.path(), &long, &["more seconds than a number can hold", "load_s"]);
-    // Workers of another farm run the template's bundles; the report covers their images.
+    // Runs the worker on every bundle of the Open Job Description template, as an external render manager would.
+    // The report of the resumed farm then includes these images.
     for order in std::fs::read_dir(dir.path().join("db.cdb/.farm/orders")).unwrap() {
         let number = order.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned();
         succeeds(dir.path(), &["farm-worker", "db.cdb/.farm", "--bundle", &number]);

@@ -15,10 +15,10 @@ use entire_steer::calibrate::{HeldOut, Picture};
 pub type entire_held_out = u32;
 /// Nothing, since there were too few frames: the error is that of the training frames.
 pub const ENTIRE_HELD_OUT_NOTHING: entire_held_out = 0;
-/// Volumes: the error is that on volumes without training frames.
+/// Volumes: the error is measured on volumes that no training frame shows.
 pub const ENTIRE_HELD_OUT_VOLUMES: entire_held_out = 1;
-/// Transfer functions: the error is that of the training volumes under transfer functions without training
-/// frames.
+/// Transfer functions: the error is measured on the training volumes, with transfer functions that no training
+/// frame has.
 pub const ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS: entire_held_out = 2;
 /// Time intervals: the error is that of new views of the training volumes under the training transfer
 /// functions.

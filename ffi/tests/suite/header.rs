@@ -132,7 +132,7 @@ fn generate() -> [(&'static str, String); 2] {
 #[test]
 fn the_committed_headers_are_those_of_the_source() {
     if Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml.orig").exists() {
-        // A published package lacks the repository, whose tests have checked the headers.
+        // A published package does not contain the headers.
         return;
     }
     for (name, generated) in generate() {

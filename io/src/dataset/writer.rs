@@ -142,7 +142,7 @@ impl Writer {
     /// or the file cannot be written.
     pub fn append(&mut self, number: u64, scene: &Scene, repeats: &[Timing]) -> Result<()> {
         scene.check().with_context(|| format!("frame {number}"))?;
-        ensure!(!repeats.is_empty(), "frame {number} has no repeat");
+        ensure!(!repeats.is_empty(), "frame {number} has no measured time");
         ensure!(!self.done.contains(&number), "frame {number} is in {} already", self.path.display());
         let lobes = format_lobes(&scene.lobes);
         let mut out = csv::WriterBuilder::new().from_writer(Vec::new());

@@ -60,12 +60,12 @@ impl Reading {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Fill {
-    /// The values that [`VolumeView::fill_values`] finds: `auto`.
+    /// `auto`: the values that [`VolumeView::fill_values`] finds.
     #[default]
     Found,
-    /// No fill values: `none`.
+    /// `none`: no fill values.
     None,
-    /// The given values: numbers separated by commas.
+    /// Numbers separated by commas: these values.
     Values(Vec<f32>),
 }
 
@@ -73,12 +73,12 @@ pub enum Fill {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Range {
-    /// 0…255 for unsigned bytes, the finite minimum…maximum for other types: `auto`.
+    /// `auto`: 0 to 255 for unsigned bytes; for other types, the finite minimum to the finite maximum.
     #[default]
     Default,
-    /// The finite minimum…maximum, for unsigned bytes, too: `data`.
+    /// `data`: the finite minimum to the finite maximum, for unsigned bytes, too.
     Data,
-    /// From the first to the second number: two numbers separated by a comma.
+    /// Two numbers separated by a comma: from the first to the second.
     Given(f32, f32),
 }
 

@@ -84,7 +84,11 @@ fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Result<Vec<f32>> {
     });
     let [x, y, z] = dims;
     let count = dims.iter().try_fold(1usize, |n, d| n.checked_mul(*d)).unwrap_or(usize::MAX);
-    let fail = || format!("{x} x {y} x {z} voxels of 4 bytes do not fit into this machine's memory");
+    let fail = || {
+        format!(
+            "{x} x {y} x {z} voxels of 4 bytes do not fit into this machine's memory; choose a smaller size"
+        )
+    };
     let mut out = try_vec(count, 0.0f32).with_context(fail)?;
     // Without the second condition, two infinities of one sign would give NaN.
     let mix = |a: f32, b: f32, t: f32| if t == 0.0 || a.is_infinite() { a } else { a + t * (b - a) };

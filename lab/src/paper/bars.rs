@@ -97,8 +97,8 @@ pub(crate) fn bars(
         let found = network(set, BASE_MODE);
         let voxels = found.and_then(|(r, _)| voxels_over_proxy(paper, r));
         let bar = match found.zip(voxels) {
-            // A proxy with a larger share of the voxels is a stronger baseline than the paper's, so the bar
-            // gets no value.
+            // This study's low-resolution proxy has a larger share of the voxels than the paper's, so LVRP is a
+            // stronger baseline here than there. The ratio cannot be compared, so this goal gets no value.
             Some(((_, row), voxels)) if voxels < limits.lvrp_voxels => {
                 let over = row.over_lvrp.map_or("-".into(), |v| format!("{v:.4}"));
                 let (here, papers) = (voxels.round(), limits.lvrp_voxels);

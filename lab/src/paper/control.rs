@@ -327,14 +327,14 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
         }
         let paths = r.frames.get("paths").map_or(0, |f| f[2]);
         let caption = format!(
-            "All controllers play {paths} recorded paths of {}. Of the targets 5, 10, 20 and 40 frames per \
-             second, a path is played with each that some ray step meets exactly in at least half of the \
-             path's frames, and with a series of these targets. The mean error is the mean of |time − \
-             target| / target over the frames that take exactly the target time at some ray step. The \
-             quality is the oracle's ray step divided by the controller's, at most 1, averaged over frames. \
-             For a controller of the image resolution, the quality is the smallest image reduction that \
-             meets the target, divided by the controller's. The oracle knows the recorded time of every ray \
-             step.",
+            "All controllers play {paths} recorded paths of {}. A target of 5, 10, 20 or 40 frames per \
+             second is used for a path if, in at least half of the path's frames, some ray step takes \
+             exactly the target time. A path with several such targets is also played with a series in \
+             which they alternate. The mean error is the mean of |time − target| / target over the frames \
+             that take exactly the target time at some ray step. The quality is the oracle's ray step \
+             divided by the controller's, at most 1, averaged over frames. For a controller of the image \
+             resolution, the quality is the smallest image reduction that meets the target, divided by the \
+             controller's. The oracle knows the recorded time of every ray step.",
             r.set
         );
         s.tables.push((table, caption));

@@ -28,8 +28,8 @@ pub(super) fn trials(paper: &Paper, material: &Material) -> Vec<([&'static str; 
                         loss, training settings) on measured frames. Each other row changes one \
                         part of the recipe; the last row changes three. `lobes in every order` \
                         trains on each frame once for each order of its lobes. `weights of the \
-                        last epochs` takes the epoch with the lowest training loss, without \
-                        validation frames.";
+                        last epochs` has no validation frames; its weights are those of the epoch \
+                        with the lowest training loss.";
             procedure.tables.push(trials_table(r, what, "change"));
         }
     }

@@ -40,7 +40,8 @@ struct Shot {
     speed: f64,
     /// Factor by which the predictor's seconds are wrong.
     wrong: f64,
-    /// True if the predictor does not tell the parts of the seconds apart.
+    /// True if the predictor returns only the total time, not its fixed part and the part that depends on the
+    /// step.
     whole: bool,
     changes: Changes,
     target: f64,

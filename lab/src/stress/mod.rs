@@ -77,7 +77,8 @@ pub(crate) struct Seen {
     pub(crate) first: bool,
     /// True if the rule ignores the frame, for example because a pipeline is built in it.
     pub(crate) excused: bool,
-    /// Index of the part of the script, for rules that distinguish parts.
+    /// Section of the script that the frame belongs to, for scenes whose rule for passing treats sections
+    /// differently; 0 in other scenes.
     pub(crate) part: usize,
 }
 

@@ -185,7 +185,8 @@ fn replay_fails_if_a_path_cannot_be_played() {
     let played = "lab/tests/data/castro-cuts.json";
     let mut trace = read_json(&crate::repository().join("lab/tests/data/nyx-switches.json"));
     trace["name"] = "alternating".into();
-    // No step changes these times, so half of the frames meet no target that the others miss.
+    // Frames take 1 s and 100 s in turn, at every step. The trace's own target lies between these times, so no
+    // step meets it exactly in any frame.
     for (i, frame) in trace["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
         for point in frame.as_array_mut().unwrap() {
             point["seconds"] = serde_json::json!(vec![if i % 2 == 0 { 1.0 } else { 100.0 }; 2]);

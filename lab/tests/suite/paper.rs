@@ -40,7 +40,8 @@ fn description(to: &Path) {
     d["orbit"] = json!({ "volumes": 2, "poses": 4, "size": 16 });
     let table = |name: &str| absolute(&format!("data/timings/{name}.csv.gz"));
     let (training, test) = (table("none-train"), table("none-members"));
-    // Measured frames are used as labels, since their features are stored beside them.
+    // The study takes its labels from a table of times that a teacher model predicted. This test uses measured
+    // times instead, since the features of these frames are stored.
     d["trials"] = json!({
         "tables": [{
             "mode": "none",

@@ -117,8 +117,9 @@ impl FrameBudget {
             }
             (pass.frame, pass.passes, pass.before) = (self.frame, 0, pass.mean);
         }
-        // The sum of seconds at full quality contains the object's newest mean once per pass. The shares of
-        // the next frame are computed from this sum.
+        // Each pass of the object counts with the same mean. So the old mean of the earlier passes is subtracted
+        // from the sum, and the new mean is added for all passes. The next frame's shares are computed from this
+        // sum.
         self.full[1] -= pass.passes as f32 * pass.mean;
         if full.is_finite() && full > 0.0 {
             pass.mean = if pass.mean > 0.0 { pass.mean + NEWEST_WEIGHT * (full - pass.mean) } else { full };

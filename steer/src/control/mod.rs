@@ -92,8 +92,8 @@ pub enum Reason {
     /// The step was chosen from recent frame times, since the prediction is missing, is out of range at the
     /// step that it would choose, or was recently wrong.
     History = 6,
-    /// The coarsest allowed step, since there is neither a prediction nor an observed time since the last
-    /// announced change of the scene.
+    /// The coarsest allowed step, because no prediction exists and no time was observed after the last announced
+    /// change of the scene.
     NoInformation = 7,
     /// The frame's own step, since steering is off.
     Off = 8,

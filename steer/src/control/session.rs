@@ -65,7 +65,7 @@ struct Before {
     level: usize,
     /// Changes that the caller had announced.
     changes: Changes,
-    /// Setting and termination of the last planned frame.
+    /// Setting of the last planned frame, and the opacity at which its rays ended early.
     last: Option<Setting>,
     last_termination: f32,
 }

@@ -134,8 +134,8 @@ impl ChannelsLast {
         }
     }
 
-    /// Computes one block of channels for a range of positions. `plane` is the distance in floats between the
-    /// inputs of neighboring output planes; it is 0 if the offsets of `taps` include the offset of the plane.
+    /// Computes one block of output channels for a range of positions. The inputs of neighboring output planes
+    /// are `plane` floats apart; 0 if the offsets in `taps` already contain this distance.
     pub(super) fn tiles(
         &self,
         input: &[f32],
