@@ -149,9 +149,9 @@ def frames_until_held(rows):
     halved, or is halved too close to an end of the path."""
     shares = [busy(r) for r in rows]
     last = len(rows) - AROUND
-    medians = [statistics.median(shares[i : i + AROUND]) for i in range(last)]
-    slow = AT_HALF * max(medians)
-    at = next((i for i in range(medians.index(max(medians)), last) if max(shares[i], medians[i]) < slow), last)
+    around = [statistics.median(shares[i : i + AROUND]) for i in range(last)]
+    slow = AT_HALF * max(around)
+    at = next((i for i in range(around.index(max(around)), last) if max(shares[i], around[i]) < slow), last)
     if at == last:
         return None
     late = [over(r) > LATE for r in rows[at:]]
